@@ -1,0 +1,46 @@
+# `make` alone lists what can be made. Every target sets up .venv first, where it has to.
+
+VENV     := .venv
+PYTHON   ?= $(shell command -v python3.11 || command -v python3)
+TAILBEAT := $(VENV)/bin/tailbeat
+READY    := $(VENV)/.installed
+
+# Measured and made recordings. Tests that need them are skipped where they are absent.
+TAILBEAT_DATA ?= $(abspath ../shared/data)
+export TAILBEAT_DATA
+
+# More options for the command that a target runs: make swim ARGS="--seed 3"
+ARGS ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help swim bench test check format clean
+
+help:  ## list the targets
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /\1\t/' | expand -t 10
+
+swim: $(READY)  ## the main job: let the fish swim, see runs/
+	$(TAILBEAT) swim $(ARGS)
+
+bench: $(READY)  ## measure speed on this machine
+	$(TAILBEAT) bench $(ARGS)
+
+test: check  ## check, then every test that is neither slow nor needs a GPU
+	$(VENV)/bin/pytest $(ARGS)
+
+check: $(READY)  ## lint, format and types, changing nothing
+	$(VENV)/bin/ruff check
+	$(VENV)/bin/ruff format --check
+	$(VENV)/bin/mypy
+
+format: $(READY)  ## put imports and layout right
+	$(VENV)/bin/ruff check --fix
+	$(VENV)/bin/ruff format
+
+clean:  ## remove caches and builds; runs/ and .venv stay
+	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache
+	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(READY): pyproject.toml constraints.txt
+	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/pip install -q -c constraints.txt -e '.[dev]'
+	@touch $@

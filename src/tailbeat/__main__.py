@@ -1,0 +1,6 @@
+"""`python -m tailbeat`, the same as the command `tailbeat`."""
+
+from tailbeat.cli import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,144 @@
+"""What can I do? The verbs of `tailbeat`: parse, call, print. No logic."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tailbeat import console, tasks
+from tailbeat.files import BadInput, write_json
+
+app = typer.Typer(
+    name="tailbeat",
+    help="From bench recordings of a soft robotic fish to a twin that swims like it.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+identify = typer.Typer(help="Find a fish's parameters from recordings.", no_args_is_help=True)
+importing = typer.Typer(help="Turn other people's files into recordings.", no_args_is_help=True)
+app.add_typer(identify, name="identify")
+app.add_typer(importing, name="import")
+
+LISTS = ("--fit", "--validate")  # options that take any number of values
+FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
+Recordings = Annotated[list[Path], typer.Argument(help="Recordings, CSV or Parquet.")]
+
+
+@app.command("new-fish")
+def new_fish(path: Annotated[Path, typer.Argument(help="The TOML file to write.")]) -> None:
+    """Write a commented fish to start from."""
+    tasks.new_fish(path)
+    console.say(f"wrote {path}; see what it makes with: tailbeat show {path}")
+
+
+@app.command()
+def show(
+    fish: Annotated[str, typer.Argument(help="A TOML file or a shipped fish's name.")],
+    picture: Annotated[Path | None, typer.Option(help="Where the PNG goes.")] = None,
+    viewer: Annotated[bool, typer.Option(help="Open MuJoCo's viewer.")] = False,
+    json: JsonOption = None,
+) -> None:
+    """Print what was compiled, and render a picture."""
+    shown = tasks.show(fish, picture, viewer, json)
+    console.tables(shown.tables)
+    console.say(f"picture ({shown.how}): {shown.picture}")
+
+
+@importing.command("fishsim")
+def import_fishsim(
+    csv: Annotated[Path, typer.Argument(help="A marker file of srl-ethz/fishsim.")],
+    out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
+    frame_rate: Annotated[float, typer.Option(help="Frames per second of the film.")] = 60.0,
+) -> None:
+    """Marker tracks in pixels to a recording in metres."""
+    recording = tasks.import_fishsim(csv, out, frame_rate)
+    dropped = recording.meta["frames_dropped_per_marker"]
+    console.say(f"wrote {out}: {recording.time.size} frames, dropped per marker {dropped}")
+
+
+@identify.command("fluid")
+def identify_fluid(
+    fish: FishOption,
+    fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit; repeat.")],
+    out: Annotated[Path, typer.Option("--out", help="The identified fish to write.")],
+    validate: Annotated[
+        list[Path] | None, typer.Option("--validate", help="Recordings held out; repeat.")
+    ] = None,
+    zones: Annotated[int, typer.Option(help="1: one coefficient set; 3: one per zone.")] = 3,
+    seeds: Annotated[int, typer.Option(help="Independent searches, the best one kept.")] = 5,
+    seed: SeedOption = 0,
+    generations: Annotated[int, typer.Option(help="CMA-ES generations per seed.")] = 15,
+    start_weight: Annotated[
+        bool | None,
+        typer.Option(help="Weigh a run's start 4:1; default: when it starts from rest."),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Fit the fluid coefficients; writes fish, report (.json) and figure (.png) side by side."""
+    with console.search_progress() as progress:
+        plan = tasks.plan(zones, seeds, seed, generations, start_weight)
+        done = tasks.identify_fluid(fish, fit, validate or [], out, plan, json, progress)
+    console.identified(done.report)
+    console.say(f"wrote {', '.join(map(str, done.files))}")
+
+
+@app.command()
+def predict(fish: FishOption, recordings: Recordings, json: JsonOption = None) -> None:
+    """What the twin makes of recorded swims, beside what was measured."""
+    result = tasks.predict(fish, recordings, json)
+    console.predicted(result)
+
+
+@app.command()
+def swim(
+    fish: Annotated[str | None, typer.Option("--fish", help="Swim this fish open-loop.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for pictures, film and summary.")] = Path(
+        "runs"
+    ),
+    seeds: Annotated[int, typer.Option(help="Searches, where a fish is identified.")] = 2,
+    json: JsonOption = None,
+) -> None:
+    """The main job: identify the crank fish on real recordings, or swim a fish open-loop."""
+    with console.search_progress() as progress:
+        done = tasks.swim(fish, out, seeds, progress)
+    console.summary(done)
+    if json is not None:
+        write_json(json, done)
+
+
+@app.command()
+def bench(json: JsonOption = None) -> None:
+    """Measure the step against a bare engine loop on this machine."""
+    result = tasks.bench()
+    console.tables({result["machine"]: result["fish"]})
+    if json is not None:
+        write_json(json, result)
+
+
+def spread_lists(arguments: list[str]) -> list[str]:
+    """`--fit A B` as `--fit A --fit B`, the only way the parser takes lists."""
+    spread: list[str] = []
+    option = None
+    for word in arguments:
+        if word.startswith("-"):
+            option = word if word in LISTS else None
+        elif option is not None and spread[-1] != option:
+            spread.append(option)
+        spread.append(word)
+    return spread
+
+
+def main() -> None:
+    """Entry point: bad input is one sentence and exit code 2."""
+    try:
+        app(args=spread_lists(sys.argv[1:]), standalone_mode=True)
+    except BadInput as error:
+        console.complain(str(error))
+        sys.exit(2)
+    except KeyboardInterrupt:
+        console.complain("interrupted; the same command takes the search up where it stopped.")
+        sys.exit(130)

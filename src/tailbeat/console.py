@@ -1,0 +1,138 @@
+"""What the terminal shows: tables, progress with an ETA, one-line complaints. Prints only."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+OUT = Console()
+ERRORS = Console(stderr=True)
+SHARE_OF_SEARCH = 0.6  # of a seed's time; the polish takes the rest
+
+
+def say(text: str) -> None:
+    """One line."""
+    OUT.print(text, highlight=False, soft_wrap=True)
+
+
+def complain(text: str) -> None:
+    """One line to standard error."""
+    ERRORS.print(f"tailbeat: {text}", style="red", highlight=False, soft_wrap=True, markup=False)
+
+
+def tables(rows_by_title: dict[str, list[dict[str, Any]]]) -> None:
+    """One table per title; an empty one is left out."""
+    for title, rows in rows_by_title.items():
+        if len(rows) == 1:  # a single wide row reads better downwards
+            rows = [{"": name, "value": value} for name, value in rows[0].items()]
+        if rows:
+            OUT.print(_table(title, rows))
+
+
+def _table(title: str, rows: list[dict[str, Any]]) -> Table:
+    table = Table(title=title, title_justify="left", header_style="bold")
+    for name in rows[0]:
+        numeric = all(isinstance(row[name], int | float | None) for row in rows)
+        table.add_column(name, justify="right" if numeric else "left")
+    for row in rows:
+        table.add_row(*(_cell(value) for value in row.values()))
+    return table
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list | tuple):
+        return " … ".join(_cell(item) for item in value)
+    return str(value)
+
+
+@contextmanager
+def search_progress() -> Iterator[Callable[[int, str, float, float], None]]:
+    """A bar per seed with best cost, elapsed time and ETA."""
+    columns = [
+        TextColumn("seed {task.fields[seed]} {task.fields[stage]:>6}"),
+        BarColumn(),
+        TextColumn("cost {task.fields[best]:8.2f}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    ]
+    bars: dict[int, Any] = {}
+    with Progress(*columns, console=ERRORS) as progress:
+
+        def report(seed: int, stage: str, share: float, best: float) -> None:
+            if seed not in bars:
+                bars[seed] = progress.add_task("", total=1.0, seed=seed, stage=stage, best=best)
+            first = stage == "search"
+            done = SHARE_OF_SEARCH * share if first else SHARE_OF_SEARCH + 0.4 * share
+            progress.update(bars[seed], completed=done, stage=stage, best=best)
+
+        yield report
+
+
+def identified(report: dict[str, Any]) -> None:
+    """Parameters with intervals, seeds, runs, and what the data cannot tell."""
+    rows = [
+        {
+            "parameter": path,
+            "value": row["value"],
+            "unit": row["unit"],
+            "95 % interval": row["interval"],
+            "decided by data": "yes" if row["decided_by_data"] else "no",
+        }
+        for path, row in report["parameters"].items()
+    ]
+    seeds = [{k: v for k, v in row.items() if k != "values"} for row in report["seeds"]]
+    runs = [
+        {"role": role, **_run_cells(run)}
+        for role, runs in (("fit", report["fit"]), ("held out", report["validate"]))
+        for run in runs
+    ]
+    tables({"parameters": rows, "seeds, best first": seeds, "runs": runs})
+    if report["without_effect"]:
+        say(f"no effect on the result, left alone: {', '.join(report['without_effect'])}")
+    for pair in report["trade_offs"]:
+        a, b = pair["parameters"]
+        say(f"the data trade {a} against {b} (correlation {pair['correlation']:.2f})")
+    _say_errors(report)
+
+
+def _say_errors(report: dict[str, Any]) -> None:
+    held_out = report["validate_speed_mae"]
+    tail = "" if held_out is None else f", {1e3 * held_out:.1f} mm/s on the held-out runs"
+    say(f"mean absolute speed error {1e3 * report['fit_speed_mae']:.1f} mm/s on the fitted{tail}")
+
+
+def _run_cells(run: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "recording": run["recording"],
+        "beat [Hz]": run["beat_frequency"],
+        "speed [m/s]": run["measured_speed"],
+        "twin [m/s]": run["predicted_speed"],
+        "stroke [m]": run["measured_tail_amplitude"],
+        "twin [m]": run["predicted_tail_amplitude"],
+        "marker error [mm]": 1e3 * run["marker_error"],
+        "settled": "yes" if run["settled"] else "NO",
+    }
+
+
+def predicted(result: dict[str, Any]) -> None:
+    """One row per recording and the mean absolute speed error."""
+    tables({"measured and predicted": [_run_cells(run) for run in result["runs"]]})
+    say(f"mean absolute speed error {1e3 * result['speed_mae']:.1f} mm/s")
+
+
+def summary(report: dict[str, Any]) -> None:
+    """What the main job did and where it left things."""
+    if "parameters" in report:
+        identified(report)
+    else:
+        plain = {key: value for key, value in report.items() if not isinstance(value, list)}
+        tables({"open-loop swim": [plain]})
+    say(f"rendered: {report['rendered']}; see {report['folder']}/: {', '.join(report['files'])}")

@@ -1,0 +1,1 @@
+"""How well? Figures, benchmarks and the main job."""

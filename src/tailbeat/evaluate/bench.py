@@ -1,0 +1,79 @@
+"""How fast, against what: the step of tailbeat against a bare engine loop, in one run."""
+
+import os
+import platform
+import time
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from tailbeat.fish.rollout import Start, swim
+from tailbeat.fish.store import load_fish, shipped
+from tailbeat.fish.twin import Twin, compile_twin
+
+SECONDS = 20.0  # simulated per timing
+REPEATS = 3
+CONTROL_PERIOD = 0.02
+
+
+def bench() -> dict[str, Any]:
+    """Real-time factor, µs per step, and the ratio to `mujoco.rollout`, per shipped fish."""
+    return {
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, mujoco {mujoco.__version__}",
+        "fish": [_one(name) for name in shipped()],
+    }
+
+
+def _one(name: str) -> dict[str, Any]:
+    twin = compile_twin(load_fish(name))
+    commands = _commands(twin)
+    ours = min(_ours(twin, commands) for _ in range(REPEATS))
+    bare = min(_bare(twin, commands) for _ in range(REPEATS))
+    cores = os.cpu_count() or 1
+    many = min(_many(twin, commands, 32 * cores) for _ in range(REPEATS)) / (32 * cores)
+    steps = commands.size
+    return {
+        "fish": name,
+        "step_ms": 1e3 * twin.model.opt.timestep,
+        "us_per_step": 1e6 * ours / steps,
+        "bare_us_per_step": 1e6 * bare / steps,
+        "ratio_to_bare": ours / bare,
+        "real_time_factor_one_core": SECONDS / ours,
+        "real_time_factor_all_cores": SECONDS / many,
+    }
+
+
+def _commands(twin: Twin) -> np.ndarray:
+    """A beat at 1.5 Hz: a swinging pulley or a turning crank."""
+    clock = np.arange(0, SECONDS, twin.model.opt.timestep)
+    if twin.fish.motor.kind == "crank":
+        return 2 * np.pi * 1.5 * clock
+    return 0.6 * np.sin(2 * np.pi * 1.5 * clock)
+
+
+def _ours(twin: Twin, commands: np.ndarray) -> float:
+    """Wall seconds of our step: one fish, one thread, a sample per control period."""
+    every = max(round(CONTROL_PERIOD / twin.model.opt.timestep), 1)
+    began = time.perf_counter()
+    swim([twin], [Start.at_rest()], [commands], every, threads=1)
+    return time.perf_counter() - began
+
+
+def _many(twin: Twin, commands: np.ndarray, count: int) -> float:
+    """Wall seconds of `count` fish on every core."""
+    every = max(round(CONTROL_PERIOD / twin.model.opt.timestep), 1)
+    began = time.perf_counter()
+    swim([twin] * count, [Start.at_rest()] * count, [commands] * count, every)
+    return time.perf_counter() - began
+
+
+def _bare(twin: Twin, commands: np.ndarray) -> float:
+    """Wall seconds of the engine's own C loop over the same commands, in one long call."""
+    data = mujoco.MjData(twin.model)
+    start = np.zeros(mujoco.mj_stateSize(twin.model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+    mujoco.mj_getState(twin.model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    began = time.perf_counter()
+    rollout.rollout(twin.model, data, start[None], commands[None, :, None])
+    return time.perf_counter() - began

@@ -1,0 +1,147 @@
+"""Figures. Draws what others computed; computes nothing."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from tailbeat.files import new_file
+from tailbeat.fish.rollout import Swim
+from tailbeat.identify.gait import Track, head_frame
+from tailbeat.identify.predict import Prediction
+
+matplotlib.use("Agg")
+MEASURED, TWIN = "tab:blue", "tab:orange"
+
+
+def measured_against_twin(
+    rows: Sequence[tuple[str, Prediction]], path: Path, overwrite: bool = False
+) -> None:
+    """One row per run (role, prediction): the path or body wave, the tail's beat, the figures."""
+    figure = Figure(figsize=(11, 3.4 * len(rows)), layout="constrained")
+    for axes, (role, prediction) in zip(
+        np.atleast_2d(figure.subplots(len(rows), 3)), rows, strict=True
+    ):
+        _draw_path(axes[0], prediction, f"{prediction.run.name} ({role})")
+        _draw_beat(axes[1], prediction)
+        _draw_figures(axes[2], prediction)
+    with new_file(path, overwrite) as beside:
+        figure.savefig(beside, dpi=130)
+
+
+def _draw_path(axes: Axes, prediction: Prediction, title: str) -> None:
+    """Distance swum along the heading for a cruise, the path in the plane for a replay."""
+    for label, colour, track in (
+        ("measured", MEASURED, prediction.run.track),
+        ("twin", TWIN, prediction.track),
+    ):
+        if prediction.run.motor is None:
+            time, way = _way(track, prediction.run.track.time[-1])
+            axes.plot(time, way, color=colour, label=label)
+        else:
+            axes.plot(track.pose[:, 0], track.pose[:, 1], color=colour, label=label)
+    cruise = prediction.run.motor is None
+    axes.set(
+        title=title,
+        xlabel="time [s]" if cruise else "x [m]",
+        ylabel="distance along the heading [m]" if cruise else "y [m]",
+    )
+    axes.legend()
+    axes.grid(alpha=0.3)
+
+
+def _way(track: Track, duration: float) -> tuple[np.ndarray, np.ndarray]:
+    """The last `duration` seconds of a track as time and distance from its start."""
+    late = track.time >= track.time[-1] - duration
+    pose = track.pose[late]
+    steps = np.diff(pose[:, :2], axis=0)
+    along = steps[:, 0] * np.cos(pose[1:, 2]) + steps[:, 1] * np.sin(pose[1:, 2])
+    return track.time[late] - track.time[late][0], np.concatenate([[0.0], np.cumsum(along)])
+
+
+def _draw_beat(axes: Axes, prediction: Prediction) -> None:
+    """Sideways motion of the tip in the head frame, the twin's shifted to the same phase."""
+    run = prediction.run
+    if run.track.markers is None:
+        axes.plot(run.track.time, run.track.pose[:, 2], color=MEASURED, label="measured")
+        axes.plot(prediction.track.time, prediction.track.pose[:, 2], color=TWIN, label="twin")
+        axes.set(xlabel="time [s]", ylabel="heading [rad]")
+        axes.grid(alpha=0.3)
+        return
+    measured = head_frame(run.track)[:, run.track.tip, 1]
+    twin = head_frame(prediction.track)[:, run.track.tip, 1]
+    time = run.track.time - run.track.time[0]
+    late = prediction.track.time >= prediction.track.time[-1] - time[-1]
+    when = prediction.track.time[late] - prediction.track.time[late][0]
+    shift = _phase_shift(time, measured, when, twin[late], run.gait.frequency)
+    axes.plot(time, 1e3 * (measured - np.nanmean(measured)), color=MEASURED, label="measured")
+    axes.plot(when + shift, 1e3 * (twin[late] - twin[late].mean()), color=TWIN, label="twin")
+    axes.set(xlabel="time [s]", ylabel="fin tip sideways [mm]", xlim=(0, time[-1]))
+    axes.grid(alpha=0.3)
+
+
+def _phase_shift(
+    time: np.ndarray, measured: np.ndarray, when: np.ndarray, twin: np.ndarray, frequency: float
+) -> float:
+    """Seconds by which the twin's beat leads, within half a beat."""
+    turn = np.exp(-2j * np.pi * frequency * time)
+    a = np.nansum((measured - np.nanmean(measured)) * turn)
+    b = np.sum((twin - twin.mean()) * np.exp(-2j * np.pi * frequency * when))
+    return float(np.angle(b / a) / (2 * np.pi * frequency))
+
+
+def _draw_figures(axes: Axes, prediction: Prediction) -> None:
+    """Measured and predicted speed, stride, Strouhal number and stroke as pairs of bars."""
+    measured, twin = prediction.run.gait, prediction.gait
+    names = ["speed\n[m/s]", "stride\n[m]", "stroke\n[m]", "Strouhal\n/ 10"]
+    values = [[g.speed, g.stride, g.tail_amplitude, g.strouhal / 10] for g in (measured, twin)]
+    place = np.arange(len(names))
+    axes.bar(place - 0.2, values[0], 0.4, color=MEASURED, label="measured")
+    axes.bar(place + 0.2, values[1], 0.4, color=TWIN, label="twin")
+    axes.set_xticks(place, names)
+    axes.set_title(
+        f"{measured.frequency:.3f} Hz, marker error {1e3 * prediction.marker_error:.1f} mm"
+    )
+    axes.grid(alpha=0.3, axis="y")
+
+
+def speeds(
+    fitted: Sequence[Prediction],
+    validated: Sequence[Prediction],
+    path: Path,
+    overwrite: bool = False,
+) -> None:
+    """Speed over beat frequency: fitted (filled) and held-out runs, measured and predicted."""
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes = figure.subplots()
+    for label, rows, fill in (("fitted", fitted, "full"), ("held out", validated, "none")):
+        x = [p.run.gait.frequency for p in rows]
+        measured = [p.run.gait.speed for p in rows]
+        twin = [p.gait.speed for p in rows]
+        axes.plot(x, measured, "o", color=MEASURED, fillstyle=fill, label=f"measured, {label}")
+        axes.plot(x, twin, "s", color=TWIN, fillstyle=fill, label=f"twin, {label}")
+    axes.set(xlabel="beat frequency [Hz]", ylabel="speed [m/s]", xlim=(0, None), ylim=(0, None))
+    axes.legend()
+    axes.grid(alpha=0.3)
+    with new_file(path, overwrite) as beside:
+        figure.savefig(beside, dpi=130)
+
+
+def open_loop(swim: Swim, motor: int, path: Path, overwrite: bool = False) -> None:
+    """Path of the head and the angles of motor and tail of one open-loop swim."""
+    figure = Figure(figsize=(11, 3.6), layout="constrained")
+    plane, angles = figure.subplots(1, 2)
+    plane.plot(swim.qpos[:, 0], swim.qpos[:, 1], color=TWIN)
+    plane.set(xlabel="x [m]", ylabel="y [m]", title="path of the fish frame")
+    plane.set_aspect("equal", adjustable="datalim")
+    angles.plot(swim.time, swim.qpos[:, motor], color="black", label="motor")
+    angles.plot(swim.time, swim.qpos[:, motor + 1 :].sum(axis=1), color=TWIN, label="tail, sum")
+    angles.set(xlabel="time [s]", ylabel="angle [rad]")
+    angles.legend()
+    for axes in (plane, angles):
+        axes.grid(alpha=0.3)
+    with new_file(path, overwrite) as beside:
+        figure.savefig(beside, dpi=130)

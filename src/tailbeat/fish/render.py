@@ -1,0 +1,96 @@
+"""Pictures and films of a twin: MuJoCo's renderer through EGL, or a drawn top view without GL."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import imageio.v2 as imageio
+import matplotlib
+import mujoco
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from tailbeat.files import new_file
+from tailbeat.fish.twin import Twin
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+WIDTH, HEIGHT = 960, 540
+FILM_RATE = 25
+
+matplotlib.use("Agg")
+
+
+def frames(twin: Twin, qpos: Array, camera: str = "beside") -> tuple[Iterator[Image], str]:
+    """One image per row of qpos (k, nq), and how they were made: "mujoco" or "drawn".
+
+    Falls back to a drawn top view when no GL library works; never raises for its lack.
+    """
+    try:
+        renderer = mujoco.Renderer(twin.model, HEIGHT, WIDTH)
+    except Exception:  # whatever a missing EGL, OSMesa or display raises: draw instead
+        return _drawn(twin, qpos), "drawn"
+    return _rendered(twin, renderer, qpos, camera), "mujoco"
+
+
+def _rendered(twin: Twin, renderer: mujoco.Renderer, qpos: Array, camera: str) -> Iterator[Image]:
+    data = mujoco.MjData(twin.model)
+    with renderer:
+        for row in qpos:
+            data.qpos[:] = row
+            mujoco.mj_forward(twin.model, data)
+            renderer.update_scene(data, camera)
+            yield renderer.render()
+
+
+def _drawn(twin: Twin, qpos: Array) -> Iterator[Image]:
+    """The wetted ellipsoids seen from above, in a window that follows the fish."""
+    data = mujoco.MjData(twin.model)
+    figure = Figure(figsize=(WIDTH / 100, HEIGHT / 100), dpi=100)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.07, 0.09, 0.91, 0.88))
+    for row in qpos:
+        data.qpos[:] = row
+        mujoco.mj_kinematics(twin.model, data)
+        _draw_top(axes, twin.model, data)
+        canvas.draw()
+        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _draw_top(axes: matplotlib.axes.Axes, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    axes.clear()
+    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_ELLIPSOID):
+        half = model.geom_size[geom]
+        turn = data.geom_xmat[geom].reshape(3, 3)[:2, :2]
+        round_ = np.linspace(0, 2 * np.pi, 30)
+        rim = (
+            data.geom_xpos[geom, :2]
+            + np.stack([half[0] * np.cos(round_), half[1] * np.sin(round_)], axis=1) @ turn.T
+        )
+        axes.fill(*rim.T, color="tab:blue", alpha=0.6)
+    x, y = data.body("head").xpos[:2]
+    axes.set(xlim=(x - 0.7, x + 0.4), ylim=(y - 0.31, y + 0.31), xlabel="x [m]", ylabel="y [m]")
+    axes.set_aspect("equal")
+    axes.grid(alpha=0.3)
+
+
+def save_picture(twin: Twin, qpos: Array, path: Path, overwrite: bool = False) -> str:
+    """One PNG of one state (nq,); returns how it was made."""
+    images, how = frames(twin, qpos[None])
+    with new_file(path, overwrite) as beside:
+        imageio.imwrite(beside, next(images))
+    return how
+
+
+def save_film(twin: Twin, time: Array, qpos: Array, path: Path, overwrite: bool = False) -> str:
+    """An MP4 at real speed of states qpos (k, nq) at `time` (k,) s; returns how it was made."""
+    wanted = np.arange(time[0], time[-1], 1 / FILM_RATE)
+    images, how = frames(twin, qpos[np.searchsorted(time, wanted)])
+    with (
+        new_file(path, overwrite) as beside,
+        imageio.get_writer(beside, fps=FILM_RATE, macro_block_size=None) as film,
+    ):
+        for image in images:
+            film.append_data(image)  # type: ignore[attr-defined]
+    return how

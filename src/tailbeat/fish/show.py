@@ -1,0 +1,187 @@
+"""What was compiled: a fish as a table of numbers read back from the engine's model."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.fish.description import Fish
+from tailbeat.fish.twin import Options, Twin, compile_twin
+
+Array = NDArray[np.float64]
+TOLERANCE = 0.01  # relative difference between stated and compiled k_eff that draws a warning
+
+
+@dataclass(frozen=True, eq=False)
+class Compiled:
+    """Numbers read back from a compiled fish; lengths [m], masses [kg], stiffness [N m/rad]."""
+
+    mass: float
+    centre: tuple[float, ...]
+    yaw_inertia: float
+    length: float
+    arms: Array
+    motor_arm: float
+    stiffness: Array
+    k_formula: float
+    k_read: float
+    warnings: tuple[str, ...]
+
+
+def read_back(fish: Fish) -> Compiled:
+    """Compile a fish and read back what matters."""
+    twin = compile_twin(fish)
+    data = mujoco.MjData(twin.model)
+    mujoco.mj_forward(twin.model, data)
+    arms, motor_arm = moment_arms(twin, data)
+    stiffness = np.array([link.stiffness for link in fish.tail.links]) * fish.tail.stiffness_scale
+    k_formula = float(motor_arm**2 / np.sum(arms**2 / stiffness))
+    k_read = shaft_stiffness(fish)
+    return Compiled(
+        float(data.subtree_com.size and twin.model.body_subtreemass[1]),
+        tuple(float(c) for c in data.subtree_com[1]),
+        yaw_inertia(twin, data),
+        _length(fish),
+        arms,
+        motor_arm,
+        stiffness,
+        k_formula,
+        k_read,
+        tuple(_warnings(fish, k_read)),
+    )
+
+
+def moment_arms(twin: Twin, data: mujoco.MjData) -> tuple[Array, float]:
+    """Arms dL/dq of the left tendon at the hinges (n,), and at the motor, signs included [m]."""
+    jacobian = np.zeros((twin.model.ntendon, twin.model.nv))
+    mujoco.mju_sparse2dense(
+        jacobian,
+        data.ten_J.ravel(),
+        twin.model.ten_J_rownnz,
+        twin.model.ten_J_rowadr,
+        twin.model.ten_J_colind.ravel(),
+    )
+    motor = int(twin.model.joint("motor").dofadr[0])
+    row = jacobian[twin.model.tendon("left").id]
+    return -row[motor + 1 :], float(row[motor])
+
+
+def yaw_inertia(twin: Twin, data: mujoco.MjData) -> float:
+    """Inertia of the straight fish about the vertical axis through its centre of mass [kg m^2]."""
+    full = np.zeros((twin.model.nv, twin.model.nv))
+    mujoco.mj_fullM(twin.model, data, full)
+    if twin.options.root != "planar":
+        return float("nan")
+    centre = np.asarray(data.subtree_com[1])
+    return float(full[2, 2] - full[0, 0] * (centre[0] ** 2 + centre[1] ** 2))
+
+
+def shaft_stiffness(fish: Fish, angle: float = 0.02) -> float:
+    """Push the shaft by `angle` [rad] with the head held in a vacuum, read the torque: k_eff.
+
+    The straight pose is used with a taut tendon, so slack is taken out first. For a crank this is
+    the tail as its arm feels it at the neutral angle.
+    """
+    taut = fish.tendons.model_copy(update={"slack": 0.0})
+    dry = fish.medium.model_copy(update={"density": 1e-9, "viscosity": 0.0})
+    held = fish.model_copy(update={"tendons": taut, "medium": dry, "added_inertia": 0.0})
+    model = compile_twin(held, Options(root="fixed")).model
+    return _settle(model, angle)
+
+
+def _settle(model: mujoco.MjModel, angle: float) -> float:
+    """Torque over angle once the tail has come to rest under a held shaft."""
+    model.opt.timestep = 5e-4
+    model.dof_damping[1:] += 0.02 * model.jnt_stiffness[1:].clip(0.1)
+    model.dof_armature[0] = 10.0
+    model.actuator_gainprm[0, 0] = 0.0
+    model.actuator_biasprm[0, 1:3] = 0.0
+    data = mujoco.MjData(model)
+    data.qpos[0] = angle
+    for _ in range(6000):
+        data.qpos[0], data.qvel[0] = angle, 0.0
+        mujoco.mj_step(model, data)
+    data.qpos[0], data.qvel[:] = angle, 0.0
+    mujoco.mj_forward(model, data)
+    pull = data.qfrc_passive[0] + data.qfrc_constraint[0]
+    return float(-pull / angle)
+
+
+def _length(fish: Fish) -> float:
+    parts = [p for body in (fish.head, *fish.tail.links) for p in body.parts]
+    ends = np.array([[p.position[0] + p.size[0] / 2, p.position[0] - p.size[0] / 2] for p in parts])
+    return float(ends[:, 0].max() - ends[:, 1].min())
+
+
+def _warnings(fish: Fish, k_read: float) -> list[str]:
+    found = []
+    stated = fish.tail.k_eff
+    if stated is not None and abs(k_read / stated - 1) > TOLERANCE:
+        found.append(f"k_eff reads {k_read:.4g} N m/rad, the description states {stated:.4g}")
+    if fish.added_inertia == 0:
+        found.append(
+            "added inertia is off: the engine applies only the velocity half of added mass, which"
+            " pulls a beating fin rearwards (docs/twin.md)"
+        )
+    for name, zone in fish.zones.items():
+        if zone.kutta > 6.3:
+            found.append(f"zone {name}: Kutta {zone.kutta:g} is above what any ellipsoid can lift")
+    return found
+
+
+def tables(fish: Fish) -> dict[str, list[dict[str, Any]]]:
+    """Everything `tailbeat show` prints, as rows: whole fish, bodies, hinges, zones, servo."""
+    compiled = read_back(fish)
+    return {
+        "fish": [_whole(fish, compiled)],
+        "bodies": _bodies(fish),
+        "hinges": _hinges(fish, compiled),
+        "zones": [{"zone": name, **zone.model_dump()} for name, zone in fish.zones.items()],
+        "servo": [{"servo": fish.servo, **fish.servos[fish.servo].model_dump()}],
+        "warnings": [{"warning": text} for text in compiled.warnings],
+    }
+
+
+def _whole(fish: Fish, compiled: Compiled) -> dict[str, Any]:
+    return {
+        "name": fish.name,
+        "length_m": compiled.length,
+        "mass_kg": compiled.mass,
+        "centre_x_m": compiled.centre[0],
+        "yaw_inertia_kg_m2": compiled.yaw_inertia,
+        "k_eff_formula": compiled.k_formula,
+        "k_eff_read": compiled.k_read,
+        "k_eff_stated": fish.tail.k_eff,
+        "step_s": fish.simulation.step,
+        "integrator": fish.simulation.integrator,
+    }
+
+
+def _bodies(fish: Fish) -> list[dict[str, Any]]:
+    model = compile_twin(fish).model
+    names = ["head", "motor", *(f"link{i}" for i in range(len(fish.tail.links)))]
+    return [
+        {
+            "body": name,
+            "mass_kg": float(model.body(name).mass[0]),
+            "inertia_x": float(model.body(name).inertia[0]),
+            "inertia_y": float(model.body(name).inertia[1]),
+            "inertia_z": float(model.body(name).inertia[2]),
+        }
+        for name in names
+    ]
+
+
+def _hinges(fish: Fish, compiled: Compiled) -> list[dict[str, Any]]:
+    return [
+        {
+            "hinge": i,
+            "x_m": link.hinge,
+            "arm_m": float(compiled.arms[i]),
+            "stiffness": float(compiled.stiffness[i]),
+            "damping": float(compiled.stiffness[i] * fish.tail.damping_time),
+        }
+        for i, link in enumerate(fish.tail.links)
+    ]

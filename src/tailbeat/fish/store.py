@@ -1,0 +1,107 @@
+"""Fish on disk: find, read, change and write descriptions, with every complaint one sentence."""
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from pydantic import ValidationError
+
+from tailbeat.files import BadInput, new_file
+from tailbeat.fish.description import Fish
+
+
+def shipped() -> list[str]:
+    """Names of the fish that come with the package."""
+    folder = resources.files("tailbeat.fish") / "models"
+    return sorted(Path(str(f)).stem for f in folder.iterdir() if str(f).endswith(".toml"))
+
+
+def fish_path(name_or_path: str | Path) -> Path:
+    """Path of a shipped fish by its name, else of a file. Raises BadInput if there is neither."""
+    if str(name_or_path) in shipped():
+        return Path(str(resources.files("tailbeat.fish") / "models" / f"{name_or_path}.toml"))
+    path = Path(name_or_path)
+    if not path.is_file():
+        names = ", ".join(shipped())
+        raise BadInput(f"{name_or_path}: no such fish; give a TOML file or one of {names}.")
+    return path
+
+
+def load_fish(name_or_path: str | Path) -> Fish:
+    """Read a fish by a shipped name or by file. Raises BadInput, naming file and field."""
+    path = fish_path(name_or_path)
+    try:
+        return Fish.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: not valid TOML ({error}); mend the file at that line.") from None
+    except ValidationError as error:
+        raise BadInput(f"{path}: {_sentence(error)}") from None
+
+
+def _sentence(error: ValidationError) -> str:
+    """The first complaint of pydantic as: field, value, what is allowed."""
+    first = error.errors()[0]
+    field = ".".join(map(str, first["loc"])) or "the fish"
+    message = first["msg"].removeprefix("Value error, ").rstrip(".")
+    if first["type"] == "extra_forbidden":
+        return f"unknown field {field}; remove it or see `tailbeat new-fish` for the known ones."
+    if first["type"] == "missing":
+        return f"field {field} is missing; add it (see `tailbeat new-fish`)."
+    value = "" if isinstance(first["input"], dict | Fish) else f" = {first['input']!r}"
+    return f"{field}{value}: {message}; correct it in the file."
+
+
+def with_values(fish: Fish, values: dict[str, float]) -> Fish:
+    """A copy of the fish with fields set by dotted path, in SI, e.g. `zones.fin.kutta`.
+
+    Raises BadInput for a path the description does not have or a value it does not allow.
+    """
+    tree = fish.model_dump()
+    for path, value in values.items():
+        *stem, leaf = path.split(".")
+        node: Any = tree
+        for key in stem:
+            node = node[int(key)] if isinstance(node, tuple | list) else node.get(key, {})
+        if leaf not in node:
+            raise BadInput(f"{fish.name}: no field {path}; see `tailbeat show` for the fields.")
+        node[leaf] = value
+    try:
+        return Fish.model_validate(tree)
+    except ValidationError as error:
+        raise BadInput(f"{fish.name}: {_sentence(error)}") from None
+
+
+def value_at(fish: Fish, path: str) -> float:
+    """The number at a dotted path, in SI."""
+    node: Any = fish.model_dump()
+    for key in path.split("."):
+        node = node[int(key)] if isinstance(node, tuple | list) else node[key]
+    return float(node)
+
+
+def write_identified(
+    source: str | Path,
+    target: Path,
+    values: dict[str, dict[str, Any]],
+    note: str,
+    overwrite: bool = False,
+) -> None:
+    """Copy the description at `source` to `target` with fields replaced and all comments kept.
+
+    `values` maps a dotted path to {value, unit, interval, source}, in SI. `note` is put on top,
+    line by line, as comments. Raises BadInput if `target` exists.
+    """
+    document = tomlkit.parse(fish_path(source).read_text(encoding="utf-8"))
+    for path, entry in values.items():
+        *stem, leaf = path.split(".")
+        node: Any = document
+        for key in stem:
+            node = node.setdefault(key, tomlkit.table())
+        table = tomlkit.inline_table()
+        table.update(entry)
+        node[leaf] = table
+    heading = "".join(f"# {line}\n" for line in note.splitlines())
+    with new_file(target, overwrite) as beside:
+        beside.write_text(heading + tomlkit.dumps(document), encoding="utf-8")

@@ -1,0 +1,1 @@
+"""What did we measure? Recordings in, parameters with intervals out."""

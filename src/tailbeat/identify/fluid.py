@@ -1,0 +1,205 @@
+"""Fluid identification: which coefficients make the twin swim as the recordings do?
+
+Residuals are in units of their own standard deviation, chosen once for every fish (`SIGMA`) and
+not tuned to a result. Speeds and shapes of a cruise, poses in time of a replayed run.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput
+from tailbeat.fish.description import COEFFICIENTS, Fish
+from tailbeat.fish.rollout import Swim
+from tailbeat.fish.store import value_at, with_values
+from tailbeat.identify.gait import Track, measure_gait, surge
+from tailbeat.identify.runs import Cruise, Run, last_beats, repeat, twin_track
+from tailbeat.identify.search import Parameter, sensitivity
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sigma:
+    """What counts as one standard deviation of misfit, all chosen.
+
+    `wave` is what perspective does to markers at two heights (in the crank fish's tracks neighbours
+    at different heights stand 20 mm too far apart), the rest about what a camera resolves.
+    """
+
+    speed: float = 0.002  # m/s, of a cruise's mean speed
+    drift: float = 0.003  # m/s, between the last beats of a cruise and those before
+    wave: float = 0.01  # m, of a marker's complex amplitude, shared over the markers
+    yaw: float = 0.014  # rad, of the heading's complex amplitude and of a pose in time
+    position: float = 0.01  # m, of a pose in time
+
+
+SIGMA = Sigma()
+SAMPLES = 25  # poses compared per replayed run
+START_WEIGHT = 4.0  # squared error at the start over that at the end (paper)
+
+# Prior centre, spread of ln(value), and range per coefficient. Outside the range no ellipsoid in
+# water has been seen: a blunt drag above 2 is a C_d of 4; thin-foil theory gives a Kutta factor of
+# about pi at most and unsteady motion has not doubled it. Centres are the engine's defaults but
+# for drag of smooth bodies.
+COEFFICIENT_PRIORS: dict[str, tuple[float, float, float, float]] = {
+    "blunt": (0.4, 0.6, 0.02, 2.0),
+    "slender": (0.15, 1.0, 0.005, 5.0),
+    "angular": (1.5, 0.8, 0.05, 20.0),
+    "kutta": (1.5, 0.8, 0.01, 6.3),
+    "magnus": (1.0, 0.8, 0.01, 6.0),
+}
+
+
+def fluid_space(fish: Fish, zones: int) -> tuple[Parameter, ...]:
+    """The free numbers: five coefficients for all zones together (1) or for each (3), and what
+    the description calls uncertain."""
+    groups = ["*"] if zones == 1 else list(fish.zones)
+    found = [
+        Parameter(f"zones.{zone}.{name}", "1", low, high, centre, spread)
+        for zone in groups
+        for name in COEFFICIENTS
+        for centre, spread, low, high in [COEFFICIENT_PRIORS[name]]
+    ]
+    for extra in fish.uncertain:
+        prior = value_at(fish, extra.field)
+        _check_uncertain(fish, extra.field, extra.low, prior, extra.high)
+        found.append(
+            Parameter(
+                extra.field, extra.unit, extra.low, extra.high, prior, extra.spread, extra.log
+            )
+        )
+    return tuple(found)
+
+
+def _check_uncertain(fish: Fish, field: str, low: float, prior: float, high: float) -> None:
+    if not low <= prior <= high:
+        raise BadInput(
+            f"{fish.name}: uncertain field {field} = {prior:g} lies outside its range"
+            f" {low:g}-{high:g} (SI); widen the range or correct the value."
+        )
+
+
+def apply(fish: Fish, found: dict[str, float]) -> Fish:
+    """The fish with values set; `zones.*.kutta` sets every zone's."""
+    single: dict[str, float] = {}
+    for path, value in found.items():
+        names = fish.zones if "*" in path else [""]
+        single.update({path.replace("*", zone): value for zone in names})
+    return with_values(fish, single)
+
+
+def residual_function(
+    fish: Fish,
+    runs: Sequence[Run],
+    space: tuple[Parameter, ...],
+    start_weight: bool | None = None,
+    cruise: Cruise = Cruise(),  # noqa: B008 (frozen)
+) -> Callable[[Array], Array]:
+    """Batched residuals for `search`: candidates (n, p) in z -> (n, r).
+
+    `start_weight` None weighs the start of a replayed run four times when it starts from rest.
+    """
+    return partial(
+        _residuals, fish, (*runs, *forward_checks(fish, runs)), space, start_weight, cruise
+    )
+
+
+def forward_checks(fish: Fish, runs: Sequence[Run]) -> list[Run]:
+    """A cruise that was not recorded: from rest, at half the slowest recorded beat.
+
+    No data, but knowledge: a beating fish does not swim backwards. The engine's lone velocity half
+    of added mass pulls a beating fin rearwards, and without added inertia many fits have a second,
+    backward gait (docs/twin.md); with it, none was found and nothing is added.
+    """
+    cruises = [run for run in runs if run.motor is None]
+    if not cruises or fish.added_inertia > 0:
+        return []
+    slowest = min(cruises, key=lambda run: run.gait.frequency)
+    gait = replace(slowest.gait, frequency=slowest.gait.frequency / 2, speed=0.0, wave=None)
+    return [replace(slowest, name="forward from rest", gait=gait)]
+
+
+def _residuals(
+    fish: Fish,
+    runs: tuple[Run, ...],
+    space: tuple[Parameter, ...],
+    start_weight: bool | None,
+    cruise: Cruise,
+    z: Array,
+) -> Array:
+    fishes = [
+        apply(fish, {p.path: p.from_z(c) for p, c in zip(space, row, strict=True)}) for row in z
+    ]
+    swims = repeat(fishes, runs, cruise)
+    rows = [
+        np.concatenate(
+            [_compare(f, r, done, start_weight, cruise) for r, done in zip(runs, s, strict=True)]
+        )
+        for f, s in zip(fishes, swims, strict=True)
+    ]
+    return np.stack(rows)
+
+
+def _compare(fish: Fish, run: Run, done: Swim, start_weight: bool | None, cruise: Cruise) -> Array:
+    """Residuals of one run, all infinite where the twin diverged."""
+    with np.errstate(all="ignore"):
+        track = twin_track(fish, done)
+        if run.motor is None:
+            found = _compare_cruise(run, track, cruise)
+        else:
+            weigh = run.from_rest if start_weight is None else start_weight
+            found = _compare_poses(run, track, weigh)
+    return np.full_like(found, np.inf) if done.diverged else found
+
+
+def _compare_cruise(run: Run, track: Track, cruise: Cruise) -> Array:
+    """Speed, its drift, body wave and heading wave of a cruise."""
+    last = last_beats(track, run.gait.frequency, cruise.measure)
+    before = last_beats(track, run.gait.frequency, cruise.measure, skip=cruise.measure)
+    gait = measure_gait(last, run.gait.frequency)
+    if run.gait.wave is None:  # a forward check
+        return np.array([min(gait.speed, 0.0) / SIGMA.position])
+    assert gait.wave is not None
+    seen = np.isfinite(run.gait.wave) & _behind(run)
+    wave = (gait.wave - run.gait.wave)[seen] / SIGMA.wave / np.sqrt(seen.sum())
+    yaw = (gait.yaw_wave - run.gait.yaw_wave) / SIGMA.yaw
+    speed = (gait.speed - run.gait.speed) / SIGMA.speed
+    drift = (gait.speed - surge(before).mean()) / SIGMA.drift
+    return np.concatenate([[speed, drift, yaw.real, yaw.imag], wave.real, wave.imag])
+
+
+def _behind(run: Run) -> NDArray[np.bool_]:
+    """Markers that move with the tail: those whose stroke beats the head markers' by far."""
+    assert run.gait.wave is not None
+    return np.abs(run.gait.wave) > 0.05 * abs(run.gait.wave[run.track.tip])
+
+
+def _compare_poses(run: Run, track: Track, weigh_start: bool) -> Array:
+    """Pose errors at `SAMPLES` times of a replayed run."""
+    span = run.track.time[-1] - run.track.time[0]
+    time = np.linspace(span / SAMPLES, min(span, track.time[-1]), SAMPLES)
+    scale = np.array([SIGMA.position, SIGMA.position, SIGMA.yaw])
+    measured = _at(time, run.track.time - run.track.time[0], run.track.pose)
+    error = (_at(time, track.time, track.pose) - measured) / scale
+    weight = np.linspace(START_WEIGHT, 1.0, SAMPLES) if weigh_start else np.ones(SAMPLES)
+    return (error * np.sqrt(weight / weight.mean())[:, None]).ravel()
+
+
+def _at(time: Array, when: Array, pose: Array) -> Array:
+    return np.stack([np.interp(time, when, column) for column in pose.T], axis=1)
+
+
+def insensitive(
+    residuals: Callable[[Array], Array], space: tuple[Parameter, ...], least: float = 0.05
+) -> list[str]:
+    """Free numbers that hardly move the result: one prior spread shifts the residuals' norm by
+    less than `least` standard deviations at the prior's centre and on both sides of it."""
+    reach = np.zeros(len(space))
+    for shift in (-0.7, 0.0, 0.7):
+        _, slope = sensitivity(residuals, np.full(len(space), shift))
+        reach = np.maximum(reach, np.linalg.norm(slope, axis=0))
+    return [p.path for p, norm in zip(space, reach, strict=True) if norm < least]

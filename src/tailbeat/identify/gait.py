@@ -1,0 +1,162 @@
+"""How does it swim? Beat frequency, speed, stride, Strouhal number and body wave of one swim.
+
+The same functions read a recording and a twin's run, so that both are judged alike.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from tailbeat.files import BadInput
+
+Array = NDArray[np.float64]
+MINIMUM_BEATS = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A swim seen from above: `time` (k,) s, `pose` (k, 3) of the tracked point (x, y [m], yaw).
+
+    `markers` (k, m, 2) m in the world, NaN where unseen, or None; `tip` is the index of the marker
+    nearest the fin's rear edge.
+    """
+
+    time: Array
+    pose: Array
+    markers: Array | None = None
+    tip: int = -1
+
+    def cut(self, start: int, stop: int) -> "Track":
+        """The samples from `start` to `stop`."""
+        part = slice(start, stop)
+        markers = None if self.markers is None else self.markers[part]
+        return Track(self.time[part], self.pose[part], markers, self.tip)
+
+
+@dataclass(frozen=True, eq=False)
+class Gait:
+    """One steady swim in figures.
+
+    `speed` is the mean over whole beats of the tracked point's velocity along the heading [m/s];
+    `tail_amplitude` the fin tip's sideways stroke in the head frame, peak to peak [m];
+    `yaw_wave` [rad] and `wave` (m,) [m] are the complex amplitudes of heading and of each marker's
+    sideways motion in the head frame at the beat frequency, phases relative to the tip's.
+    """
+
+    frequency: float
+    speed: float
+    beats: float
+    yaw_wave: complex
+    wave: NDArray[np.complex128] | None
+    tail_amplitude: float
+
+    @property
+    def stride(self) -> float:
+        """Distance per beat [m]."""
+        return self.speed / self.frequency
+
+    @property
+    def strouhal(self) -> float:
+        """Beat frequency times stroke over speed."""
+        if self.speed == 0:
+            return float("nan")
+        return self.frequency * self.tail_amplitude / self.speed
+
+
+def head_frame(track: Track) -> Array:
+    """Markers relative to the tracked point, x along the heading, y to the left (k, m, 2) [m]."""
+    assert track.markers is not None
+    offset = track.markers - track.pose[:, None, :2]
+    cos, sin = np.cos(track.pose[:, 2])[:, None], np.sin(track.pose[:, 2])[:, None]
+    x = offset[..., 0] * cos + offset[..., 1] * sin
+    y = offset[..., 1] * cos - offset[..., 0] * sin
+    return np.stack([x, y], axis=-1)
+
+
+def surge(track: Track) -> Array:
+    """Velocity along the heading (k,) [m/s]."""
+    rate = np.gradient(track.pose[:, :2], track.time, axis=0)
+    return rate[:, 0] * np.cos(track.pose[:, 2]) + rate[:, 1] * np.sin(track.pose[:, 2])
+
+
+def beat_signal(track: Track) -> Array:
+    """What beats: the tip's sideways motion in the head frame [m], else the heading [rad]."""
+    if track.markers is None:
+        return track.pose[:, 2]
+    return head_frame(track)[:, track.tip, 1]
+
+
+def _basis(time: Array, frequency: float, harmonics: int) -> Array:
+    """Columns 1, t, t^2, then cos and sin of each harmonic; the powers absorb slow drift."""
+    centred = time - time.mean()
+    angles = 2 * np.pi * frequency * np.outer(time, np.arange(1, harmonics + 1))
+    powers = np.stack([np.ones_like(time), centred, centred**2], axis=1)
+    return np.concatenate([powers, np.cos(angles), np.sin(angles)], axis=1)
+
+
+def amplitude(time: Array, signal: Array, frequency: float) -> complex:
+    """Complex amplitude c of a beat, signal ~ Re(c exp(2 pi i f t)); NaN if seen under half."""
+    seen = np.isfinite(signal)
+    if seen.mean() < 0.5:
+        return complex("nan")
+    fit, *_ = np.linalg.lstsq(_basis(time[seen], frequency, 2), signal[seen], rcond=None)
+    return complex(fit[3], -fit[5])
+
+
+def beat_frequency(time: Array, signal: Array, band: tuple[float, float], name: str) -> float:
+    """Beat frequency [Hz] by least squares of one sine on a slow drift, over uneven samples.
+
+    Raises BadInput where the strongest beat lies on the band's edge or the recording holds fewer
+    than two beats.
+    """
+    seen = np.isfinite(signal)
+    time, signal = time[seen], signal[seen]
+    lowest = max(0.5 * band[0], 0.8 / np.ptp(time))
+    grid = np.arange(lowest, 2.0 * band[1], 0.1 / np.ptp(time))
+    costs = [_misfit(f, time, signal) for f in grid]
+    best, step = grid[int(np.argmin(costs))], grid[1] - grid[0]
+    found = minimize_scalar(
+        _misfit, bounds=(best - step, best + step), args=(time, signal), method="bounded"
+    )
+    _check_frequency(float(found.x), np.ptp(time), band, name)
+    return float(found.x)
+
+
+def _misfit(frequency: float, time: Array, signal: Array) -> float:
+    basis = _basis(time, frequency, 1)
+    fit, *_ = np.linalg.lstsq(basis, signal, rcond=None)
+    return float(np.square(signal - basis @ fit).mean())
+
+
+def _check_frequency(
+    frequency: float, duration: float, band: tuple[float, float], name: str
+) -> None:
+    if frequency * duration < MINIMUM_BEATS:
+        raise BadInput(
+            f"{name}: {duration:.2f} s holds {frequency * duration:.1f} beats of"
+            f" {frequency:.2f} Hz; record at least {MINIMUM_BEATS:.0f} beats."
+        )
+    if not band[0] <= frequency <= band[1]:
+        raise BadInput(
+            f"{name}: beat frequency {frequency:.2f} Hz is outside the description's band"
+            f" {band[0]:g}-{band[1]:g} Hz; check the recording, or widen band in the fish."
+        )
+
+
+def measure_gait(track: Track, frequency: float) -> Gait:
+    """The gait over the largest whole number of beats from the start."""
+    period = float(np.median(np.diff(track.time)))
+    beats = int(frequency * (track.time[-1] - track.time[0]) + 0.02)
+    whole = track.cut(0, min(track.time.size, round(beats / frequency / period) + 1))
+    yaw = amplitude(whole.time, whole.pose[:, 2], frequency)
+    if whole.markers is None:
+        return Gait(frequency, float(surge(whole).mean()), beats, yaw, None, float("nan"))
+    sideways = head_frame(whole)[..., 1]
+    wave = np.array([amplitude(whole.time, y, frequency) for y in sideways.T])
+    turn = np.exp(-1j * np.angle(wave[whole.tip]))
+    stroke = 2 * abs(wave[whole.tip])
+    return Gait(
+        frequency, float(surge(whole).mean()), beats, yaw * turn, wave * turn, float(stroke)
+    )

@@ -1,0 +1,246 @@
+"""`tailbeat identify fluid`: several seeds, the best one kept, everything said about it."""
+
+import hashlib
+import pickle
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput, new_file
+from tailbeat.fish.description import Fish
+from tailbeat.identify.fluid import apply, fluid_space, insensitive, residual_function
+from tailbeat.identify.predict import Prediction, predict, row, speed_mae
+from tailbeat.identify.runs import Run
+from tailbeat.identify.search import (
+    Effort,
+    Fit,
+    Parameter,
+    intervals,
+    search,
+    told_apart,
+    trade_offs,
+    values,
+)
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, str, float, float], None]  # seed, stage, share done, best cost
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to fit: zones (1 shared set, 3 one per zone), seeds from the first on, effort, and the
+    weighting of the start of replayed runs (None: when a run starts from rest)."""
+
+    zones: int = 3
+    seeds: int = 5
+    first_seed: int = 0
+    effort: Effort = field(default_factory=Effort)
+    start_weight: bool | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """The outcome: one fit per seed, best first, and the best one's fish and predictions."""
+
+    space: tuple[Parameter, ...]
+    idle: tuple[str, ...]
+    fits: tuple[Fit, ...]
+    fish: Fish
+    fitted: tuple[Prediction, ...]
+    validated: tuple[Prediction, ...]
+    spread: tuple[dict[str, Any], ...]
+    seconds: float
+
+
+def identify_fluid(
+    fish: Fish,
+    fit: Sequence[Run],
+    validate: Sequence[Run],
+    plan: Plan,
+    scratch: Path,
+    progress: Progress = lambda seed, stage, share, best: None,
+) -> Identified:
+    """Fit on `fit`, judge on `validate`. Interrupted work in `scratch` is taken up again."""
+    began = time.monotonic()
+    if not fit:
+        raise BadInput("--fit is empty; give at least one recording to fit.")
+    space, idle = _sensitive_space(fish, fit, plan)
+    residuals = residual_function(fish, fit, space, plan.start_weight)
+    key = _key(fish, fit, plan)
+    fits = [
+        _one_seed(residuals, space, seed, plan.effort, scratch / key, progress)
+        for seed in range(plan.first_seed, plan.first_seed + plan.seeds)
+    ]
+    fits.sort(key=lambda found: found.cost)
+    return _conclude(fish, fit, validate, space, idle, fits, time.monotonic() - began)
+
+
+def _sensitive_space(
+    fish: Fish, fit: Sequence[Run], plan: Plan
+) -> tuple[tuple[Parameter, ...], tuple[str, ...]]:
+    """The free numbers that move the result, and the names of those that do not (left alone)."""
+    space = fluid_space(fish, plan.zones)
+    idle = insensitive(residual_function(fish, fit, space, plan.start_weight), space)
+    return tuple(p for p in space if p.path not in idle), tuple(idle)
+
+
+def _one_seed(
+    residuals: Callable[[Array], Array],
+    space: tuple[Parameter, ...],
+    seed: int,
+    effort: Effort,
+    scratch: Path,
+    progress: Progress,
+) -> Fit:
+    done = scratch / f"seed{seed}.fit"
+    if done.is_file():
+        kept: Fit = pickle.loads(done.read_bytes())
+        return kept
+    found = search(
+        residuals,
+        space,
+        seed,
+        effort,
+        scratch / f"seed{seed}.search",
+        lambda stage, share, best: progress(seed, stage, share, best),
+    )
+    with new_file(done, overwrite=True) as path:
+        path.write_bytes(pickle.dumps(found))
+    return found
+
+
+def _key(fish: Fish, fit: Sequence[Run], plan: Plan) -> str:
+    """Names the scratch folder by what is fitted: other work is never resumed by mistake."""
+    digest = hashlib.sha256(fish.model_dump_json().encode())
+    digest.update(repr((plan.zones, plan.effort, plan.start_weight)).encode())
+    digest.update((mujoco.__version__ + version("tailbeat")).encode())
+    for run in fit:
+        digest.update(run.track.time.tobytes() + run.track.pose.tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _conclude(
+    fish: Fish,
+    fit: Sequence[Run],
+    validate: Sequence[Run],
+    space: tuple[Parameter, ...],
+    idle: tuple[str, ...],
+    fits: list[Fit],
+    seconds: float,
+) -> Identified:
+    everything = [*fit, *validate]
+    found = [predict(apply(fish, values(space, f.z)), everything) for f in fits]
+    spread = tuple(_seed_row(f, p, len(fit), space) for f, p in zip(fits, found, strict=True))
+    return Identified(
+        space,
+        idle,
+        tuple(fits),
+        apply(fish, values(space, fits[0].z)),
+        tuple(found[0][: len(fit)]),
+        tuple(found[0][len(fit) :]),
+        spread,
+        seconds,
+    )
+
+
+def _seed_row(
+    fit: Fit, found: list[Prediction], fitted: int, space: tuple[Parameter, ...]
+) -> dict[str, Any]:
+    held_out = found[fitted:]
+    return {
+        "seed": fit.seed,
+        "cost": fit.cost,
+        "fit_speed_mae": speed_mae(found[:fitted]),
+        "validate_speed_mae": speed_mae(held_out) if held_out else None,
+        "values": values(space, fit.z),
+    }
+
+
+def parameter_rows(found: Identified) -> dict[str, dict[str, Any]]:
+    """Per free number: value, unit, 95 % interval, and whether the data decide it."""
+    best = found.fits[0]
+    rows = zip(
+        found.space,
+        values(found.space, best.z).values(),
+        intervals(found.space, best),
+        told_apart(best),
+        strict=True,
+    )
+    return {
+        p.path: {
+            "value": value,
+            "unit": p.unit,
+            "interval": list(interval),
+            "decided_by_data": bool(decided),
+            "prior": p.prior,
+        }
+        for p, value, interval, decided in rows
+    }
+
+
+def as_report(found: Identified, plan: Plan) -> dict[str, Any]:
+    """The JSON report."""
+    rows = parameter_rows(found)
+    return {
+        "parameters": rows,
+        "undecided": [path for path, row in rows.items() if not row["decided_by_data"]],
+        "without_effect": list(found.idle),
+        "trade_offs": [
+            {"parameters": [a, b], "correlation": r}
+            for a, b, r in trade_offs(found.space, found.fits[0])
+        ],
+        "zones": plan.zones,
+        "seeds": list(found.spread),
+        "fit": [row(p) for p in found.fitted],
+        "validate": [row(p) for p in found.validated],
+        "fit_speed_mae": speed_mae(found.fitted),
+        "validate_speed_mae": speed_mae(found.validated) if found.validated else None,
+        "engine": f"mujoco {mujoco.__version__}",
+        "tailbeat": version("tailbeat"),
+        "seconds": found.seconds,
+    }
+
+
+def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Field -> {value, unit, interval, source} for `store.write_identified`, zones spelled out."""
+    source = f"identified on {', '.join(recordings)}"
+    written: dict[str, dict[str, Any]] = {}
+    for path, known in parameter_rows(found).items():
+        remark = source if known["decided_by_data"] else f"{source}; not decided by the data"
+        entry = {
+            "value": float(f"{known['value']:.6g}"),
+            "unit": known["unit"],
+            "interval": [float(f"{edge:.4g}") for edge in known["interval"]],
+            "source": remark,
+        }
+        for zone in found.fish.zones if "*" in path else [""]:
+            written[path.replace("*", zone)] = entry
+    return written
+
+
+def heading(found: Identified, plan: Plan) -> str:
+    """The lines that head an identified fish: what was fitted, how well, with which engine."""
+    report = as_report(found, plan)
+    held_out = report["validate_speed_mae"]
+    lines = [
+        "Identified by `tailbeat identify fluid`; the report beside this file has the details.",
+        f"Fitted on {', '.join(p.run.name for p in found.fitted)}, cost {found.fits[0].cost:.3g},"
+        f" best of {len(found.fits)} seeds, {plan.zones} zone(s).",
+        f"Mean absolute speed error {report['fit_speed_mae']:.4f} m/s fitted"
+        + ("." if held_out is None else f", {held_out:.4f} m/s held out."),
+        f"{report['engine']}, tailbeat {report['tailbeat']}.",
+    ]
+    return "\n".join(lines)
+
+
+def clear(scratch: Path) -> None:
+    """Remove a finished search's checkpoints."""
+    shutil.rmtree(scratch, ignore_errors=True)

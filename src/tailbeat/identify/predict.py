@@ -1,0 +1,92 @@
+"""What a twin says about swims: measured and predicted figures, run by run."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tailbeat.fish.description import Fish
+from tailbeat.fish.rollout import Swim
+from tailbeat.identify.gait import Gait, Track
+from tailbeat.identify.runs import Cruise, Run, last_beats, repeat, twin_gait, twin_track
+
+# A prediction settles longer than a fit can afford, and is averaged over more beats.
+LONG = Cruise(settle=20, measure=3)
+SETTLED = 0.02  # relative change of speed over the last beats that counts as settled
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """A run and what the twin made of it; `settled` says that a cruise reached steady speed."""
+
+    run: Run
+    gait: Gait
+    track: Track
+    marker_error: float
+    settled: bool
+
+
+def predict(fish: Fish, runs: Sequence[Run]) -> list[Prediction]:
+    """Repeat every run in one batched call; no coefficient is refitted."""
+    done = repeat([fish], runs, LONG)[0]
+    return [_judge(fish, run, swim) for run, swim in zip(runs, done, strict=True)]
+
+
+def _judge(fish: Fish, run: Run, swim: Swim) -> Prediction:
+    track = twin_track(fish, swim)
+    gait = twin_gait(fish, run, swim, LONG)
+    return Prediction(
+        run, gait, track, marker_error(run, gait, track), _settled(run, track) and not swim.diverged
+    )
+
+
+def _settled(run: Run, track: Track) -> bool:
+    """Whether the three beats before the last three went as fast, within 2 % or 1 mm/s."""
+    if run.motor is not None:
+        return True
+    speeds = [
+        np.linalg.norm(np.ptp(last_beats(track, run.gait.frequency, 3, skip).pose[[0, -1], :2], 0))
+        for skip in (0, 3)
+    ]
+    limit = max(SETTLED * float(speeds[0]), 0.003 / run.gait.frequency)
+    return abs(float(speeds[0] - speeds[1])) < limit
+
+
+def marker_error(run: Run, gait: Gait, track: Track) -> float:
+    """Root mean square error [m]: of a cruise, the markers' sideways motion at the beat in the
+    head frame, phases aligned at the tip; of a replayed run, the tracked point's path in time."""
+    if run.motor is None:
+        assert gait.wave is not None and run.gait.wave is not None
+        return float(np.sqrt(np.nanmean(np.abs(gait.wave - run.gait.wave) ** 2) / 2))
+    when = run.track.time - run.track.time[0]
+    path = np.stack([np.interp(when, track.time, c) for c in track.pose[:, :2].T], axis=1)
+    return float(np.sqrt(np.square(path - run.track.pose[:, :2]).sum(axis=1).mean()))
+
+
+def as_json(predictions: Sequence[Prediction]) -> dict[str, Any]:
+    """The result of `tailbeat predict`, SI throughout."""
+    return {
+        "runs": [row(prediction) for prediction in predictions],
+        "speed_mae": speed_mae(predictions),
+    }
+
+
+def speed_mae(predictions: Sequence[Prediction]) -> float:
+    """Mean absolute error of mean speed [m/s]."""
+    return float(np.mean([abs(p.gait.speed - p.run.gait.speed) for p in predictions]))
+
+
+def row(prediction: Prediction) -> dict[str, Any]:
+    """One run of `as_json`."""
+    found: dict[str, Any] = {
+        "recording": prediction.run.name,
+        "beat_frequency": prediction.run.gait.frequency,
+        "beats": prediction.run.gait.beats,
+        "settled": prediction.settled,
+        "marker_error": prediction.marker_error,
+    }
+    for name in ("speed", "stride", "strouhal", "tail_amplitude"):
+        found[f"measured_{name}"] = getattr(prediction.run.gait, name)
+        found[f"predicted_{name}"] = getattr(prediction.gait, name)
+    return found

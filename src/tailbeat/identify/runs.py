@@ -1,0 +1,181 @@
+"""Recordings as runs that a twin can repeat, and the repeating.
+
+Two kinds. A *replayed* run has `motor_angle_rad`: the twin's motor is led through it from the
+recorded pose, and poses are compared in time. A *cruise* has marker tracks alone: the crank is
+turned at the beat frequency found in the tracks, from the recorded speed, and the steady gait is
+compared, so the crank's unknown phase drops out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
+from tailbeat.fish.rollout import Start, Swim, replay_command, swim
+from tailbeat.fish.twin import Options, Twin, compile_twin
+from tailbeat.identify.gait import (
+    Gait,
+    Track,
+    beat_frequency,
+    beat_signal,
+    measure_gait,
+)
+from tailbeat.recording import Recording, markers, require
+
+Array = NDArray[np.float64]
+SAMPLE = 0.02  # s between samples of a twin's run
+REPLAYED = Options(replayed=True)
+
+
+@dataclass(frozen=True)
+class Cruise:
+    """How long a cruise is simulated: beats to settle, then beats to measure."""
+
+    settle: int = 5
+    measure: int = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A recording made ready: its track and gait; `motor` (k,) rad, None for a cruise."""
+
+    name: str
+    track: Track
+    gait: Gait
+    motor: Array | None
+    from_rest: bool
+
+
+def as_run(recording: Recording, fish: Fish) -> Run:
+    """Check a recording against a fish and measure its gait. Raises BadInput with the reason."""
+    x, y, yaw = require(recording, ["x_m", "y_m", "yaw_rad"])
+    pose = np.stack([x, y, np.unwrap(yaw)], axis=1)
+    motor = recording.columns.get("motor_angle_rad")
+    if motor is None and fish.motor.kind != "crank":
+        raise BadInput(
+            f"{recording.name}: column motor_angle_rad is missing; {fish.name} has a servo, whose"
+            f" recorded angle is replayed."
+        )
+    track = Track(recording.time, pose, *_marker_tracks(recording, fish))
+    signal = beat_signal(track) if motor is None else motor
+    frequency = beat_frequency(recording.time, signal, fish.band, recording.name)
+    return Run(recording.name, track, measure_gait(track, frequency), motor, _from_rest(track))
+
+
+def _marker_tracks(recording: Recording, fish: Fish) -> tuple[Array | None, int]:
+    """Marker tracks in the description's order, and the index of the rearmost as the tip."""
+    tracks, indices = markers(recording)
+    column = {str(index): i for i, index in enumerate(indices)}
+    if not any(marker.name in column for marker in fish.markers):
+        return None, -1
+    unseen = np.full((recording.time.size, 2), np.nan)
+    ordered = [
+        tracks[:, column[marker.name]] if marker.name in column else unseen
+        for marker in fish.markers
+    ]
+    return np.stack(ordered, axis=1), tip_index(fish)
+
+
+def tip_index(fish: Fish) -> int:
+    """Index of the marker nearest the fin's rear edge."""
+    return int(np.argmin([marker.position[0] for marker in fish.markers]))
+
+
+def _from_rest(track: Track) -> bool:
+    """Whether the first tenth of the track is slower than a quarter of its fastest tenth."""
+    tenth = max(track.time.size // 10, 2)
+    path = np.linalg.norm(np.diff(track.pose[:, :2], axis=0), axis=1).cumsum()
+    steps = path[tenth - 1 :: tenth]
+    speeds = np.diff(steps, prepend=0.0)
+    return bool(speeds[0] < 0.25 * speeds.max())
+
+
+def repeat(
+    fishes: Sequence[Fish], runs: Sequence[Run], cruise: Cruise = Cruise(), threads: int = 0
+) -> list[list[Swim]]:
+    """Every fish repeats every run in one batched call; result[i][j] is fish i on run j."""
+    twins = [compile_twin(fish, REPLAYED) for fish in fishes]
+    step = twins[0].model.opt.timestep
+    every = max(round(SAMPLE / step), 1)
+    plans = [_plan(twins[0], run, cruise) for run in runs]
+    found = swim(
+        [twin for twin in twins for _ in runs],
+        [start for _ in twins for start, _ in plans],
+        [command for _ in twins for _, command in plans],
+        every,
+        threads,
+    )
+    return [found[i * len(runs) : (i + 1) * len(runs)] for i in range(len(twins))]
+
+
+def _plan(twin: Twin, run: Run, cruise: Cruise) -> tuple[Start, Array]:
+    """Where the twin starts a run, and its motor commands."""
+    step = twin.model.opt.timestep
+    if run.motor is None:
+        beats = cruise.settle + cruise.measure + 0.1
+        angle = 2 * np.pi * run.gait.frequency * np.arange(0, beats / run.gait.frequency, step)
+        velocity = np.array([run.gait.speed, 0.0, 0.0])
+        start = Start(np.zeros(3), velocity)
+    else:
+        time = np.arange(0, run.track.time[-1] - run.track.time[0] + SAMPLE, step)
+        angle = np.interp(time, run.track.time - run.track.time[0], run.motor)
+        start = Start(_root_pose(twin.fish, run.track.pose[0]), _first_velocity(run))
+    rate = (angle[1] - angle[0]) / step
+    return replace(start, motor=float(angle[0]), motor_speed=float(rate)), replay_command(
+        twin, angle
+    )
+
+
+def _root_pose(fish: Fish, tracked: Array) -> Array:
+    """Pose of the fish frame from the pose of the tracked point."""
+    return _shift(fish, tracked, -1.0)
+
+
+def tracked_pose(fish: Fish, root: Array) -> Array:
+    """Pose of the tracked point (…, 3) from the pose of the fish frame."""
+    return _shift(fish, root, 1.0)
+
+
+def _shift(fish: Fish, pose: Array, sign: float) -> Array:
+    x, y, _ = fish.tracked
+    cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    moved = pose.copy()
+    moved[..., 0] += sign * (x * cos - y * sin)
+    moved[..., 1] += sign * (x * sin + y * cos)
+    return moved
+
+
+def _first_velocity(run: Run) -> Array:
+    """Velocity at the start: zero from rest, else a straight line through the first 0.2 s."""
+    if run.from_rest:
+        return np.zeros(3)
+    first = run.track.time <= run.track.time[0] + 0.2
+    if first.sum() < 3:
+        return np.zeros(3)
+    fit = np.polyfit(run.track.time[first], run.track.pose[first], 1)
+    return np.asarray(fit[0])
+
+
+def twin_track(fish: Fish, done: Swim) -> Track:
+    """A twin's run as seen by the camera."""
+    seen = done.markers[..., :2] if fish.markers else None
+    tip = tip_index(fish) if fish.markers else -1
+    return Track(done.time, tracked_pose(fish, done.qpos[:, :3]), seen, tip)
+
+
+def twin_gait(fish: Fish, run: Run, done: Swim, cruise: Cruise = Cruise()) -> Gait:
+    """The twin's gait over the same span that was measured: a cruise's last beats, or all."""
+    track = twin_track(fish, done)
+    if run.motor is not None:
+        return measure_gait(track, run.gait.frequency)
+    return measure_gait(last_beats(track, run.gait.frequency, cruise.measure), run.gait.frequency)
+
+
+def last_beats(track: Track, frequency: float, beats: int, skip: int = 0) -> Track:
+    """The last `beats` beats of a track, leaving off `skip` beats at its end."""
+    period = track.time[1] - track.time[0]
+    stop = track.time.size - round(skip / frequency / period)
+    return track.cut(max(stop - round(beats / frequency / period) - 1, 0), stop)

@@ -1,0 +1,224 @@
+"""Find parameters: CMA-ES over the whole box, a least-squares polish, and 95 % intervals.
+
+Everything works on z, the distance of each parameter from its prior in prior spreads, and on a
+batched residual function: candidates (n, p) in, residuals (n, r) out, in units of their own
+standard deviation. Non-finite residuals mean that the twin diverged there.
+"""
+
+import pickle
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cma
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from tailbeat.files import new_file
+
+Array = NDArray[np.float64]
+Residuals = Callable[[Array], Array]
+Progress = Callable[[str, float, float], None]  # stage, share done, best cost so far
+
+FAILED = 1e6  # cost of a candidate that diverged
+STEP = 0.02  # finite difference in z
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One free number: the field it is, its allowed range, and where it is expected to lie.
+
+    `spread` is the prior's standard deviation: of ln(value) when `log`, else in `unit`.
+    """
+
+    path: str
+    unit: str
+    low: float
+    high: float
+    prior: float
+    spread: float
+    log: bool = True
+
+    def to_z(self, value: float) -> float:
+        """Distance of a value from the prior in spreads."""
+        if self.log:
+            return float(np.log(value / self.prior) / self.spread)
+        return (value - self.prior) / self.spread
+
+    def from_z(self, z: float) -> float:
+        """The value at a distance; kept inside the range."""
+        raw = self.prior * np.exp(z * self.spread) if self.log else self.prior + z * self.spread
+        return float(np.clip(raw, self.low, self.high))
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long to search: CMA-ES generations of `population`, then polish iterations."""
+
+    generations: int = 15
+    population: int = 14
+    polish: int = 15
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """One seed's result: z (p,), cost (sum of squares with prior), data residuals (r,), their
+    Jacobian (r, p) in z, and the covariance of z (p, p)."""
+
+    seed: int
+    z: Array
+    cost: float
+    residuals: Array
+    jacobian: Array
+    covariance: Array
+
+
+def values(space: tuple[Parameter, ...], z: Array) -> dict[str, float]:
+    """Field -> value of one candidate."""
+    return {p.path: p.from_z(float(c)) for p, c in zip(space, z, strict=True)}
+
+
+def cost(residuals: Array, z: Array) -> Array:
+    """Sum of squares of data and prior, (n,); `FAILED` where a residual is not finite."""
+    total = np.square(residuals).sum(axis=-1) + np.square(z).sum(axis=-1)
+    return np.where(np.isfinite(total), np.minimum(total, FAILED), FAILED)
+
+
+def sensitivity(residuals: Residuals, z: Array, central: bool = True) -> tuple[Array, Array]:
+    """Residuals (r,) and their Jacobian (r, p) by differences, in one batched call."""
+    probes = [z[None], z + STEP * np.eye(z.size)]
+    found = residuals(np.concatenate([*probes, z - STEP * np.eye(z.size)] if central else probes))
+    up = found[1 : z.size + 1]
+    slope = (up - found[z.size + 1 :]) / (2 * STEP) if central else (up - found[0]) / STEP
+    return found[0], np.where(np.isfinite(slope), slope, 0.0).T
+
+
+def search(
+    residuals: Residuals,
+    space: tuple[Parameter, ...],
+    seed: int,
+    effort: Effort,
+    checkpoint: Path | None = None,
+    progress: Progress = lambda stage, share, best: None,
+) -> Fit:
+    """CMA-ES, then polish, from one seed. Resumes from `checkpoint` if it is there."""
+    z = _explore(residuals, space, seed, effort, checkpoint, progress)
+    z = polish(residuals, space, z, effort.polish, progress)
+    found, slope = sensitivity(residuals, z)
+    total = float(cost(found[None], z[None])[0])
+    return Fit(seed, z, total, found, slope, covariance(found, slope))
+
+
+def _explore(
+    residuals: Residuals,
+    space: tuple[Parameter, ...],
+    seed: int,
+    effort: Effort,
+    checkpoint: Path | None,
+    progress: Progress,
+) -> Array:
+    strategy = _restore(checkpoint) or _strategy(space, seed, effort)
+    while strategy.countiter < effort.generations and not strategy.stop():
+        candidates = strategy.ask()
+        z = np.array(candidates)
+        strategy.tell(candidates, cost(residuals(z), z).tolist())
+        if checkpoint is not None:
+            with new_file(checkpoint, overwrite=True) as path:
+                path.write_bytes(pickle.dumps(strategy))
+        progress("search", strategy.countiter / effort.generations, strategy.best.f)
+    return np.array(strategy.best.x)
+
+
+def _strategy(space: tuple[Parameter, ...], seed: int, effort: Effort) -> cma.CMAEvolutionStrategy:
+    """A strategy that starts at a random draw near the prior, different for every seed."""
+    low, high = bounds(space)
+    start = np.random.default_rng(seed).normal(0.0, 0.5, len(space))
+    options = {
+        "bounds": [low.tolist(), high.tolist()],
+        "popsize": effort.population,
+        "seed": seed + 1,  # 0 would mean a seed from the clock
+        "verbose": -9,
+    }
+    inside = np.clip(start, low + 0.01, high - 0.01)
+    return cma.CMAEvolutionStrategy(inside, 0.4, options)
+
+
+def _restore(checkpoint: Path | None) -> cma.CMAEvolutionStrategy | None:
+    if checkpoint is None or not checkpoint.is_file():
+        return None
+    strategy: cma.CMAEvolutionStrategy = pickle.loads(checkpoint.read_bytes())
+    return strategy
+
+
+def bounds(space: tuple[Parameter, ...]) -> tuple[Array, Array]:
+    """Lowest and highest z of each parameter."""
+    low = np.array([p.to_z(p.low) for p in space])
+    high = np.array([p.to_z(p.high) for p in space])
+    return low, high
+
+
+def polish(
+    residuals: Residuals,
+    space: tuple[Parameter, ...],
+    z: Array,
+    iterations: int,
+    progress: Progress = lambda stage, share, best: None,
+) -> Array:
+    """Levenberg-Marquardt with the prior as extra residuals; several dampings tried per call."""
+    low, high = bounds(space)
+    dampings = np.array([1e-3, 1e-2, 1e-1, 1.0, 10.0])
+    best = np.inf
+    for iteration in range(iterations):
+        found, slope = sensitivity(residuals, z, central=False)
+        best = float(cost(found[None], z[None])[0])
+        steps = [_step(found, slope, z, damping) for damping in dampings]
+        trials = np.clip(z + np.array(steps), low, high)
+        costs = cost(residuals(trials), trials)
+        progress("polish", (iteration + 1) / iterations, min(best, float(costs.min())))
+        if costs.min() > best * (1 - 1e-3):
+            break
+        z = trials[int(np.argmin(costs))]
+    return z
+
+
+def _step(found: Array, slope: Array, z: Array, damping: float) -> Array:
+    """Solve (J'J + 1 + damping diag) d = -(J'r + z); the prior is one residual z each."""
+    normal = slope.T @ slope + np.eye(z.size)
+    gradient = slope.T @ found + z
+    return np.asarray(np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -gradient))
+
+
+def covariance(found: Array, slope: Array) -> Array:
+    """Covariance of z from data and prior, scaled by the residuals' own variance.
+
+    The prior counts as a standard normal on z; the data's part is scaled by the larger of the
+    residual variance and a hundredth, so that a perfect synthetic fit keeps a finite interval.
+    """
+    freedom = max(found.size - slope.shape[1], 1)
+    variance = max(float(np.square(found).sum()) / freedom, 1e-2)
+    result: Array = np.linalg.inv(slope.T @ slope / variance + np.eye(slope.shape[1]))
+    return result
+
+
+def intervals(space: tuple[Parameter, ...], fit: Fit) -> list[tuple[float, float]]:
+    """95 % interval of every parameter, inside its range."""
+    reach = stats.norm.ppf(0.975) * np.sqrt(np.diag(fit.covariance))
+    return [(p.from_z(z - r), p.from_z(z + r)) for p, z, r in zip(space, fit.z, reach, strict=True)]
+
+
+def told_apart(fit: Fit) -> NDArray[np.bool_]:
+    """Which parameters the data decide: their interval is under half of the prior's."""
+    decided: NDArray[np.bool_] = np.sqrt(np.diag(fit.covariance)) < 0.5
+    return decided
+
+
+def trade_offs(space: tuple[Parameter, ...], fit: Fit, least: float = 0.9) -> list[tuple]:
+    """Pairs of parameters whose estimates are correlated beyond `least`: (path, path, r)."""
+    spread = np.sqrt(np.diag(fit.covariance))
+    correlation = fit.covariance / np.outer(spread, spread)
+    rows, columns = np.where(np.triu(np.abs(correlation), 1) > least)
+    return [
+        (space[i].path, space[j].path, float(correlation[i, j]))
+        for i, j in zip(rows, columns, strict=True)
+    ]

@@ -1,0 +1,143 @@
+"""Other people's files as recordings."""
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput
+from tailbeat.recording import Recording, fill_gaps
+
+Array = NDArray[np.float64]
+
+# srl-ethz/fishsim: nine markers, pixels, y down, 60 fps as its repository declares.
+FISHSIM_MARKERS = 9
+HEAD_DISTANCE = 0.142  # m between head markers 0 and 1
+TAIL_MARKERS = (3, 4, 5, 6, 7)
+TAIL_SPACING = np.array([0.030, 0.032, 0.029, 0.021])  # m along the body, markers 3-4 … 6-7
+SLIP = (
+    0.4  # share by which two tail markers may miss their spacing; chosen on the clean f0_75, f1_00
+)
+JUMP = 0.05  # m from its running median that no marker moves within a frame at 60 fps (3 m/s)
+
+
+def import_fishsim(path: str | Path, frame_rate: float = 60.0) -> Recording:
+    """Marker tracks of a fishsim CSV as a recording in metres, slipped markers unseen.
+
+    Scale is 0.142 m over the mean distance of markers 0 and 1. The world frame starts at the first
+    head pose and points along the mean heading of the first second, y to the left. Pose columns
+    are of the midpoint of head markers 0 and 1. The frequency in a file's name is not used: it is
+    not the tail's. Raises BadInput naming file, row and what is wrong.
+    """
+    file = Path(path)
+    pixels = _read_pixels(file)
+    tracks, scale = _to_metres(pixels)
+    dropped = _slips(tracks)
+    tracks[dropped] = np.nan
+    time = np.arange(len(tracks)) / frame_rate
+    pose = _head_pose(tracks)
+    pose, tracks = _to_start(pose, tracks, int(frame_rate))
+    columns = {"x_m": pose[:, 0], "y_m": pose[:, 1], "yaw_rad": pose[:, 2]}
+    for k in range(FISHSIM_MARKERS):
+        columns[f"marker{k}_x_m"], columns[f"marker{k}_y_m"] = tracks[:, k, 0], tracks[:, k, 1]
+    meta = {
+        "source": f"srl-ethz/fishsim {file.name}",
+        "frame_rate_hz": f"{frame_rate:g}",
+        "metres_per_pixel": f"{scale:.6g}",
+        "frames_dropped_per_marker": " ".join(map(str, dropped.sum(axis=0))),
+    }
+    return fill_gaps(Recording(file.stem, time, columns, meta))
+
+
+def _read_pixels(file: Path) -> Array:
+    """(frames, 9, 2) pixels."""
+    if not file.is_file():
+        raise BadInput(f"{file}: no such file; give a fishsim marker CSV.")
+    try:
+        table = pl.read_csv(file, has_header=False, infer_schema=False)
+        frame = table.select(pl.all().cast(pl.Float64, strict=False))
+    except (pl.exceptions.PolarsError, UnicodeDecodeError):
+        raise BadInput(f"{file}: not a CSV; give a fishsim marker file.") from None
+    if frame.width != 2 * FISHSIM_MARKERS or frame.height < 2:
+        raise BadInput(
+            f"{file}: {frame.height} rows of {frame.width} columns; a fishsim marker file has no"
+            f" header and {2 * FISHSIM_MARKERS} columns of pixels."
+        )
+    values = frame.fill_null(float("nan")).to_numpy()
+    bad = np.argwhere(~np.isfinite(values))
+    if bad.size:
+        row, column = bad[0]
+        raise BadInput(
+            f"{file}: row {row + 1}, column {column + 1}: {table[int(row), int(column)]!r} is not a"
+            f" finite number; remove or mend the row."
+        )
+    return values.reshape(-1, FISHSIM_MARKERS, 2)
+
+
+def _to_metres(pixels: Array) -> tuple[Array, float]:
+    distance = np.linalg.norm(pixels[:, 0] - pixels[:, 1], axis=1).mean()
+    if distance < 1:
+        raise BadInput("head markers 0 and 1 coincide; this is not a fishsim marker file.")
+    scale = HEAD_DISTANCE / distance
+    return pixels * [scale, -scale], float(scale)  # image y is down
+
+
+def _slips(tracks: Array) -> NDArray[np.bool_]:
+    """Where a marker is not where it can be: jumps of any, tail markers out of their order."""
+    wild = _jumps(tracks)
+    tail = list(TAIL_MARKERS)
+    wild[:, tail] |= ~_consistent(tracks[:, tail])
+    return wild
+
+
+def _jumps(tracks: Array) -> NDArray[np.bool_]:
+    """Samples further than `JUMP` from the median of five frames around them."""
+    padded = np.pad(tracks, ((2, 2), (0, 0), (0, 0)), mode="edge")
+    windows = np.stack([padded[i : i + len(tracks)] for i in range(5)])
+    return np.asarray(np.linalg.norm(tracks - np.median(windows, axis=0), axis=2) > JUMP)
+
+
+def _consistent(tail: Array) -> NDArray[np.bool_]:
+    """Per frame, the largest subset of tail markers whose spacings are the plates' own.
+
+    Among subsets of one size the one with the smallest total misfit is kept; below two, none.
+    """
+    place = np.concatenate([[0.0], np.cumsum(TAIL_SPACING)])
+    best = np.zeros(tail.shape[:2], dtype=bool)
+    score = np.full(len(tail), np.inf)
+    for size in (2, 3, 4, 5):
+        for subset in map(list, combinations(range(5), size)):
+            gaps = np.linalg.norm(np.diff(tail[:, subset], axis=1), axis=2)
+            misfit = np.abs(gaps / np.diff(place[subset]) - 1)
+            rank = np.where(misfit.max(axis=1) < SLIP, misfit.sum(axis=1) - 100 * size, np.inf)
+            better = rank < score
+            score = np.where(better, rank, score)
+            best[better] = np.isin(np.arange(5), subset)
+    return best
+
+
+def _head_pose(tracks: Array) -> Array:
+    """x, y [m] of the midpoint of markers 0 and 1, and yaw [rad] from 1 to 0, unwrapped."""
+    front, rear = tracks[:, 0], tracks[:, 1]
+    if not np.isfinite(tracks[:, :2]).all():
+        front, rear = _bridged(front), _bridged(rear)
+    axis = front - rear
+    yaw = np.unwrap(np.arctan2(axis[:, 1], axis[:, 0]))
+    return np.column_stack([(front + rear) / 2, yaw])
+
+
+def _bridged(track: Array) -> Array:
+    frames = np.arange(len(track))
+    seen = np.isfinite(track[:, 0])
+    return np.column_stack([np.interp(frames, frames[seen], c[seen]) for c in track.T])
+
+
+def _to_start(pose: Array, tracks: Array, second: int) -> tuple[Array, Array]:
+    """Move and turn the world to the first pose and the first second's mean heading."""
+    origin, heading = pose[0, :2].copy(), pose[:second, 2].mean()
+    cos, sin = np.cos(heading), np.sin(heading)
+    turn = np.array([[cos, -sin], [sin, cos]])  # rows times this turns by -heading
+    moved = np.column_stack([(pose[:, :2] - origin) @ turn, pose[:, 2] - heading])
+    return moved, (tracks - origin) @ turn

@@ -1,0 +1,225 @@
+"""One time series type for everything measured or simulated, and its readers and writers.
+
+On disk a recording is a table with unit-suffixed columns, CSV (comment lines `# key: value` hold
+metadata) or Parquet (metadata in the file's own key-value part). Time need not be uniform.
+"""
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput, new_file
+
+Array = NDArray[np.float64]
+SUFFIXES = (
+    "_s _rad _deg _m _nm _n _m_s _m_s2 _rad_s _rad_s2 _v _a _k _hz _ms _px _counts _ratio".split()
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A named time series: `time` (n,) s, rising; `columns` name -> (n,), SI by suffix.
+
+    NaN stands in marker columns alone, for a frame in which the marker was not seen. `labels` holds
+    text columns such as `condition`; `meta` is free text by key.
+    """
+
+    name: str
+    time: Array
+    columns: Mapping[str, Array]
+    meta: Mapping[str, str] = field(default_factory=dict)
+    labels: Mapping[str, NDArray[np.str_]] = field(default_factory=dict)
+
+
+# ---- reading ------------------------------------------------------------------------------------
+
+
+def read_recording(path: str | Path) -> Recording:
+    """Read CSV or Parquet by suffix. Raises BadInput naming file, column, row and value."""
+    file = Path(path)
+    if not file.is_file():
+        raise BadInput(f"{file}: no such file; give a recording as CSV or Parquet.")
+    frame, meta = _read_parquet(file) if file.suffix == ".parquet" else _read_csv(file)
+    if "time_s" not in frame.columns:
+        raise BadInput(f"{file}: column time_s is missing; it has {', '.join(frame.columns)}.")
+    if frame.height < 2:
+        raise BadInput(f"{file}: {frame.height} rows; a recording needs at least 2.")
+    numbers = {name: _numbers(file, frame, name) for name in frame.columns if name != "condition"}
+    labels = {n: frame[n].cast(pl.String).to_numpy() for n in frame.columns if n == "condition"}
+    time = numbers.pop("time_s")
+    _check_time(file, time)
+    return Recording(file.stem, time, numbers, meta, labels)
+
+
+def _read_parquet(file: Path) -> tuple[pl.DataFrame, dict[str, str]]:
+    try:
+        meta = pl.read_parquet_metadata(file)
+        frame = pl.read_parquet(file)
+    except pl.exceptions.PolarsError as error:
+        raise BadInput(f"{file}: not a Parquet file ({_first_line(error)}).") from None
+    return frame, {key: text for key, text in meta.items() if key != "ARROW:schema"}
+
+
+def _read_csv(file: Path) -> tuple[pl.DataFrame, dict[str, str]]:
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise BadInput(f"{file}: not text; give a CSV in UTF-8 or a .parquet file.") from None
+    lines = text.splitlines()
+    comments = [line[1:].strip() for line in lines if line.startswith("#")]
+    meta = dict(c.split(": ", 1) for c in comments if ": " in c)
+    body = "\n".join(line for line in lines if line.strip() and not line.startswith("#"))
+    header = [name.strip() for name in body.partition("\n")[0].split(",")]
+    for name in header:
+        if header.count(name) > 1:
+            raise BadInput(f"{file}: column {name!r} appears twice; rename or remove one.")
+    return _parse(file, body), meta
+
+
+def _parse(file: Path, body: str) -> pl.DataFrame:
+    try:
+        return pl.read_csv(io.StringIO(body), infer_schema=False)
+    except pl.exceptions.PolarsError as error:
+        raise BadInput(f"{file}: not a table ({_first_line(error)}); mend the CSV.") from None
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+def _numbers(file: Path, frame: pl.DataFrame, name: str) -> Array:
+    """A column as floats; every row that is not a finite number is refused by name."""
+    if not name.endswith(tuple(SUFFIXES)):
+        raise BadInput(
+            f"{file}: column {name!r} does not end in a unit; allowed are {' '.join(SUFFIXES)}."
+        )
+    text = frame[name]
+    numbers = text.cast(pl.Float64, strict=False)
+    unreadable = numbers.is_null() & text.is_not_null() | numbers.is_infinite() | numbers.is_nan()
+    _refuse(file, text, unreadable.fill_null(False), "is not a finite number")
+    if not _is_marker(name):
+        _refuse(file, text, numbers.is_null(), "is empty, which only marker columns may be")
+    return numbers.fill_null(float("nan")).to_numpy().astype(float)
+
+
+def _refuse(file: Path, text: pl.Series, bad: pl.Series, complaint: str) -> None:
+    if bad.any():
+        row = int(bad.arg_true()[0])
+        raise BadInput(
+            f"{file}: column {text.name}, row {row + 1}: {text[row]!r} {complaint};"
+            f" remove or mend the row."
+        )
+
+
+def _is_marker(name: str) -> bool:
+    return name.startswith("marker")
+
+
+def _check_time(file: Path, time: Array) -> None:
+    back = np.flatnonzero(np.diff(time) <= 0)
+    if back.size:
+        row = int(back[0]) + 1
+        raise BadInput(
+            f"{file}: column time_s, row {row + 1}: {time[row]:g} does not come after"
+            f" {time[row - 1]:g}; time must rise, so sort the rows or drop the double."
+        )
+
+
+# ---- writing ------------------------------------------------------------------------------------
+
+
+def write_recording(recording: Recording, path: str | Path, overwrite: bool = False) -> None:
+    """Write CSV or Parquet by suffix; numbers come back bit for bit. BadInput if it exists."""
+    series = {"time_s": recording.time, **recording.columns, **recording.labels}
+    frame = pl.DataFrame(series).with_columns(pl.selectors.float().fill_nan(None))
+    with new_file(path, overwrite) as beside:
+        if beside.suffix == ".parquet":
+            frame.write_parquet(beside, metadata=dict(recording.meta))
+            return
+        heading = "".join(f"# {key}: {text}\n" for key, text in recording.meta.items())
+        beside.write_text(heading + frame.write_csv(), encoding="utf-8")
+
+
+# ---- using --------------------------------------------------------------------------------------
+
+
+def require(recording: Recording, names: Sequence[str]) -> tuple[Array, ...]:
+    """The named columns. Raises BadInput naming the missing ones and those there are."""
+    missing = [name for name in names if name not in recording.columns]
+    if missing:
+        raise BadInput(
+            f"{recording.name}: column {', '.join(missing)} is missing; it has"
+            f" {', '.join(['time_s', *recording.columns])}."
+        )
+    return tuple(recording.columns[name] for name in names)
+
+
+def markers(recording: Recording) -> tuple[Array, list[int]]:
+    """Marker tracks (n, m, 2) [m], NaN where unseen, and their numbers, rising."""
+    ends = [name[6:-4] for name in recording.columns if _is_marker(name) and name.endswith("_x_m")]
+    indices = sorted(int(end) for end in ends if end.isdigit())
+    pairs = [
+        np.stack(require(recording, [f"marker{k}_x_m", f"marker{k}_y_m"]), axis=1) for k in indices
+    ]
+    if not pairs:
+        return np.empty((recording.time.size, 0, 2)), []
+    return np.stack(pairs, axis=1), indices
+
+
+def crop(recording: Recording, start: float, end: float) -> Recording:
+    """The samples with start <= time <= end [s]."""
+    kept = (recording.time >= start) & (recording.time <= end)
+    return replace(
+        recording,
+        time=recording.time[kept],
+        columns={name: column[kept] for name, column in recording.columns.items()},
+        labels={name: column[kept] for name, column in recording.labels.items()},
+    )
+
+
+def resample(recording: Recording, time: Array) -> Recording:
+    """Linear interpolation at `time` (k,) [s], angles unwrapped first; text columns are dropped.
+
+    Raises BadInput outside the recording: nothing is extrapolated.
+    """
+    if time[0] < recording.time[0] or time[-1] > recording.time[-1]:
+        raise BadInput(
+            f"{recording.name}: {time[0]:g}-{time[-1]:g} s asked of a recording of"
+            f" {recording.time[0]:g}-{recording.time[-1]:g} s; ask within it."
+        )
+    columns = {
+        name: np.interp(time, recording.time, np.unwrap(c) if name.endswith("_rad") else c)
+        for name, c in recording.columns.items()
+    }
+    return replace(recording, time=time, columns=columns, labels={})
+
+
+def uniform(recording: Recording, period: float) -> Recording:
+    """The recording resampled every `period` seconds from its first sample."""
+    count = int((recording.time[-1] - recording.time[0]) / period + 1e-9) + 1
+    return resample(recording, recording.time[0] + period * np.arange(count))
+
+
+def fill_gaps(recording: Recording, longest: float = 0.1) -> Recording:
+    """Bridge unseen marker samples linearly over gaps up to `longest` [s]; leave longer ones."""
+    columns = {
+        name: _bridge(recording.time, column, longest) if _is_marker(name) else column
+        for name, column in recording.columns.items()
+    }
+    return replace(recording, columns=columns)
+
+
+def _bridge(time: Array, column: Array, longest: float) -> Array:
+    seen = np.flatnonzero(np.isfinite(column))
+    if seen.size < 2:
+        return column
+    gap_start = seen[np.searchsorted(seen, np.arange(time.size), side="right").clip(1) - 1]
+    gap_end = seen[np.searchsorted(seen, np.arange(time.size)).clip(max=seen.size - 1)]
+    inside = (gap_start < np.arange(time.size)) & (gap_end > np.arange(time.size))
+    short = inside & (time[gap_end] - time[gap_start] <= longest + 1e-9)
+    return np.where(short, np.interp(time, time[seen], column[seen]), column)

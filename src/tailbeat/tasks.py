@@ -1,0 +1,167 @@
+"""What does a verb do? Reads what it needs, calls the floors below, writes what comes out."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import mujoco.viewer
+import numpy as np
+
+from tailbeat import importers
+from tailbeat.evaluate import bench as benchmark
+from tailbeat.evaluate import figures, first_swim
+from tailbeat.files import BadInput, new_file, refuse_existing, write_json
+from tailbeat.fish.render import save_picture
+from tailbeat.fish.show import tables
+from tailbeat.fish.store import fish_path, load_fish, write_identified
+from tailbeat.fish.twin import Options, compile_twin
+from tailbeat.identify import job
+from tailbeat.identify.predict import as_json
+from tailbeat.identify.predict import predict as predict_runs
+from tailbeat.identify.runs import Run, as_run
+from tailbeat.identify.search import Effort
+from tailbeat.recording import Recording, read_recording, write_recording
+
+Progress = Callable[[int, str, float, float], None]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What `show` found: tables of rows, and the picture with how it was made."""
+
+    tables: dict[str, list[dict[str, Any]]]
+    picture: Path
+    how: str
+
+
+@dataclass(frozen=True)
+class Done:
+    """What an identification wrote."""
+
+    report: dict[str, Any]
+    files: tuple[Path, ...]
+
+
+def new_fish(path: Path) -> None:
+    """Write the commented template. Raises BadInput if `path` exists."""
+    if path.suffix != ".toml":
+        raise BadInput(f"{path}: a fish is a TOML file; give a name that ends in .toml.")
+    text = (resources.files("tailbeat.fish") / "models" / "template.txt").read_text("utf-8")
+    with new_file(path) as beside:
+        beside.write_text(text.replace("my-fish", path.stem), encoding="utf-8")
+
+
+def show(fish: str, picture: Path | None, viewer: bool, json: Path | None) -> Shown:
+    """Compile a fish, read it back, draw it."""
+    described = load_fish(fish)
+    target = picture or Path("runs") / f"{described.name}.png"
+    for path in filter(None, (picture, json)):
+        refuse_existing(path)
+    found = tables(described)
+    twin = compile_twin(described, Options(looks=True))
+    how = save_picture(twin, np.zeros(twin.model.nq), target, overwrite=picture is None)
+    if json is not None:
+        write_json(json, found)
+    if viewer:
+        mujoco.viewer.launch(twin.model)
+    return Shown(found, target, how)
+
+
+def import_fishsim(csv: Path, out: Path, frame_rate: float) -> Recording:
+    """Read a fishsim marker file, write a recording."""
+    refuse_existing(out)
+    recording = importers.import_fishsim(csv, frame_rate)
+    write_recording(recording, out)
+    return recording
+
+
+def plan(
+    zones: int, seeds: int, seed: int, generations: int, start_weight: bool | None
+) -> job.Plan:
+    """Check the options of an identification."""
+    if zones not in (1, 3):
+        raise BadInput(f"--zones {zones}: give 1 (one coefficient set) or 3 (one per zone).")
+    if seeds < 1 or generations < 1:
+        raise BadInput(f"--seeds {seeds} --generations {generations}: both must be 1 or more.")
+    effort = Effort(generations=generations)
+    return job.Plan(zones, seeds, seed, effort, start_weight)
+
+
+def identify_fluid(
+    fish: str,
+    fit: Sequence[Path],
+    validate: Sequence[Path],
+    out: Path,
+    plan: job.Plan,
+    json: Path | None,
+    progress: Progress,
+) -> Done:
+    """Fit, then write fish, report and figure; nothing is written if anything fails."""
+    files = (out, json or out.with_suffix(".json"), out.with_suffix(".png"))
+    for path in files:
+        refuse_existing(path)
+    described = load_fish(fish)
+    fitted, held_out = _runs(fit, described), _runs(validate, described)
+    scratch = out.parent / f".{out.stem}.search"
+    found = job.identify_fluid(described, fitted, held_out, plan, scratch, progress)
+    report = write_identification(found, plan, fish, files)
+    job.clear(scratch)
+    return Done(report, files)
+
+
+def write_identification(
+    found: job.Identified, plan: job.Plan, fish: str, files: tuple[Path, Path, Path]
+) -> dict[str, Any]:
+    """Write fish, report and figure; returns the report."""
+    out, json, figure = files
+    names = [p.run.name for p in found.fitted]
+    report = {"fish": str(fish_path(fish)), **job.as_report(found, plan)}
+    rows = [("fitted", found.fitted[0])] + [("held out", p) for p in found.validated[:1]]
+    figures.measured_against_twin(rows, figure)
+    write_json(json, report)
+    write_identified(fish, out, job.toml_values(found, names), job.heading(found, plan))
+    return report
+
+
+def _runs(paths: Sequence[Path], fish: Any) -> list[Run]:
+    return [as_run(read_recording(path), fish) for path in paths]
+
+
+def predict(fish: str, recordings: Sequence[Path], json: Path | None) -> dict[str, Any]:
+    """Measured and predicted figures of recordings."""
+    if json is not None:
+        refuse_existing(json)
+    described = load_fish(fish)
+    result = as_json(predict_runs(described, _runs(recordings, described)))
+    if json is not None:
+        write_json(json, result)
+    return result
+
+
+def swim(fish: str | None, out: Path, seeds: int, progress: Progress) -> dict[str, Any]:
+    """The main job; see `evaluate/first_swim.py`."""
+    recordings = first_swim.real_recordings()
+    if fish is None and recordings:
+        return _identify_real(recordings, out, seeds, progress)
+    return first_swim.open_loop(load_fish(fish or "pulley-fish"), out)
+
+
+def _identify_real(
+    recordings: dict[str, Path], out: Path, seeds: int, progress: Progress
+) -> dict[str, Any]:
+    """Identify the crank fish on two of the recordings at hand and hold out the rest."""
+    fish = load_fish("crank-fish")
+    imported = {name: importers.import_fishsim(path) for name, path in recordings.items()}
+    runs = {name: as_run(recording, fish) for name, recording in imported.items()}
+    fitted = [runs.pop(name) for name in first_swim.FITTED]
+    plan = job.Plan(seeds=seeds, effort=Effort())
+    found = job.identify_fluid(fish, fitted, list(runs.values()), plan, out / ".search", progress)
+    return first_swim.write_results(found, plan, out)
+
+
+def bench() -> dict[str, Any]:
+    """Speed on this machine."""
+    return benchmark.bench()

@@ -1,0 +1,273 @@
+"""The house stands: imports go down the floors, the robot installs little, rooms stay small.
+
+Nothing is imported here; the source is parsed, so lazy and `TYPE_CHECKING` imports count too.
+"""
+
+import ast
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parents[1] / "src" / "tailbeat"
+
+# From the top down. Rooms of one entry share a floor.
+FLOORS: tuple[tuple[str, ...], ...] = (
+    ("__main__",),
+    ("cli",),
+    ("console", "tasks"),
+    ("evaluate",),
+    ("pool",),
+    ("swim",),
+    ("learn",),
+    ("control",),
+    ("identify",),
+    ("fish",),
+    ("importers", "recording"),
+    ("files",),
+    ("__init__",),  # holds the version alone: any room may read it
+)
+LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
+ROBOT_NEEDS = {"numpy", "onnxruntime"}
+MAX_FILE_LINES, MAX_FUNCTION_LINES, MAX_FOLDERS = 500, 60, 2
+
+
+@dataclass(frozen=True)
+class Module:
+    """One file: its dotted name, its text, and whether it is an `__init__.py`."""
+
+    name: str
+    text: str
+    is_package: bool = False
+
+    @cached_property
+    def tree(self) -> ast.Module:
+        return ast.parse(self.text)
+
+    @property
+    def room(self) -> str:
+        return [*self.name.split("."), "__init__"][1]
+
+    def absolute(self, node: ast.ImportFrom) -> str:
+        """The dotted name after `from`, with leading dots resolved."""
+        if not node.level:
+            return node.module or ""
+        parts = self.name.split(".")
+        kept = parts[: len(parts) - node.level + self.is_package]
+        return ".".join([*kept, *filter(None, [node.module])])
+
+    def imports(self) -> Iterator[str]:
+        """Every dotted name imported anywhere; `from a import b` gives `a.b`."""
+        for node in ast.walk(self.tree):
+            match node:
+                case ast.Import(names=names):
+                    yield from (alias.name for alias in names)
+                case ast.ImportFrom(names=names):
+                    yield from (f"{self.absolute(node)}.{alias.name}" for alias in names)
+                case ast.Call(
+                    func=ast.Name(id="import_module" | "__import__")
+                    | ast.Attribute(attr="import_module"),
+                    args=[ast.Constant(value=str(name)), *_],
+                ):
+                    yield name
+
+
+class House:
+    """All modules of tailbeat, and who imports whom."""
+
+    def __init__(self, *modules: Module) -> None:
+        self.modules = {module.name: module for module in modules}
+
+    def inside(self, module: Module) -> set[str]:
+        """The modules of tailbeat that `module` imports."""
+        found = (self.nearest(name) for name in module.imports() if is_ours(name))
+        return set(found) - {module.name}
+
+    def nearest(self, name: str) -> str:
+        """The module that holds `name`: itself, or the longest known beginning of it."""
+        while name not in self.modules and name.count(".") > 1:
+            name = name.rpartition(".")[0]
+        if name not in self.modules and name.count(".") == 1 and name.split(".")[1] not in LEVEL:
+            return "tailbeat"  # `from tailbeat import __version__`
+        return name
+
+    def upward_imports(self) -> list[str]:
+        """One line for each import that climbs."""
+        return [
+            f"{module.name} imports {target}, which is {room_of(target)!r}, a floor above "
+            f"{module.room!r}; pass it in as an argument, or move it down"
+            for module in self.modules.values()
+            for target in sorted(self.inside(module))
+            if LEVEL.get(room_of(target), len(FLOORS)) < LEVEL.get(module.room, 0)
+        ]
+
+    def cycle(self) -> list[str]:
+        """The modules of one circle of imports, or none."""
+        graph = {name: self.inside(module) for name, module in self.modules.items()}
+        try:
+            TopologicalSorter(graph).prepare()
+        except CycleError as error:
+            return list(reversed(error.args[1]))
+        return []
+
+    def packages_reached(self, start: str) -> dict[str, str]:
+        """Third-party packages that importing `start` may load, and the module that does."""
+        reached: dict[str, str] = {}
+        seen: set[str] = set()
+        ahead = {start}
+        while ahead:
+            name = ahead.pop()
+            seen.add(name)
+            if name not in self.modules:
+                continue
+            module = self.modules[name]
+            parents = {name.rsplit(".", i)[0] for i in range(1, name.count(".") + 1)}
+            ahead |= (self.inside(module) | parents) - seen
+            for imported in module.imports():
+                top = imported.split(".")[0]
+                if not is_ours(imported) and top not in sys.stdlib_module_names:
+                    reached.setdefault(top, name)
+        return reached
+
+    def robot_extras(self) -> list[str]:
+        """One line for each package that `control` reaches and the robot does not install."""
+        return [
+            f"{name} reaches {package} through {through}; control/ may use only "
+            f"{sorted(ROBOT_NEEDS)} and the standard library"
+            for name, module in self.modules.items()
+            if module.room == "control"
+            for package, through in sorted(self.packages_reached(name).items())
+            if package not in ROBOT_NEEDS
+        ]
+
+
+def is_ours(name: str) -> bool:
+    return name.split(".")[0] == "tailbeat"
+
+
+def room_of(name: str) -> str:
+    return Module(name, "").room
+
+
+def long_functions(module: Module) -> list[str]:
+    return [
+        f"{module.name}.{node.name} has {lines} lines; {MAX_FUNCTION_LINES} are allowed"
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        if (lines := (node.end_lineno or node.lineno) - node.lineno + 1) > MAX_FUNCTION_LINES
+    ]
+
+
+def report(faults: list[str]) -> str:
+    return "\n  ".join(["", *faults])
+
+
+@pytest.fixture(scope="module")
+def house() -> House:
+    modules = []
+    for path in sorted(SOURCE.rglob("*.py")):
+        parts = list(path.relative_to(SOURCE.parent).with_suffix("").parts)
+        is_package = parts[-1] == "__init__"
+        name = ".".join(parts[:-1] if is_package else parts)
+        modules.append(Module(name, path.read_text(encoding="utf-8"), is_package))
+    assert modules, f"no source found in {SOURCE}"
+    return House(*modules)
+
+
+# The house as it is.
+
+
+def test_every_room_stands_on_a_floor(house: House) -> None:
+    lost = [name for name, module in house.modules.items() if module.room not in LEVEL]
+    assert not lost, f"{lost} stand on no floor; move them into a room, or add the room to FLOORS"
+
+
+def test_imports_go_down(house: House) -> None:
+    faults = house.upward_imports()
+    assert not faults, report(faults)
+
+
+def test_no_import_goes_in_a_circle(house: House) -> None:
+    circle = house.cycle()
+    assert not circle, "circle of imports: " + " -> ".join(circle)
+
+
+def test_control_needs_only_what_the_robot_installs(house: House) -> None:
+    faults = house.robot_extras()
+    assert not faults, report(faults)
+
+
+def test_files_and_functions_are_short(house: House) -> None:
+    faults = [fault for module in house.modules.values() for fault in long_functions(module)]
+    for module in house.modules.values():
+        if (lines := len(module.text.splitlines())) > MAX_FILE_LINES:
+            faults.append(f"{module.name} has {lines} lines; {MAX_FILE_LINES} are allowed")
+    assert not faults, report(faults)
+
+
+def test_folders_are_at_most_two_deep() -> None:
+    folders = (path.relative_to(SOURCE) for path in SOURCE.rglob("*") if path.is_dir())
+    deep = [str(f) for f in folders if len(f.parts) > MAX_FOLDERS and f.name != "__pycache__"]
+    assert not deep, f"more than {MAX_FOLDERS} folders deep: {deep}"
+
+
+# The checker itself can fail.
+
+TWIN = Module("tailbeat.fish.twin", "")
+LOOP = Module("tailbeat.swim.loop", "")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "import tailbeat.swim.loop",
+        "from tailbeat.swim.loop import run",
+        "from tailbeat.swim import loop",
+        "from ..swim import loop",
+        "def late():\n    from tailbeat.swim.loop import run",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from tailbeat.swim import loop",
+        "import importlib\nimportlib.import_module('tailbeat.swim.loop')",
+    ],
+)
+def test_an_upward_import_is_found(text: str) -> None:
+    (fault,) = House(Module("tailbeat.fish.twin", text), LOOP).upward_imports()
+    assert "tailbeat.fish.twin imports tailbeat.swim.loop" in fault
+
+
+def test_an_import_of_a_whole_room_above_is_found() -> None:
+    room = Module("tailbeat.fish", "from . import twin\nfrom tailbeat import pool", is_package=True)
+    (fault,) = House(room, TWIN).upward_imports()
+    assert "tailbeat.fish imports tailbeat.pool" in fault
+
+
+def test_imports_downward_aside_and_of_the_version_pass() -> None:
+    text = (
+        "from tailbeat import __version__\nfrom tailbeat.fish import twin\nfrom .safety import stop"
+    )
+    loop, safety = Module("tailbeat.swim.loop", text), Module("tailbeat.swim.safety", "")
+    house = House(Module("tailbeat", "", is_package=True), loop, safety, TWIN)
+    assert house.inside(loop) == {"tailbeat", "tailbeat.fish.twin", "tailbeat.swim.safety"}
+    assert not house.upward_imports() and not house.cycle()
+
+
+def test_a_circle_is_found() -> None:
+    twin = Module("tailbeat.fish.twin", "from tailbeat.fish.forces import lift")
+    forces = Module("tailbeat.fish.forces", "from . import twin")
+    assert set(House(twin, forces).cycle()) == {twin.name, forces.name}
+
+
+def test_what_control_reaches_through_another_room_is_found() -> None:
+    policy = Module("tailbeat.control.policy", "import json, numpy\nfrom tailbeat.fish import twin")
+    twin = Module("tailbeat.fish.twin", "import mujoco")
+    (fault,) = House(policy, twin).robot_extras()
+    assert "tailbeat.control.policy reaches mujoco through tailbeat.fish.twin" in fault
+
+
+def test_a_long_function_is_found() -> None:
+    text = "def long():\n" + "    pass\n" * MAX_FUNCTION_LINES
+    assert long_functions(Module("tailbeat.files", text))
+    assert not long_functions(Module("tailbeat.files", text.replace("    pass\n", "", 1)))
