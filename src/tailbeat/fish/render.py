@@ -1,11 +1,14 @@
 """Pictures and films of a twin: MuJoCo's renderer through EGL, or a drawn top view without GL."""
 
+import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import imageio.v2 as imageio
 import matplotlib
 import mujoco
+import mujoco.gl_context
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -17,21 +20,34 @@ from tailbeat.fish.twin import Twin
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 WIDTH, HEIGHT = 960, 540
+FILM_WIDTH, FILM_HEIGHT = 640, 360  # software rendering takes its time
 FILM_RATE = 25
 
 matplotlib.use("Agg")
 
 
-def frames(twin: Twin, qpos: Array, camera: str = "beside") -> tuple[Iterator[Image], str]:
+def frames(
+    twin: Twin, qpos: Array, size: tuple[int, int] = (WIDTH, HEIGHT), camera: str = "beside"
+) -> tuple[Iterator[Image], str]:
     """One image per row of qpos (k, nq), and how they were made: "mujoco" or "drawn".
 
     Falls back to a drawn top view when no GL library works; never raises for its lack.
     """
+    if _needs_missing_screen():
+        return _drawn(twin, qpos, size), "drawn"
     try:
-        renderer = mujoco.Renderer(twin.model, HEIGHT, WIDTH)
+        renderer = mujoco.Renderer(twin.model, size[1], size[0])
     except Exception:  # whatever a missing EGL, OSMesa or display raises: draw instead
-        return _drawn(twin, qpos), "drawn"
+        return _drawn(twin, qpos, size), "drawn"
     return _rendered(twin, renderer, qpos, camera), "mujoco"
+
+
+def _needs_missing_screen() -> bool:
+    """Whether the engine, imported before tailbeat, chose GLFW without a screen: it would abort."""
+    context = getattr(mujoco.gl_context, "GLContext", None)
+    screen = "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
+    glfw = context is None or context.__module__.startswith("mujoco.glfw")
+    return sys.platform == "linux" and glfw and not screen
 
 
 def _rendered(twin: Twin, renderer: mujoco.Renderer, qpos: Array, camera: str) -> Iterator[Image]:
@@ -44,10 +60,10 @@ def _rendered(twin: Twin, renderer: mujoco.Renderer, qpos: Array, camera: str) -
             yield renderer.render()
 
 
-def _drawn(twin: Twin, qpos: Array) -> Iterator[Image]:
+def _drawn(twin: Twin, qpos: Array, size: tuple[int, int]) -> Iterator[Image]:
     """The wetted ellipsoids seen from above, in a window that follows the fish."""
     data = mujoco.MjData(twin.model)
-    figure = Figure(figsize=(WIDTH / 100, HEIGHT / 100), dpi=100)
+    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100)
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0.07, 0.09, 0.91, 0.88))
     for row in qpos:
@@ -86,7 +102,7 @@ def save_picture(twin: Twin, qpos: Array, path: Path, overwrite: bool = False) -
 def save_film(twin: Twin, time: Array, qpos: Array, path: Path, overwrite: bool = False) -> str:
     """An MP4 at real speed of states qpos (k, nq) at `time` (k,) s; returns how it was made."""
     wanted = np.arange(time[0], time[-1], 1 / FILM_RATE)
-    images, how = frames(twin, qpos[np.searchsorted(time, wanted)])
+    images, how = frames(twin, qpos[np.searchsorted(time, wanted)], (FILM_WIDTH, FILM_HEIGHT))
     with (
         new_file(path, overwrite) as beside,
         imageio.get_writer(beside, fps=FILM_RATE, macro_block_size=None) as film,

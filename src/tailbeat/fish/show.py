@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.fish.description import Fish
+from tailbeat.fish.description import Fish, Part
 from tailbeat.fish.twin import Options, Twin, compile_twin
 
 Array = NDArray[np.float64]
@@ -16,9 +16,13 @@ TOLERANCE = 0.01  # relative difference between stated and compiled k_eff that d
 
 @dataclass(frozen=True, eq=False)
 class Compiled:
-    """Numbers read back from a compiled fish; lengths [m], masses [kg], stiffness [N m/rad]."""
+    """Numbers read back from a compiled fish; lengths [m], masses [kg], stiffness [N m/rad].
+
+    `mass` is all that the engine moves, `water` the added mass in it.
+    """
 
     mass: float
+    water: float
     centre: tuple[float, ...]
     yaw_inertia: float
     length: float
@@ -40,7 +44,8 @@ def read_back(fish: Fish) -> Compiled:
     k_formula = float(motor_arm**2 / np.sum(arms**2 / stiffness))
     k_read = shaft_stiffness(fish)
     return Compiled(
-        float(data.subtree_com.size and twin.model.body_subtreemass[1]),
+        float(twin.model.body_subtreemass[1]),
+        fish.added_inertia * sum(part.added_mass for part in _parts(fish)),
         tuple(float(c) for c in data.subtree_com[1]),
         yaw_inertia(twin, data),
         _length(fish),
@@ -92,21 +97,22 @@ def shaft_stiffness(fish: Fish, angle: float = 0.02) -> float:
 
 
 def _settle(model: mujoco.MjModel, angle: float) -> float:
-    """Torque over angle once the tail has come to rest under a held shaft."""
+    """Torque over angle once the tail has come to rest on a stiff, undelayed servo."""
     model.opt.timestep = 5e-4
     model.dof_damping[1:] += 0.02 * model.jnt_stiffness[1:].clip(0.1)
-    model.dof_armature[0] = 10.0
-    model.actuator_gainprm[0, 0] = 0.0
-    model.actuator_biasprm[0, 1:3] = 0.0
+    model.dof_frictionloss[:] = 0.0
+    model.actuator_gainprm[0, 0], model.actuator_biasprm[0, 1:3] = 500.0, (-500.0, -20.0)
+    model.actuator_forcerange[0] = (-1e6, 1e6)
+    model.actuator_delay[0] = 0.0
     data = mujoco.MjData(model)
-    data.qpos[0] = angle
-    for _ in range(6000):
-        data.qpos[0], data.qvel[0] = angle, 0.0
+    data.ctrl[0] = angle
+    for _ in range(10_000):
         mujoco.mj_step(model, data)
-    data.qpos[0], data.qvel[:] = angle, 0.0
-    mujoco.mj_forward(model, data)
-    pull = data.qfrc_passive[0] + data.qfrc_constraint[0]
-    return float(-pull / angle)
+    return float(data.actuator_force[0] / data.qpos[0])
+
+
+def _parts(fish: Fish) -> list[Part]:
+    return [part for body in (fish.head, *fish.tail.links) for part in body.parts]
 
 
 def _length(fish: Fish) -> float:
@@ -148,7 +154,8 @@ def _whole(fish: Fish, compiled: Compiled) -> dict[str, Any]:
     return {
         "name": fish.name,
         "length_m": compiled.length,
-        "mass_kg": compiled.mass,
+        "mass_kg": compiled.mass - compiled.water,
+        "water_carried_kg": compiled.water,
         "centre_x_m": compiled.centre[0],
         "yaw_inertia_kg_m2": compiled.yaw_inertia,
         "k_eff_formula": compiled.k_formula,

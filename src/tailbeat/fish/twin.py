@@ -35,8 +35,11 @@ HEAVY = Servo(  # undelayed, unlimited, without friction
 # Massless speck that keeps a body without wetted parts out of the engine's inertia-box drag model.
 SPECK = 1e-6
 # Constraint that stands for inextensible tendons: time constant [s] and damping ratio, impedance.
+# The engine softens a constraint by the inertia it sees, so a replayed twin's tail would be half a
+# percent stiffer than the same tail on its servo; `TAUT_SHARE` of that softness is kept.
 TAUT_SOLREF = [0.008, 1.0]
 TAUT_SOLIMP = [0.9999, 0.9999, 0.001]
+TAUT_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,8 @@ def compile_twin(fish: Fish, options: Options = Options()) -> Twin:
     """Compile a description. With `replayed`, the motor becomes a heavy rotor (see below)."""
     model = build_spec(fish, options).compile()
     _set_slack(fish, model)
+    if fish.tendons.stiffness is None:
+        model.tendon_invweight0 *= TAUT_SHARE
     if fish.added_inertia > 0:
         _drop_velocity_half(fish, model)
     return Twin(fish, options, model)
@@ -186,15 +191,16 @@ def _add_speck(body: mujoco.MjsBody) -> None:
 
 
 def _drop_velocity_half(fish: Fish, model: mujoco.MjModel) -> None:
-    """Where a part carries added inertia, its virtual mass in the fluid law is set to zero.
+    """Zero the virtual mass in the fluid law on every body that carries added inertia.
 
     The engine applies the velocity half of added mass alone; beside an added mass in the inertia
     it would be counted twice and the mean force of an oscillating plate would not vanish.
     """
     for body in (fish.head, *fish.tail.links):
-        for part in body.parts:
-            if part.zone is not None and part.added_mass > 0:
-                model.geom_fluid[model.geom(part.name).id, 6:12] = 0.0
+        if any(part.added_mass > 0 for part in body.parts):
+            for part in body.parts:
+                if part.zone is not None:
+                    model.geom_fluid[model.geom(part.name).id, 6:12] = 0.0
 
 
 def _add_links(head: mujoco.MjsBody, fish: Fish) -> None:
@@ -227,6 +233,7 @@ def _add_motor(spec: mujoco.MjSpec, head: mujoco.MjsBody, fish: Fish, replayed: 
     rotor = head.add_body(name="motor", pos=list(motor.position))
     rotor.explicitinertial = True
     mass = max(motor.mass, 1e-6)
+    rotor.ipos = [0, 0, 0]
     rotor.mass, rotor.inertia = mass, [mass * motor.radius**2 / 2] * 3
     _add_speck(rotor)
     axis = [0, 0, -1] if motor.kind == "pulley" else [0, -1, 0]

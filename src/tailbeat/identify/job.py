@@ -171,7 +171,7 @@ def parameter_rows(found: Identified) -> dict[str, dict[str, Any]]:
         found.space,
         values(found.space, best.z).values(),
         intervals(found.space, best),
-        told_apart(best),
+        told_apart(found.space, best),
         strict=True,
     )
     return {

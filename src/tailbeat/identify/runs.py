@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
@@ -121,7 +122,9 @@ def _plan(twin: Twin, run: Run, cruise: Cruise) -> tuple[Start, Array]:
         start = Start(np.zeros(3), velocity)
     else:
         time = np.arange(0, run.track.time[-1] - run.track.time[0] + SAMPLE, step)
-        angle = np.interp(time, run.track.time - run.track.time[0], run.motor)
+        # A cubic: straight lines between 60 frames a second lose half a percent of a 2 Hz beat.
+        curve = CubicSpline(run.track.time - run.track.time[0], run.motor)
+        angle = curve(np.minimum(time, run.track.time[-1] - run.track.time[0]))
         start = Start(_root_pose(twin.fish, run.track.pose[0]), _first_velocity(run))
     rate = (angle[1] - angle[0]) / step
     return replace(start, motor=float(angle[0]), motor_speed=float(rate)), replay_command(

@@ -23,6 +23,9 @@ Progress = Callable[[str, float, float], None]  # stage, share done, best cost s
 
 FAILED = 1e6  # cost of a candidate that diverged
 STEP = 0.02  # finite difference in z
+NOISE_FLOOR = 0.2
+DECIDED = 0.1  # a 95 % interval within 10 % of the value counts as decided by the data
+RESCALINGS = 2  # rounds of polish with the noise taken from the residuals themselves
 
 
 @dataclass(frozen=True)
@@ -105,9 +108,29 @@ def search(
     """CMA-ES, then polish, from one seed. Resumes from `checkpoint` if it is there."""
     z = _explore(residuals, space, seed, effort, checkpoint, progress)
     z = polish(residuals, space, z, effort.polish, progress)
+    total = float(cost(residuals(z[None]), z[None])[0])
+    noise = 1.0
+    for _ in range(RESCALINGS):
+        noise = noise_level(residuals(z[None])[0], z.size)
+        z = polish(_divided(residuals, noise), space, z, effort.polish // 2, progress)
     found, slope = sensitivity(residuals, z)
-    total = float(cost(found[None], z[None])[0])
-    return Fit(seed, z, total, found, slope, covariance(found, slope))
+    return Fit(seed, z, total, found, slope, covariance(slope / noise))
+
+
+def noise_level(found: Array, free: int) -> float:
+    """The residuals' own standard deviation, from 0.2 up to 1.
+
+    The floor: integration and replay of a twin agree to about that, whatever the camera does.
+
+    Data better than their assumed deviations count for more against the prior, and their
+    intervals shrink; a misfit beyond them is left to count as it is.
+    """
+    freedom = max(found.size - free, 1)
+    return float(np.clip(np.sqrt(np.square(found).sum() / freedom), NOISE_FLOOR, 1.0))
+
+
+def _divided(residuals: Residuals, noise: float) -> Residuals:
+    return lambda z: residuals(z) / noise
 
 
 def _explore(
@@ -189,16 +212,9 @@ def _step(found: Array, slope: Array, z: Array, damping: float) -> Array:
     return np.asarray(np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -gradient))
 
 
-def covariance(found: Array, slope: Array) -> Array:
-    """Covariance of z from data and prior, scaled by the residuals' own variance.
-
-    The prior counts as a standard normal on z; the data's part is scaled by the larger of the
-    residual variance and a hundredth, so that a perfect synthetic fit keeps a finite interval.
-    """
-    freedom = max(found.size - slope.shape[1], 1)
-    variance = max(float(np.square(found).sum()) / freedom, 1e-2)
-    result: Array = np.linalg.inv(slope.T @ slope / variance + np.eye(slope.shape[1]))
-    return result
+def covariance(slope: Array) -> Array:
+    """Covariance of z from the data's Jacobian, in units of their noise, and a standard prior."""
+    return np.asarray(np.linalg.inv(slope.T @ slope + np.eye(slope.shape[1])))
 
 
 def intervals(space: tuple[Parameter, ...], fit: Fit) -> list[tuple[float, float]]:
@@ -207,10 +223,10 @@ def intervals(space: tuple[Parameter, ...], fit: Fit) -> list[tuple[float, float
     return [(p.from_z(z - r), p.from_z(z + r)) for p, z, r in zip(space, fit.z, reach, strict=True)]
 
 
-def told_apart(fit: Fit) -> NDArray[np.bool_]:
-    """Which parameters the data decide: their interval is under half of the prior's."""
-    decided: NDArray[np.bool_] = np.sqrt(np.diag(fit.covariance)) < 0.5
-    return decided
+def told_apart(space: tuple[Parameter, ...], fit: Fit) -> list[bool]:
+    """Which parameters the data decide: their 95 % interval lies within 10 % of the value."""
+    found = zip(values(space, fit.z).values(), intervals(space, fit), strict=True)
+    return [high - low < 2 * DECIDED * abs(value) for value, (low, high) in found]
 
 
 def trade_offs(space: tuple[Parameter, ...], fit: Fit, least: float = 0.9) -> list[tuple]:

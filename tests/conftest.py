@@ -1,0 +1,19 @@
+"""Shared fixtures: where the real recordings are."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+import tailbeat  # noqa: F401  first: it chooses the engine's GL library
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """Folder of published measurements; tests that need it are skipped where it is absent."""
+    folder = Path(os.environ.get("TAILBEAT_DATA", ROOT / "../shared/data")).resolve()
+    if not (folder / "fishsim").is_dir():
+        pytest.skip(f"no recordings in {folder}; set TAILBEAT_DATA to the folder of fishsim/")
+    return folder

@@ -1,0 +1,122 @@
+"""Descriptions: shipped ones load, every number can change, bad ones are refused by name."""
+
+import tomllib
+
+import pytest
+
+from tailbeat.files import BadInput
+from tailbeat.fish.store import (
+    fish_path,
+    load_fish,
+    shipped,
+    value_at,
+    with_values,
+    write_identified,
+)
+
+PULLEY = "pulley-fish"
+
+
+def changed(tmp_path, old: str, new: str, fish: str = PULLEY):
+    text = fish_path(fish).read_text()
+    assert old in text
+    path = tmp_path / "f.toml"
+    path.write_text(text.replace(old, new, 1))
+    return path
+
+
+def test_both_fish_ship():
+    assert shipped() == ["crank-fish", "pulley-fish"]
+
+
+@pytest.mark.parametrize("name", ["crank-fish", "pulley-fish"])
+def test_every_number_of_a_shipped_fish_has_a_unit(name):
+    """Bare numbers are left to coefficients, ratios and the SI ranges of [[uncertain]]."""
+    bare = set()
+
+    def walk(node, path=()):
+        if isinstance(node, dict):
+            for key, item in node.items():
+                walk(item, (*path, key))
+        elif isinstance(node, list):
+            for item in node:
+                walk(item, path)
+        elif isinstance(node, int | float) and not isinstance(node, bool):
+            bare.add(path)
+
+    walk(tomllib.loads(fish_path(name).read_text()))
+    free = {p for p in bare if p[0] in ("zones", "uncertain", "added_inertia")}
+    rest = {p for p in bare - free if p[-1] not in ("value", "body")}
+    assert rest <= {("tail", "stiffness_scale")}
+
+
+def test_texts_tables_and_bare_numbers_mean_the_same(tmp_path):
+    line = 'radius = { value = 17.5, unit = "mm", source = "paper" }'
+    for new in ('radius = "17.5 mm"', 'radius = "1.75 cm"', "radius = 0.0175"):
+        assert load_fish(changed(tmp_path, line, new)).motor.radius == pytest.approx(0.0175)
+
+
+BAD = {
+    "unknown field": (
+        'kind = "pulley"',
+        'kind = "pulley"\ncolour = 3',
+        "unknown field motor.colour",
+    ),
+    "unknown unit": ('"-80 80 deg"', '"-80 80 grad"', "unit 'grad' is not one of rad, deg"),
+    "missing field": ('kind = "pulley"', "", "field motor.kind is missing"),
+    "wrong kind": ('kind = "pulley"', 'kind = "winch"', "motor.kind = 'winch'"),
+    "no number": ('"-80 80 deg"', '"wide"', "motor.range = 'wide'"),
+    "nan": ('"1000 kg/m^3"', "nan", "medium.density"),
+    "below zero": ("kutta = 0.521", "kutta = -1", "zones.head.kutta = -1"),
+    "unknown zone": ('zone = "fin"', 'zone = "wing"', "names zone 'wing'"),
+    "unknown servo": ('servo = "identified"', 'servo = "best"', "servo 'best' is not one of"),
+    "hinge order": ('hinge = "-245 mm"', 'hinge = "-205 mm"', "hinges must run from the head"),
+    "band": ('band = "1 4 Hz"', 'band = "4 1 Hz"', "band [4.0, 1.0]"),
+    "not TOML": ("[motor]", "[motor", "not valid TOML"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_descriptions_are_one_sentence(tmp_path, case):
+    old, new, complaint = BAD[case]
+    with pytest.raises(BadInput) as caught:
+        load_fish(changed(tmp_path, old, new))
+    message = str(caught.value)
+    assert complaint in message and "f.toml" in message and "\n" not in message
+
+
+def test_values_are_set_by_path_and_checked():
+    fish = load_fish(PULLEY)
+    other = with_values(fish, {"zones.fin.kutta": 2.5, "tail.links.1.stiffness": 3.0})
+    assert value_at(other, "zones.fin.kutta") == 2.5
+    assert other.tail.links[1].stiffness == 3.0
+    assert fish.zones["fin"].kutta == 10.148
+    with pytest.raises(BadInput, match=r"no field zones\.fin\.lift"):
+        with_values(fish, {"zones.fin.lift": 1.0})
+    with pytest.raises(BadInput, match=r"zones\.fin\.kutta = -1"):
+        with_values(fish, {"zones.fin.kutta": -1.0})
+
+
+def test_identified_fish_keeps_comments_and_records_where_from(tmp_path):
+    entry = {"value": 1.25, "unit": "1", "interval": [1.0, 1.5], "source": "identified on a"}
+    target = tmp_path / "id.toml"
+    write_identified(PULLEY, target, {"zones.fin.kutta": entry}, "made by a test")
+    text = target.read_text()
+    assert text.startswith("# made by a test\n")
+    assert "# Paper's fifteen coefficients." in text and "identified on a" in text
+    assert load_fish(target).zones["fin"].kutta == 1.25
+    with pytest.raises(BadInput, match="exists already"):
+        write_identified(PULLEY, target, {}, "again")
+
+
+def test_template_is_a_fish_that_compiles_and_swims_forward(tmp_path):
+    from tailbeat import tasks
+    from tailbeat.evaluate.first_swim import open_loop
+
+    tasks.new_fish(tmp_path / "mine.toml")
+    fish = load_fish(tmp_path / "mine.toml")
+    assert fish.name == "mine"
+    done = open_loop(fish, tmp_path / "runs")
+    assert done["speed_m_s"] > 0.005
+    with pytest.raises(BadInput, match="exists already"):
+        tasks.new_fish(tmp_path / "mine.toml")

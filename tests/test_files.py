@@ -1,0 +1,32 @@
+"""Outputs appear whole or not at all."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tailbeat.files import BadInput, new_file, write_json
+
+
+def test_failure_leaves_nothing_behind(tmp_path):
+    with pytest.raises(RuntimeError), new_file(tmp_path / "a.txt") as path:
+        path.write_text("half")
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_existing_output_is_refused_and_kept(tmp_path):
+    target = tmp_path / "a.json"
+    target.write_text("old")
+    with pytest.raises(BadInput, match=r"a\.json: exists already"):
+        write_json(target, {})
+    assert target.read_text() == "old"
+
+
+def test_json_holds_numpy_and_no_nan(tmp_path):
+    write_json(tmp_path / "b.json", {"a": np.arange(2), "b": np.float64("nan"), "c": (1.5, True)})
+    assert json.loads((tmp_path / "b.json").read_text()) == {
+        "a": [0, 1],
+        "b": None,
+        "c": [1.5, True],
+    }

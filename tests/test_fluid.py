@@ -1,0 +1,124 @@
+"""Fluid identification: known coefficients come back where the data can tell, and are named
+where they cannot."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from synthetic import record
+from tailbeat.files import BadInput
+from tailbeat.fish.store import load_fish, with_values
+from tailbeat.identify.fluid import (
+    COEFFICIENT_PRIORS,
+    apply,
+    fluid_space,
+    insensitive,
+    residual_function,
+)
+from tailbeat.identify.job import Plan, as_report, identify_fluid, parameter_rows, toml_values
+from tailbeat.identify.predict import as_json, predict
+from tailbeat.identify.runs import as_run
+from tailbeat.identify.search import Effort
+
+PULLEY = load_fish("pulley-fish")
+
+
+def truth() -> dict[str, float]:
+    """A draw from half the prior's spread, one number per zone and coefficient."""
+    rng = np.random.default_rng(5)
+    return {
+        f"zones.{zone}.{name}": float(centre * np.exp(0.5 * spread * rng.normal()))
+        for zone in PULLEY.zones
+        for name, (centre, spread, _, _) in COEFFICIENT_PRIORS.items()
+    }
+
+
+def synthetic_runs(noise: float = 0.0):
+    known = with_values(PULLEY, truth())
+    return [
+        as_run(record(known, "a", 1.5, 0.5, offset=0.1, noise=noise), PULLEY),
+        as_run(record(known, "b", 2.2, 0.4, offset=-0.25, noise=noise, seed=1), PULLEY),
+    ]
+
+
+def test_known_coefficients_come_back_or_are_named(tmp_path):
+    plan = Plan(zones=3, seeds=1, effort=Effort(generations=12))
+    found = identify_fluid(PULLEY, synthetic_runs(noise=1e-3), [], plan, tmp_path)
+    rows, known = parameter_rows(found), truth()
+    decided = {path: row for path, row in rows.items() if row["decided_by_data"]}
+    assert len(decided) >= 2
+    for path, row in decided.items():
+        assert row["value"] == pytest.approx(known[path], rel=0.10), path
+    inside = [row["interval"][0] <= known[path] <= row["interval"][1] for path, row in rows.items()]
+    assert np.mean(inside) >= 0.85  # 95 % intervals, fifteen of them
+    undecided = as_report(found, plan)["undecided"]
+    assert set(undecided) | set(decided) == set(rows) and undecided
+    assert set(toml_values(found, ["a"])) == set(rows)
+
+
+def test_the_truth_has_no_residual():
+    runs = synthetic_runs()
+    space = fluid_space(PULLEY, 3)
+    known = truth()
+    z = np.array([[p.to_z(known[p.path]) for p in space]])
+    assert np.abs(residual_function(PULLEY, runs, space)(z)).max() < 0.25
+
+
+def test_start_counts_four_times_as_much_from_rest():
+    runs = synthetic_runs()
+    assert all(run.from_rest for run in runs)
+    space = fluid_space(PULLEY, 1)
+    z = np.zeros((1, len(space)))
+    weighed, plain = (
+        residual_function(PULLEY, runs, space, start_weight=choice)(z)[0]
+        for choice in (None, False)
+    )
+    ratio = np.square(weighed / plain).reshape(2, -1, 3)
+    assert ratio[0, 0, 0] / ratio[0, -1, 0] == pytest.approx(4.0)
+
+
+def test_numbers_without_effect_are_named():
+    """A motionless fin's coefficients cannot matter: a fin in a zone no part has."""
+    zones = {**PULLEY.zones, "spare": PULLEY.zones["fin"]}
+    fish = PULLEY.model_copy(update={"zones": zones})
+    space = fluid_space(fish, 3)
+    idle = insensitive(residual_function(fish, synthetic_runs()[:1], space), space)
+    assert {f"zones.spare.{name}" for name in COEFFICIENT_PRIORS} <= set(idle)
+    assert not any(path in idle for path in ("zones.fin.kutta", "zones.fin.blunt"))
+
+
+def test_one_zone_sets_all_zones():
+    fish = apply(PULLEY, {"zones.*.kutta": 2.0})
+    assert {zone.kutta for zone in fish.zones.values()} == {2.0}
+    assert len(fluid_space(PULLEY, 1)) == 5 and len(fluid_space(PULLEY, 3)) == 15
+
+
+def test_predicting_its_own_swim_is_exact_and_forgets_the_recorded_speed():
+    known = with_values(PULLEY, truth())
+    runs = [as_run(record(known, "a", 1.5, 0.5), PULLEY)]
+    result = as_json(predict(known, runs))
+    assert result["speed_mae"] < 1e-3
+    assert result["runs"][0]["marker_error"] < 2e-3
+    assert {"recording", "measured_speed", "predicted_speed"} <= set(result["runs"][0])
+
+
+def test_cruise_prediction_does_not_depend_on_the_recorded_speed(data):
+    from tailbeat.importers import import_fishsim
+
+    fish = load_fish("crank-fish")
+    run = as_run(import_fishsim(data / "fishsim" / "markers_f1_50.csv"), fish)
+    faster = replace(run, gait=replace(run.gait, speed=2 * run.gait.speed))
+    once, twice = (predict(fish, [r])[0].gait.speed for r in (run, faster))
+    assert once == pytest.approx(twice, rel=0.01)
+
+
+def test_recordings_that_do_not_fit_the_fish_are_refused():
+    recording = record(PULLEY, "a", 1.5, 0.3)
+    without = {k: v for k, v in recording.columns.items() if k != "motor_angle_rad"}
+    with pytest.raises(BadInput, match="motor_angle_rad is missing"):
+        as_run(replace(recording, columns=without), PULLEY)
+    with pytest.raises(BadInput, match=r"yaw_rad is missing"):
+        as_run(replace(recording, columns={"x_m": recording.time, "y_m": recording.time}), PULLEY)
+    with pytest.raises(BadInput, match="outside the description's band 1-4 Hz"):
+        as_run(record(PULLEY, "slow", 0.55, 0.3), PULLEY)

@@ -1,0 +1,30 @@
+"""The crank fish, fitted on two real swims, predicts the others."""
+
+import pytest
+
+from tailbeat.fish.store import load_fish
+from tailbeat.identify.job import Plan, identify_fluid
+from tailbeat.identify.predict import speed_mae
+from tailbeat.identify.runs import as_run
+from tailbeat.identify.search import Effort
+from tailbeat.importers import import_fishsim
+
+HELD_OUT = ("f0_50", "f0_75", "f1_50", "f2_25")
+
+
+def test_fitted_on_two_swims_the_others_are_within_12_mm_per_second(data, tmp_path):
+    """The authors' own code and coefficients score 20 mm/s over their eight runs."""
+    fish = load_fish("crank-fish")
+
+    def runs(*names: str):
+        return [as_run(import_fishsim(data / "fishsim" / f"markers_{n}.csv"), fish) for n in names]
+
+    plan = Plan(zones=3, seeds=1, effort=Effort(generations=10))
+    found = identify_fluid(fish, runs("f1_00", "f1_75"), runs(*HELD_OUT), plan, tmp_path)
+    assert speed_mae(found.fitted) < 0.004
+    assert speed_mae(found.validated) < 0.012
+    assert all(prediction.settled for prediction in (*found.fitted, *found.validated))
+    for prediction in found.validated:
+        assert prediction.gait.tail_amplitude == pytest.approx(
+            prediction.run.gait.tail_amplitude, rel=0.2
+        )

@@ -1,0 +1,99 @@
+"""Recordings come back bit for bit, and bad ones are refused by name."""
+
+import numpy as np
+import pytest
+
+from tailbeat.files import BadInput
+from tailbeat.recording import (
+    Recording,
+    crop,
+    fill_gaps,
+    markers,
+    read_recording,
+    require,
+    resample,
+    uniform,
+    write_recording,
+)
+
+
+def example() -> Recording:
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.uniform(0.01, 0.03, 50))  # uneven, as a recorder's clock is
+    track = rng.normal(size=50)
+    track[7] = np.nan
+    columns = {"yaw_rad": rng.normal(size=50), "marker0_x_m": track, "marker0_y_m": track + 1}
+    return Recording("r", time, columns, {"fish": "a: b", "rate_hz": "60"})
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_round_trip_is_bit_exact(tmp_path, suffix):
+    written = example()
+    write_recording(written, tmp_path / f"r{suffix}")
+    read = read_recording(tmp_path / f"r{suffix}")
+    assert np.array_equal(read.time, written.time)
+    assert dict(read.meta) == dict(written.meta)
+    for name, column in written.columns.items():
+        assert np.array_equal(read.columns[name], column, equal_nan=True), name
+
+
+BAD = {
+    "no time": ("a_rad\n1\n2\n", "column time_s is missing"),
+    "one row": ("time_s,a_rad\n0,1\n", "1 rows"),
+    "nan": ("time_s,a_rad\n0,1\n1,NaN\n", "column a_rad, row 2: 'NaN'"),
+    "inf": ("time_s,a_rad\n0,1\n1,inf\n", "column a_rad, row 2: 'inf'"),
+    "word": ("time_s,a_rad\n0,one\n1,2\n", "column a_rad, row 1: 'one'"),
+    "empty": ("time_s,a_rad\n0,\n1,2\n", "column a_rad, row 1: None is empty"),
+    "time back": ("time_s,a_rad\n0,1\n2,1\n1,1\n", "row 3: 1 does not come after 2"),
+    "time twice": ("time_s,a_rad\n0,1\n0,1\n", "row 2: 0 does not come after 0"),
+    "unit": ("time_s,angle\n0,1\n1,1\n", "column 'angle' does not end in a unit"),
+    "double": ("time_s,a_rad,a_rad\n0,1,1\n1,1,1\n", "column 'a_rad' appears twice"),
+    "nothing": ("", "not a table"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_sentence(tmp_path, case):
+    text, complaint = BAD[case]
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(BadInput) as caught:
+        read_recording(path)
+    message = str(caught.value)
+    assert complaint in message and str(path) in message
+    assert "\n" not in message
+
+
+def test_missing_column_names_what_there_is():
+    with pytest.raises(BadInput, match=r"angle_rad is missing; it has time_s, yaw_rad"):
+        require(example(), ["angle_rad"])
+
+
+def test_a_wrong_parquet_is_refused(tmp_path):
+    (tmp_path / "x.parquet").write_bytes(b"not parquet")
+    with pytest.raises(BadInput, match="not a Parquet file"):
+        read_recording(tmp_path / "x.parquet")
+
+
+def test_resampling_keeps_a_straight_line_and_unwraps_angles():
+    time = np.array([0.0, 1.0, 3.0])
+    turning = np.array([3.0, -3.2 + 0.2 - 0.0832, -2.0])  # passes pi between the first two
+    line = Recording("l", time, {"x_m": 2 * time, "yaw_rad": turning})
+    even = uniform(line, 0.5)
+    assert np.allclose(even.columns["x_m"], 2 * even.time)
+    assert np.all(np.diff(even.columns["yaw_rad"]) > 0)
+    assert crop(line, 0.5, 3.0).time.tolist() == [1.0, 3.0]
+    with pytest.raises(BadInput, match="ask within it"):
+        resample(line, np.array([-1.0, 1.0]))
+
+
+def test_short_gaps_are_bridged_and_long_ones_left():
+    time = np.arange(30) / 60
+    track = 0.1 * time
+    track[3:5] = np.nan
+    track[10:25] = np.nan
+    both = {"marker0_x_m": track, "marker0_y_m": track}
+    tracks, numbers = markers(fill_gaps(Recording("g", time, both), longest=0.1))
+    assert numbers == [0]
+    assert np.allclose(tracks[3:5, 0, 0], 0.1 * time[3:5])
+    assert np.isnan(tracks[10:25]).all()

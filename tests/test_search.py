@@ -1,0 +1,94 @@
+"""The search on problems with known answers: it finds them, says how sure, resumes, repeats."""
+
+import numpy as np
+import pytest
+
+from tailbeat.identify.search import (
+    Effort,
+    Parameter,
+    intervals,
+    search,
+    told_apart,
+    trade_offs,
+    values,
+)
+
+SPACE = (
+    Parameter("a", "1", 0.1, 10, 1.0, 0.7),
+    Parameter("b", "1", 0.1, 10, 1.0, 0.7),
+    Parameter("c", "1", 0.1, 10, 1.0, 0.7),
+    Parameter("d", "m", -5, 5, 0.0, 1.0, log=False),
+)
+TRUTH = np.array([2.0, 0.7, 1.5, 0.8])
+CLOCK = np.linspace(0, 3, 60)
+
+
+def residuals(z: np.ndarray) -> np.ndarray:
+    """a exp(-b t) + d t with a noise of 0.02, in sigmas; c has no effect."""
+    rows = np.array([[p.from_z(x) for p, x in zip(SPACE, row, strict=True)] for row in z])
+    a, b, _, d = rows.T[..., None]
+    a0, b0, _, d0 = TRUTH
+    noise = np.random.default_rng(1).normal(0, 0.02, CLOCK.size)
+    measured = a0 * np.exp(-b0 * CLOCK) + d0 * CLOCK + noise
+    return (a * np.exp(-b * CLOCK) + d * CLOCK - measured) / 0.02
+
+
+def test_known_numbers_come_back_inside_their_intervals():
+    fit = search(residuals, SPACE, 0, Effort(20, 10, 10))
+    found = values(SPACE, fit.z)
+    for name, truth, (low, high) in zip("abcd", TRUTH, intervals(SPACE, fit), strict=True):
+        assert low <= truth <= high, name
+        if name != "c":
+            assert found[name] == pytest.approx(truth, rel=0.1)
+    assert told_apart(SPACE, fit) == [True, True, False, True]
+    assert found["c"] == pytest.approx(1.0, rel=0.01)  # left at its prior
+
+
+def test_same_seed_same_result_and_seeds_agree():
+    effort = Effort(12, 10, 10)
+    first, again = (search(residuals, SPACE, 3, effort) for _ in range(2))
+    other = search(residuals, SPACE, 4, effort)
+    assert np.array_equal(first.z, again.z)
+    assert np.allclose(first.z, other.z, atol=0.02)
+
+
+def test_an_interrupted_search_goes_on_where_it_stopped(tmp_path):
+    calls = []
+
+    def failing(z: np.ndarray) -> np.ndarray:
+        calls.append(len(z))
+        if len(calls) == 6:
+            raise KeyboardInterrupt
+        return residuals(z)
+
+    checkpoint = tmp_path / "search"
+    with pytest.raises(KeyboardInterrupt):
+        search(failing, SPACE, 0, Effort(10, 10, 5), checkpoint)
+    before = len(calls)
+    resumed = search(failing, SPACE, 0, Effort(10, 10, 5), checkpoint)
+    whole = search(residuals, SPACE, 0, Effort(10, 10, 5))
+    assert before == 6
+    assert np.allclose(resumed.z, whole.z, atol=1e-6)
+
+
+def test_numbers_that_trade_against_each_other_are_named():
+    space = SPACE[:2]
+
+    def product(z: np.ndarray) -> np.ndarray:
+        rows = np.exp(0.7 * z)
+        return np.repeat((rows[:, :1] * rows[:, 1:] - 2.0) / 0.01, 5, axis=1)
+
+    fit = search(product, space, 0, Effort(10, 8, 8))
+    (a, b, r) = trade_offs(space, fit)[0]
+    assert (a, b) == ("a", "b") and r < -0.9
+    assert told_apart(space, fit) == [False, False]
+
+
+def test_diverged_candidates_do_not_win():
+    def half_broken(z: np.ndarray) -> np.ndarray:
+        found = residuals(z)
+        found[z[:, 0] < 0] = np.inf
+        return found
+
+    fit = search(half_broken, SPACE, 0, Effort(20, 10, 10))
+    assert fit.z[0] >= 0 and np.isfinite(fit.cost)
