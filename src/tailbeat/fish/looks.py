@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 
 RING = 28  # points round a section
 STATIONS = 40  # sections along a hull
+OVERLAP = 0.014  # m that a link's hull reaches ahead of its hinge, chosen
 NOSE = 0.35  # share of the head's length over which the nose rounds off, chosen
 BACK = [0.16, 0.33, 0.42, 1.0]
 TAIL = [0.88, 0.52, 0.22, 1.0]
@@ -23,9 +24,25 @@ DRY = [0.80, 0.83, 0.86, 1.0]
 def add_looks(spec: mujoco.MjSpec, fish: Fish) -> None:
     """Add the pool floor, lights, cameras and one visible mesh or more per body."""
     _add_scene(spec)
-    _dress(spec, spec.body("head"), fish.head, 0.0, BACK, nose=True)
-    for index, link in enumerate(fish.tail.links):
-        _dress(spec, spec.body(f"link{index}"), link, link.hinge, TAIL, nose=False)
+    along = np.linspace(0, 1, STATIONS)
+    head = np.tile(_nose_profile(along)[:, None], 2)
+    _dress(spec, spec.body("head"), fish.head, 0.0, BACK, head)
+    links = fish.tail.links
+    for index, link in enumerate(links):
+        follower = links[min(index + 1, len(links) - 1)]
+        shrink = np.minimum(_hull_size(follower) / _hull_size(link), 1.0)
+        taper = 1 + along[:, None] * (shrink - 1)
+        _dress(spec, spec.body(f"link{index}"), link, link.hinge, TAIL, taper)
+
+
+def _hull(described: Body) -> list[Part]:
+    return [p for p in described.parts if p.zone is not None and p.zone != "fin"]
+
+
+def _hull_size(described: Body) -> Array:
+    """Largest width and height (2,) of a body's hull [m]; those of its parts if it has none."""
+    sizes = np.array([p.size[1:] for p in _hull(described) or described.parts])
+    return sizes.max(axis=0)
 
 
 def _dress(
@@ -34,14 +51,15 @@ def _dress(
     described: Body,
     x0: float,
     rgba: list[float],
-    nose: bool,
+    taper: Array,
 ) -> None:
     if described.mesh is not None:
         _add_stl(spec, body, described, x0, rgba)
         return
-    hull = [p for p in described.parts if p.zone is not None and p.zone != "fin"]
+    hull = _hull(described)
     if hull:
-        _add_mesh(spec, body, f"{body.name}-hull", *hull_mesh(hull, nose), x0, rgba)
+        front = x0 + OVERLAP if body.name != "head" else -np.inf
+        _add_mesh(spec, body, f"{body.name}-hull", *hull_mesh(hull, taper, front), x0, rgba)
     for part in described.parts:
         if part.zone == "fin":
             _add_mesh(spec, body, part.name, *fin_mesh(part), x0, FIN)
@@ -49,18 +67,21 @@ def _dress(
             _add_dry_box(body, part, x0)
 
 
-def hull_mesh(parts: list[Part], nose: bool) -> tuple[Array, Array]:
-    """Loft elliptic sections along x round boxes. Returns vertices (n, 3) [m] and faces (m, 3)."""
+def hull_mesh(parts: list[Part], taper: Array, front: float) -> tuple[Array, Array]:
+    """Loft elliptic sections along x round boxes. Returns vertices (n, 3) [m] and faces (m, 3).
+
+    `taper` (stations, 2) scales width and height from front to rear; the hull reaches forward to
+    the x of `front` at least, so that a bent tail shows no gap.
+    """
     boxes = np.array([[*p.position, *p.size] for p in parts])
     start, end = boxes[:, 0] + boxes[:, 3] / 2, boxes[:, 0] - boxes[:, 3] / 2
-    x = np.linspace(start.max(), end.min(), STATIONS)
+    x = np.linspace(max(start.max(), front), end.min(), STATIONS)
     inside = (x[:, None] <= start + 1e-9) & (x[:, None] >= end - 1e-9)
     seen = np.flatnonzero(inside.any(axis=1))
     width = _profile(seen, np.where(inside, boxes[:, 4] / 2, -np.inf).max(axis=1))
     top = _profile(seen, np.where(inside, boxes[:, 2] + boxes[:, 5] / 2, -np.inf).max(axis=1))
     low = _profile(seen, np.where(inside, boxes[:, 2] - boxes[:, 5] / 2, np.inf).min(axis=1))
-    round_off = _nose_profile(STATIONS) if nose else np.ones(STATIONS)
-    return _loft(x, width * round_off, (top + low) / 2, (top - low) / 2 * round_off)
+    return _loft(x, width * taper[:, 0], (top + low) / 2, (top - low) / 2 * taper[:, 1])
 
 
 def _profile(seen: NDArray[np.int_], values: Array) -> Array:
@@ -69,8 +90,7 @@ def _profile(seen: NDArray[np.int_], values: Array) -> Array:
     return np.convolve(np.pad(filled, 2, mode="edge"), np.ones(5) / 5, mode="valid")
 
 
-def _nose_profile(stations: int) -> Array:
-    along = np.linspace(0, 1, stations)
+def _nose_profile(along: Array) -> Array:
     return np.sqrt(np.clip(1 - np.square(np.clip(1 - along / NOSE, 0, 0.995)), 0, 1))
 
 
@@ -183,26 +203,28 @@ def _add_dry_box(body: mujoco.MjsBody, part: Part, x0: float) -> None:
 def _add_scene(spec: mujoco.MjSpec) -> None:
     world = spec.worldbody
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
-    spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
-    spec.visual.headlight.diffuse = [0.5, 0.5, 0.5]
+    spec.visual.headlight.ambient = [0.3, 0.3, 0.3]
+    spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
     texture = spec.add_texture(name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D)
     texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
-    texture.rgb1, texture.rgb2 = [0.55, 0.75, 0.82], [0.60, 0.79, 0.86]
+    texture.rgb1, texture.rgb2 = [0.25, 0.52, 0.62], [0.31, 0.58, 0.68]
     texture.width = texture.height = 256
-    material = spec.add_material(name="tiles", texrepeat=[20, 20])
+    material = spec.add_material(name="tiles", texrepeat=[200, 200])
     material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "tiles"
     world.add_geom(
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[5, 5, 0.1],
+        size=[50, 50, 0.1],
         pos=[0, 0, -0.25],
         material="tiles",
         contype=0,
         conaffinity=0,
     )
-    world.add_light(pos=[0, 0, 3], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    sun = world.add_light(pos=[0, 0, 3], dir=[0.3, 0.2, -1])
+    sun.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    sun.diffuse = [0.6, 0.6, 0.6]
     head = spec.body("head")
     track = mujoco.mjtCamLight.mjCAMLIGHT_TRACK
     head.add_camera(name="above", mode=track, pos=[-0.15, 0, 1.1], fovy=45)
     head.add_camera(
-        name="beside", mode=track, pos=[0.1, -0.75, 0.45], xyaxes=[1, 0.25, 0, -0.1, 0.45, 0.9]
+        name="beside", mode=track, pos=[-0.17, -0.62, 0.42], xyaxes=[1, 0, 0, 0, 0.56, 0.83]
     )

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -12,6 +14,7 @@ from tailbeat.fish.twin import HEAVY, HEAVY_ROTOR, Twin
 
 Array = NDArray[np.float64]
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
+CHUNK = 256  # samples per engine call: bounds the memory of a thousand fish
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,15 +34,24 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class Swim:
-    """What one twin did: `time` (k,) s, `qpos` (k, nq), `markers` (k, m, 3) m in the world.
+    """What one twin did: `time` (k,) s and `qpos` (k, nq).
 
     `diverged` marks a twin that the engine warned about or reset; its samples mean nothing.
     """
 
+    twin: Twin
     time: Array
     qpos: Array
-    markers: Array
     diverged: bool
+
+    @cached_property
+    def markers(self) -> Array:
+        """The description's markers in the world (k, m, 3) [m], computed when asked for."""
+        pool = batch.Batch(self.twin.model, self.time.size)
+        pool.bind("qpos")[:] = self.qpos
+        sites = pool.bind("site_xpos")
+        pool.forward()
+        return sites[:, self.twin.marker_sites].copy()
 
 
 def swim(
@@ -62,7 +74,13 @@ def swim(
     padded = np.zeros((len(twins), int(lengths.max()) * every, 1))
     for i, command in enumerate(commands):
         padded[i, : lengths[i] * every, 0] = command[: lengths[i] * every]
-    return _advance(pool, twins, padded, lengths, every)
+    qpos = _advance(pool, padded, lengths, every)
+    diverged = pool.warning.reshape(len(twins), -1).sum(axis=1) > 0
+    time = np.arange(lengths.max() + 1) * every * twins[0].model.opt.timestep
+    return [
+        Swim(twin, time[: n + 1], rows[: n + 1], bool(lost))
+        for twin, n, rows, lost in zip(twins, lengths, qpos, diverged, strict=True)
+    ]
 
 
 def _place(pool: batch.Batch, twins: Sequence[Twin], starts: Sequence[Start]) -> None:
@@ -73,25 +91,19 @@ def _place(pool: batch.Batch, twins: Sequence[Twin], starts: Sequence[Start]) ->
         qpos[i, motor], qvel[i, motor] = start.motor, start.motor_speed
 
 
-def _advance(
-    pool: batch.Batch, twins: Sequence[Twin], commands: Array, lengths: NDArray, every: int
-) -> list[Swim]:
-    sites = twins[0].marker_sites
-    qpos = np.empty((len(twins), lengths.max() + 1, twins[0].model.nq))
-    markers = np.empty((len(twins), lengths.max() + 1, sites.size, 3))
-    for j in range(lengths.max() + 1):
-        active = lengths >= j
-        if j > 0:
-            control = np.ascontiguousarray(commands[active, (j - 1) * every : j * every])
-            pool.rollout(every, control, CONTROL, record=(), ids=active)
-        pool.forward(active)  # sites at this state, not at the one before the last substep
-        qpos[:, j], markers[:, j] = pool.bind("qpos"), pool.bind("site_xpos")[:, sites]
-    diverged = pool.warning.reshape(len(twins), -1).sum(axis=1) > 0
-    time = np.arange(lengths.max() + 1) * every * twins[0].model.opt.timestep
-    return [
-        Swim(time[: n + 1], qpos[i, : n + 1], markers[i, : n + 1], bool(diverged[i]))
-        for i, n in enumerate(lengths)
-    ]
+def _advance(pool: batch.Batch, commands: Array, lengths: NDArray[np.int_], every: int) -> Array:
+    """Samples (n, longest + 1, nq), in long calls: until the next twin stops, or `CHUNK`."""
+    state = pool.bind("qpos")
+    found = np.empty((len(lengths), lengths.max() + 1, state.shape[1]))
+    found[:, 0] = state
+    stops = sorted({*lengths.tolist(), *range(0, int(lengths.max()), CHUNK)})
+    for first, last in pairwise(stops):
+        active = lengths >= last
+        control = np.ascontiguousarray(commands[active, first * every : last * every])
+        steps = control.shape[1]
+        rows = pool.rollout(steps, control, CONTROL, record=("qpos",), ids=active)["qpos"]
+        found[active, first + 1 : last + 1] = rows[:, every - 1 :: every]
+    return found
 
 
 def replay_command(twin: Twin, angle: Array) -> Array:
