@@ -36,11 +36,11 @@ def residuals(z: np.ndarray) -> np.ndarray:
 def test_known_numbers_come_back_inside_their_intervals():
     fit = search(residuals, SPACE, 0, Effort(20, 10, 10))
     found = values(SPACE, fit.z)
-    for name, truth, (low, high) in zip("abcd", TRUTH, intervals(SPACE, fit), strict=True):
+    for name, truth, (low, high) in zip("abcd", TRUTH, intervals(SPACE, [fit]), strict=True):
         assert low <= truth <= high, name
         if name != "c":
             assert found[name] == pytest.approx(truth, rel=0.1)
-    assert told_apart(SPACE, fit) == [True, True, False, True]
+    assert told_apart(SPACE, [fit]) == [True, True, False, True]
     assert found["c"] == pytest.approx(1.0, rel=0.01)  # left at its prior
 
 
@@ -81,7 +81,7 @@ def test_numbers_that_trade_against_each_other_are_named():
     fit = search(product, space, 0, Effort(10, 8, 8))
     (a, b, r) = trade_offs(space, fit)[0]
     assert (a, b) == ("a", "b") and r < -0.9
-    assert told_apart(space, fit) == [False, False]
+    assert told_apart(space, [fit]) == [False, False]
 
 
 def test_diverged_candidates_do_not_win():

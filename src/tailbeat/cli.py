@@ -53,9 +53,10 @@ def import_fishsim(
     csv: Annotated[Path, typer.Argument(help="A marker file of srl-ethz/fishsim.")],
     out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
     frame_rate: Annotated[float, typer.Option(help="Frames per second of the film.")] = 60.0,
+    json: JsonOption = None,
 ) -> None:
     """Marker tracks in pixels to a recording in metres."""
-    recording = tasks.import_fishsim(csv, out, frame_rate)
+    recording = tasks.import_fishsim(csv, out, frame_rate, json)
     dropped = recording.meta["frames_dropped_per_marker"]
     console.say(f"wrote {out}: {recording.time.size} frames, dropped per marker {dropped}")
 
@@ -88,9 +89,12 @@ def identify_fluid(
 
 @app.command()
 def predict(fish: FishOption, recordings: Recordings, json: JsonOption = None) -> None:
-    """What the twin makes of recorded swims, beside what was measured."""
+    """What the twin makes of recorded swims, beside what was measured; exit code 1 if the twin
+    diverged or reached no steady speed."""
     result = tasks.predict(fish, recordings, json)
     console.predicted(result)
+    if not all(run["settled"] for run in result["runs"]):
+        raise typer.Exit(1)
 
 
 @app.command()

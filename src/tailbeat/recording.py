@@ -135,6 +135,8 @@ def _check_time(file: Path, time: Array) -> None:
 
 def write_recording(recording: Recording, path: str | Path, overwrite: bool = False) -> None:
     """Write CSV or Parquet by suffix; numbers come back bit for bit. BadInput if it exists."""
+    if Path(path).suffix not in (".csv", ".parquet"):
+        raise BadInput(f"{path}: a recording is written as .csv or .parquet; rename it.")
     series = {"time_s": recording.time, **recording.columns, **recording.labels}
     frame = pl.DataFrame(series).with_columns(pl.selectors.float().fill_nan(None))
     with new_file(path, overwrite) as beside:

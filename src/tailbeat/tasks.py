@@ -70,11 +70,16 @@ def show(fish: str, picture: Path | None, viewer: bool, json: Path | None) -> Sh
     return Shown(found, target, how)
 
 
-def import_fishsim(csv: Path, out: Path, frame_rate: float) -> Recording:
+def import_fishsim(csv: Path, out: Path, frame_rate: float, json: Path | None) -> Recording:
     """Read a fishsim marker file, write a recording."""
-    refuse_existing(out)
+    for path in filter(None, (out, json)):
+        refuse_existing(path)
+    if not frame_rate > 0:
+        raise BadInput(f"--frame-rate {frame_rate:g}: give the film's frames per second, above 0.")
     recording = importers.import_fishsim(csv, frame_rate)
     write_recording(recording, out)
+    if json is not None:
+        write_json(json, {"recording": str(out), "frames": recording.time.size, **recording.meta})
     return recording
 
 

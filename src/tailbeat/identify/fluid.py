@@ -39,7 +39,8 @@ class Sigma:
 
 
 SIGMA = Sigma()
-SAMPLES = 25  # poses compared per replayed run
+SAMPLES = 60  # poses compared per replayed run
+FIRST_POSITION, FIRST_YAW = 0.003, 0.01  # m, rad: how wrong the first frame may be, chosen
 START_WEIGHT = 4.0  # squared error at the start over that at the end (paper)
 
 # Prior centre, spread of ln(value), and range per coefficient. Outside the range no ellipsoid in
@@ -180,14 +181,28 @@ def _behind(run: Run) -> NDArray[np.bool_]:
 
 
 def _compare_poses(run: Run, track: Track, weigh_start: bool) -> Array:
-    """Pose errors at `SAMPLES` times of a replayed run."""
+    """Pose errors at `SAMPLES` times of a replayed run, the first pose's own error taken out."""
     span = run.track.time[-1] - run.track.time[0]
     time = np.linspace(span / SAMPLES, min(span, track.time[-1]), SAMPLES)
     scale = np.array([SIGMA.position, SIGMA.position, SIGMA.yaw])
     measured = _at(time, run.track.time - run.track.time[0], run.track.pose)
-    error = (_at(time, track.time, track.pose) - measured) / scale
     weight = np.linspace(START_WEIGHT, 1.0, SAMPLES) if weigh_start else np.ones(SAMPLES)
-    return (error * np.sqrt(weight / weight.mean())[:, None]).ravel()
+    weight = np.sqrt(weight / weight.mean())[:, None] / scale
+    error = ((_at(time, track.time, track.pose) - measured) * weight).ravel()
+    return _without_first_pose(error, measured - run.track.pose[0], weight)
+
+
+def _without_first_pose(error: Array, way: Array, weight: Array) -> Array:
+    """Residuals left by the best small shift and turn of the first pose, ridge-regularised.
+
+    The twin starts from one camera frame; its noise would turn the whole path with it.
+    """
+    zero, one = np.zeros(len(way)), np.ones(len(way))
+    moves = [[one, zero, zero], [zero, one, zero], [-way[:, 1], way[:, 0], one]]
+    basis = np.stack([(np.stack(m, 1) * weight).ravel() for m in moves], axis=1)
+    prior = np.diag(1 / np.square([FIRST_POSITION, FIRST_POSITION, FIRST_YAW]))
+    best = np.linalg.solve(basis.T @ basis + prior, basis.T @ error)
+    return np.asarray(error - basis @ best)
 
 
 def _at(time: Array, when: Array, pose: Array) -> Array:

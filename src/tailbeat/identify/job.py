@@ -170,8 +170,8 @@ def parameter_rows(found: Identified) -> dict[str, dict[str, Any]]:
     rows = zip(
         found.space,
         values(found.space, best.z).values(),
-        intervals(found.space, best),
-        told_apart(found.space, best),
+        intervals(found.space, found.fits),
+        told_apart(found.space, found.fits),
         strict=True,
     )
     return {

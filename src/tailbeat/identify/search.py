@@ -6,7 +6,7 @@ standard deviation. Non-finite residuals mean that the twin diverged there.
 """
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,8 +23,10 @@ Progress = Callable[[str, float, float], None]  # stage, share done, best cost s
 
 FAILED = 1e6  # cost of a candidate that diverged
 STEP = 0.02  # finite difference in z
-NOISE_FLOOR = 0.2
+WIDE_STEP = 0.2  # that of the intervals: about as far as they reach, over the law's small kinks
+NOISE_FLOOR = 0.3
 DECIDED = 0.1  # a 95 % interval within 10 % of the value counts as decided by the data
+ENOUGH = 2e-4  # relative gain below which the polish stops
 RESCALINGS = 2  # rounds of polish with the noise taken from the residuals themselves
 
 
@@ -88,12 +90,14 @@ def cost(residuals: Array, z: Array) -> Array:
     return np.where(np.isfinite(total), np.minimum(total, FAILED), FAILED)
 
 
-def sensitivity(residuals: Residuals, z: Array, central: bool = True) -> tuple[Array, Array]:
+def sensitivity(
+    residuals: Residuals, z: Array, central: bool = True, step: float = STEP
+) -> tuple[Array, Array]:
     """Residuals (r,) and their Jacobian (r, p) by differences, in one batched call."""
-    probes = [z[None], z + STEP * np.eye(z.size)]
-    found = residuals(np.concatenate([*probes, z - STEP * np.eye(z.size)] if central else probes))
+    probes = [z[None], z + step * np.eye(z.size)]
+    found = residuals(np.concatenate([*probes, z - step * np.eye(z.size)] if central else probes))
     up = found[1 : z.size + 1]
-    slope = (up - found[z.size + 1 :]) / (2 * STEP) if central else (up - found[0]) / STEP
+    slope = (up - found[z.size + 1 :]) / (2 * step) if central else (up - found[0]) / step
     return found[0], np.where(np.isfinite(slope), slope, 0.0).T
 
 
@@ -112,13 +116,13 @@ def search(
     noise = 1.0
     for _ in range(RESCALINGS):
         noise = noise_level(residuals(z[None])[0], z.size)
-        z = polish(_divided(residuals, noise), space, z, effort.polish // 2, progress)
-    found, slope = sensitivity(residuals, z)
+        z = polish(_divided(residuals, noise), space, z, effort.polish // 2, progress, True)
+    found, slope = sensitivity(residuals, z, step=WIDE_STEP)
     return Fit(seed, z, total, found, slope, covariance(slope / noise))
 
 
 def noise_level(found: Array, free: int) -> float:
-    """The residuals' own standard deviation, from 0.2 up to 1.
+    """The residuals' own standard deviation, from 0.3 up to 1.
 
     The floor: integration and replay of a twin agree to about that, whatever the camera does.
 
@@ -187,19 +191,20 @@ def polish(
     z: Array,
     iterations: int,
     progress: Progress = lambda stage, share, best: None,
+    central: bool = False,
 ) -> Array:
     """Levenberg-Marquardt with the prior as extra residuals; several dampings tried per call."""
     low, high = bounds(space)
     dampings = np.array([1e-3, 1e-2, 1e-1, 1.0, 10.0])
     best = np.inf
     for iteration in range(iterations):
-        found, slope = sensitivity(residuals, z, central=False)
+        found, slope = sensitivity(residuals, z, central)
         best = float(cost(found[None], z[None])[0])
         steps = [_step(found, slope, z, damping) for damping in dampings]
         trials = np.clip(z + np.array(steps), low, high)
         costs = cost(residuals(trials), trials)
         progress("polish", (iteration + 1) / iterations, min(best, float(costs.min())))
-        if costs.min() > best * (1 - 1e-3):
+        if costs.min() > best * (1 - ENOUGH):
             break
         z = trials[int(np.argmin(costs))]
     return z
@@ -217,15 +222,22 @@ def covariance(slope: Array) -> Array:
     return np.asarray(np.linalg.inv(slope.T @ slope + np.eye(slope.shape[1])))
 
 
-def intervals(space: tuple[Parameter, ...], fit: Fit) -> list[tuple[float, float]]:
-    """95 % interval of every parameter, inside its range."""
-    reach = stats.norm.ppf(0.975) * np.sqrt(np.diag(fit.covariance))
-    return [(p.from_z(z - r), p.from_z(z + r)) for p, z, r in zip(space, fit.z, reach, strict=True)]
+def intervals(space: tuple[Parameter, ...], fits: Sequence[Fit]) -> list[tuple[float, float]]:
+    """95 % interval of every parameter, inside its range, from fits sorted best first.
+
+    From the best fit's covariance, widened to hold every seed that fits as well (a cost within
+    the 95 % point of chi-square): the covariance is local, and valleys of this law bend.
+    """
+    reach = stats.norm.ppf(0.975) * np.sqrt(np.diag(fits[0].covariance))
+    equals = np.array([f.z for f in fits if f.cost < fits[0].cost + stats.chi2.ppf(0.95, 1)])
+    low = np.minimum(fits[0].z - reach, equals.min(axis=0))
+    high = np.maximum(fits[0].z + reach, equals.max(axis=0))
+    return [(p.from_z(a), p.from_z(b)) for p, a, b in zip(space, low, high, strict=True)]
 
 
-def told_apart(space: tuple[Parameter, ...], fit: Fit) -> list[bool]:
+def told_apart(space: tuple[Parameter, ...], fits: Sequence[Fit]) -> list[bool]:
     """Which parameters the data decide: their 95 % interval lies within 10 % of the value."""
-    found = zip(values(space, fit.z).values(), intervals(space, fit), strict=True)
+    found = zip(values(space, fits[0].z).values(), intervals(space, fits), strict=True)
     return [high - low < 2 * DECIDED * abs(value) for value, (low, high) in found]
 
 
