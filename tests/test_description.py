@@ -109,6 +109,19 @@ def test_identified_fish_keeps_comments_and_records_where_from(tmp_path):
         write_identified(PULLEY, target, {}, "again")
 
 
+def test_a_field_that_the_file_lacks_is_added_where_it_belongs(tmp_path):
+    from tailbeat import tasks
+
+    tasks.new_fish(tmp_path / "mine.toml")
+    entry = {"value": 1.3, "unit": "1", "source": "a test"}
+    paths = {"tail.stiffness_scale": entry, "added_inertia": entry, "simulation.step": None}
+    values = {path: e or {"value": 1.0, "unit": "ms", "source": "t"} for path, e in paths.items()}
+    write_identified(tmp_path / "mine.toml", tmp_path / "out.toml", values, "n")
+    fish = load_fish(tmp_path / "out.toml")
+    assert fish.tail.stiffness_scale == 1.3 and fish.added_inertia == 1.3
+    assert fish.simulation.step == 0.001 and len(fish.tail.links) == 3
+
+
 def test_template_is_a_fish_that_compiles_and_swims_forward(tmp_path):
     from tailbeat import tasks
     from tailbeat.evaluate.first_swim import open_loop

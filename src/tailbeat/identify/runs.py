@@ -61,9 +61,36 @@ def as_run(recording: Recording, fish: Fish) -> Run:
             f" recorded angle is replayed."
         )
     track = Track(recording.time, pose, *_marker_tracks(recording, fish))
-    signal = beat_signal(track) if motor is None else motor
+    if motor is None:
+        _check_tip(recording, fish, track)
+    else:
+        _check_motor(recording, fish, motor)
+    signal = beat_signal(track) if motor is None else np.sin(motor)
     frequency = beat_frequency(recording.time, signal, fish.band, recording.name)
     return Run(recording.name, track, measure_gait(track, frequency), motor, _from_rest(track))
+
+
+def _check_tip(recording: Recording, fish: Fish, track: Track) -> None:
+    """A cruise is read off the fin tip."""
+    name = f"marker{fish.markers[tip_index(fish)].name}_x_m" if fish.markers else "marker…_x_m"
+    if track.markers is None or np.isfinite(track.markers[:, track.tip, 0]).mean() < 0.5:
+        raise BadInput(
+            f"{recording.name}: column {name} (the fin tip) is missing or seen in under half of the"
+            f" frames; a cruise without motor_angle_rad needs it."
+        )
+
+
+def _check_motor(recording: Recording, fish: Fish, motor: Array) -> None:
+    """A pulley cannot turn beyond its range."""
+    if fish.motor.range is None:
+        return
+    low, high = fish.motor.range
+    row = int(np.argmax(np.maximum(motor - high, low - motor)))
+    if not low <= motor[row] <= high:
+        raise BadInput(
+            f"{recording.name}: column motor_angle_rad, row {row + 1}: {motor[row]:.3f} is outside"
+            f" motor.range {low:.3f} to {high:.3f} of {fish.name}; check its unit and zero."
+        )
 
 
 def _marker_tracks(recording: Recording, fish: Fish) -> tuple[Array | None, int]:
