@@ -17,3 +17,13 @@ def data() -> Path:
     if not (folder / "fishsim").is_dir():
         pytest.skip(f"no recordings in {folder}; set TAILBEAT_DATA to the folder of fishsim/")
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_engine_warning():
+    """MuJoCo reports a diverged run in a log file in the working folder; no test may cause one."""
+    log = Path("MUJOCO_LOG.TXT")
+    before = log.read_text() if log.exists() else ""
+    yield
+    after = log.read_text() if log.exists() else ""
+    assert after == before, f"the engine warned: {after[len(before) :]}"
