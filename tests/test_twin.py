@@ -272,3 +272,18 @@ def test_show_warns_of_what_a_user_should_know():
     assert any("added inertia" in row["warning"] for row in tables(fish)["warnings"])
     wrong = with_values(fish, {"tail.k_eff": 1.1})
     assert any("k_eff reads" in row["warning"] for row in tables(wrong)["warnings"])
+
+
+def test_a_diverging_twin_says_so_and_does_not_disturb_its_neighbour(tmp_path, monkeypatch):
+    """Springs this stiff do not hold at 20 ms."""
+    monkeypatch.chdir(tmp_path)
+    good = with_values(load_fish("crank-fish"), {"simulation.step": 0.02})
+    wild = with_values(good, {"tendons.stiffness": 1e7, "tail.stiffness_scale": 1e4})
+    twins = [compile_twin(fish, REPLAYED) for fish in (good, wild, good)]
+    angle = np.linspace(0, 4 * np.pi, 101)
+    command = replay_command(twins[0], angle)
+    start = Start(np.zeros(3), np.zeros(3), 0.0, 2 * np.pi)
+    done = swim(twins, [start] * 3, [command] * 3, 1)
+    assert done[1].diverged and not done[1].qpos.any() and np.isfinite(done[1].markers).all()
+    assert np.array_equal(done[0].qpos, done[2].qpos)
+    assert list(tmp_path.iterdir()) == []  # no engine log either

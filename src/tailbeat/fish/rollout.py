@@ -1,6 +1,7 @@
 """The one step: any number of twins, each on its own commands, in batched engine calls."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -36,7 +37,7 @@ class Start:
 class Swim:
     """What one twin did: `time` (k,) s and `qpos` (k, nq).
 
-    `diverged` marks a twin that the engine warned about or reset; its samples mean nothing.
+    `diverged` marks a twin that the engine warned about; its samples are all zero.
     """
 
     twin: Twin
@@ -74,13 +75,26 @@ def swim(
     padded = np.zeros((len(twins), int(lengths.max()) * every, 1))
     for i, command in enumerate(commands):
         padded[i, : lengths[i] * every, 0] = command[: lengths[i] * every]
-    qpos = _advance(pool, padded, lengths, every)
+    with _quiet():
+        qpos = _advance(pool, padded, lengths, every)
     diverged = pool.warning.reshape(len(twins), -1).sum(axis=1) > 0
+    qpos[diverged] = 0.0
     time = np.arange(lengths.max() + 1) * every * twins[0].model.opt.timestep
     return [
         Swim(twin, time[: n + 1], rows[: n + 1], bool(lost))
         for twin, n, rows, lost in zip(twins, lengths, qpos, diverged, strict=True)
     ]
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep the engine from printing and logging a divergence: `diverged` tells of it, and in a
+    search it is an ordinary answer."""
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)
 
 
 def _place(pool: batch.Batch, twins: Sequence[Twin], starts: Sequence[Start]) -> None:
