@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from tailbeat.files import BadInput
-from tailbeat.identify.gait import Track, beat_frequency, beat_signal, measure_gait
+from tailbeat.identify.gait import (
+    Track,
+    beat_frequency,
+    beat_signal,
+    distance,
+    last_seconds,
+    measure_gait,
+    phase_shift,
+)
 
 BAND = (0.2, 4.0)
 
@@ -70,3 +78,13 @@ def test_too_few_beats_and_wrong_band_are_refused():
     fast = known(frequency=3.0)
     with pytest.raises(BadInput, match=r"3\.00 Hz is outside the description's band 0\.5-2 Hz"):
         beat_frequency(fast.time, beat_signal(fast), (0.5, 2.0), "a")
+
+
+def test_distance_and_phase_of_a_known_swim():
+    track = known()
+    assert distance(track)[-1] == pytest.approx(0.2 * track.time[-1], rel=5e-3)
+    late = last_seconds(track, 2.0)
+    assert late.time[-1] - late.time[0] == pytest.approx(2.0, abs=1 / 60)
+    clock = np.arange(0, 4, 0.02)
+    early, later = (np.sin(2 * np.pi * 1.3 * (clock - lag)) for lag in (0.0, 0.1))
+    assert phase_shift(clock, later, clock, early, 1.3) == pytest.approx(0.1, abs=1e-6)

@@ -1,5 +1,6 @@
 """What the terminal shows: tables, progress with an ETA, one-line complaints. Prints only."""
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -8,7 +9,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-OUT = Console()
+# A pipe has no width: wide enough that no number is cut.
+OUT = Console(width=None if sys.stdout.isatty() else 140)
 ERRORS = Console(stderr=True)
 SHARE_OF_SEARCH = 0.6  # of a seed's time; the polish takes the rest
 

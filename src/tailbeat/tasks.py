@@ -6,8 +6,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import mujoco
-import mujoco.viewer
 import numpy as np
 
 from tailbeat import importers
@@ -66,7 +64,9 @@ def show(fish: str, picture: Path | None, viewer: bool, json: Path | None) -> Sh
     if json is not None:
         write_json(json, found)
     if viewer:
-        mujoco.viewer.launch(twin.model)
+        from mujoco import viewer as mujoco_viewer  # needs a screen, so only when asked for
+
+        mujoco_viewer.launch(twin.model)
     return Shown(found, target, how)
 
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from tailbeat.files import new_file
 from tailbeat.fish.rollout import Swim
-from tailbeat.identify.gait import Track, head_frame
+from tailbeat.identify.gait import distance, head_frame, last_seconds, phase_shift
 from tailbeat.identify.predict import Prediction
 
 matplotlib.use("Agg")
@@ -39,8 +39,8 @@ def _draw_path(axes: Axes, prediction: Prediction, title: str) -> None:
         ("twin", TWIN, prediction.track),
     ):
         if prediction.run.motor is None:
-            time, way = _way(track, prediction.run.track.time[-1])
-            axes.plot(time, way, color=colour, label=label)
+            late = last_seconds(track, prediction.run.track.time[-1])
+            axes.plot(late.time - late.time[0], distance(late), color=colour, label=label)
         else:
             axes.plot(track.pose[:, 0], track.pose[:, 1], color=colour, label=label)
     cruise = prediction.run.motor is None
@@ -53,15 +53,6 @@ def _draw_path(axes: Axes, prediction: Prediction, title: str) -> None:
     axes.grid(alpha=0.3)
 
 
-def _way(track: Track, duration: float) -> tuple[np.ndarray, np.ndarray]:
-    """The last `duration` seconds of a track as time and distance from its start."""
-    late = track.time >= track.time[-1] - duration
-    pose = track.pose[late]
-    steps = np.diff(pose[:, :2], axis=0)
-    along = steps[:, 0] * np.cos(pose[1:, 2]) + steps[:, 1] * np.sin(pose[1:, 2])
-    return track.time[late] - track.time[late][0], np.concatenate([[0.0], np.cumsum(along)])
-
-
 def _draw_beat(axes: Axes, prediction: Prediction) -> None:
     """Sideways motion of the tip in the head frame, the twin's shifted to the same phase."""
     run = prediction.run
@@ -72,25 +63,14 @@ def _draw_beat(axes: Axes, prediction: Prediction) -> None:
         axes.grid(alpha=0.3)
         return
     measured = head_frame(run.track)[:, run.track.tip, 1]
-    twin = head_frame(prediction.track)[:, run.track.tip, 1]
     time = run.track.time - run.track.time[0]
-    late = prediction.track.time >= prediction.track.time[-1] - time[-1]
-    when = prediction.track.time[late] - prediction.track.time[late][0]
-    shift = _phase_shift(time, measured, when, twin[late], run.gait.frequency)
+    late = last_seconds(prediction.track, time[-1])
+    when, twin = late.time - late.time[0], head_frame(late)[:, late.tip, 1]
+    shift = phase_shift(time, measured, when, twin, run.gait.frequency)
     axes.plot(time, 1e3 * (measured - np.nanmean(measured)), color=MEASURED, label="measured")
-    axes.plot(when + shift, 1e3 * (twin[late] - twin[late].mean()), color=TWIN, label="twin")
+    axes.plot(when + shift, 1e3 * (twin - twin.mean()), color=TWIN, label="twin")
     axes.set(xlabel="time [s]", ylabel="fin tip sideways [mm]", xlim=(0, time[-1]))
     axes.grid(alpha=0.3)
-
-
-def _phase_shift(
-    time: np.ndarray, measured: np.ndarray, when: np.ndarray, twin: np.ndarray, frequency: float
-) -> float:
-    """Seconds by which the twin's beat leads, within half a beat."""
-    turn = np.exp(-2j * np.pi * frequency * time)
-    a = np.nansum((measured - np.nanmean(measured)) * turn)
-    b = np.sum((twin - twin.mean()) * np.exp(-2j * np.pi * frequency * when))
-    return float(np.angle(b / a) / (2 * np.pi * frequency))
 
 
 def _draw_figures(axes: Axes, prediction: Prediction) -> None:

@@ -81,6 +81,28 @@ def surge(track: Track) -> Array:
     return rate[:, 0] * np.cos(track.pose[:, 2]) + rate[:, 1] * np.sin(track.pose[:, 2])
 
 
+def distance(track: Track) -> Array:
+    """Way along the heading since the start (k,) [m]."""
+    steps = np.diff(track.pose[:, :2], axis=0)
+    yaw = track.pose[1:, 2]
+    along = steps[:, 0] * np.cos(yaw) + steps[:, 1] * np.sin(yaw)
+    return np.concatenate([[0.0], np.cumsum(along)])
+
+
+def last_seconds(track: Track, seconds: float) -> Track:
+    """The end of a track."""
+    first = int(np.searchsorted(track.time, track.time[-1] - seconds))
+    return track.cut(first, track.time.size)
+
+
+def phase_shift(
+    time: Array, signal: Array, other_time: Array, other: Array, frequency: float
+) -> float:
+    """Seconds to add to `other_time` for its beat to fall on that of `signal`, within half one."""
+    lead = amplitude(other_time, other, frequency) / amplitude(time, signal, frequency)
+    return float(np.angle(lead) / (2 * np.pi * frequency))
+
+
 def beat_signal(track: Track) -> Array:
     """What beats: the tip's sideways motion in the head frame [m], else the heading [rad]."""
     if track.markers is None:
