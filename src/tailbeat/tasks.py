@@ -163,7 +163,9 @@ def _identify_real(
     runs = {name: as_run(recording, fish) for name, recording in imported.items()}
     fitted = [runs.pop(name) for name in first_swim.FITTED]
     plan = job.Plan(seeds=seeds, effort=Effort())
-    found = job.identify_fluid(fish, fitted, list(runs.values()), plan, out / ".search", progress)
+    scratch = out / ".search"
+    found = job.identify_fluid(fish, fitted, list(runs.values()), plan, scratch, progress)
+    job.clear(scratch)
     return first_swim.write_results(found, plan, out)
 
 

@@ -124,6 +124,7 @@ def _key(fish: Fish, fit: Sequence[Run], plan: Plan) -> str:
     digest.update((mujoco.__version__ + version("tailbeat")).encode())
     for run in fit:
         digest.update(run.track.time.tobytes() + run.track.pose.tobytes())
+        digest.update(b"" if run.motor is None else run.motor.tobytes())
     return digest.hexdigest()[:16]
 
 
