@@ -76,3 +76,11 @@ def test_bad_files_are_refused(tmp_path):
     np.savetxt(tmp_path / "nan.csv", pixels, delimiter=",", fmt="%s")
     with pytest.raises(BadInput, match="row 4, column 3"):
         import_fishsim(tmp_path / "nan.csv")
+    lost = filmed(0.1, slip=False)
+    lost[0, 0] += 400  # the head's front marker is elsewhere in the first frame
+    np.savetxt(tmp_path / "lost.csv", lost, delimiter=",")
+    with pytest.raises(BadInput, match=r"lost\.csv: row 1: head marker 0 jumps"):
+        import_fishsim(tmp_path / "lost.csv")
+    np.savetxt(tmp_path / "same.csv", np.zeros((50, 18)), delimiter=",")
+    with pytest.raises(BadInput, match=r"same\.csv: head markers 0 and 1 coincide"):
+        import_fishsim(tmp_path / "same.csv")

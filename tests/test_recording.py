@@ -1,5 +1,7 @@
 """Recordings come back bit for bit, and bad ones are refused by name."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,12 +45,15 @@ BAD = {
     "nan": ("time_s,a_rad\n0,1\n1,NaN\n", "column a_rad, row 2: 'NaN'"),
     "inf": ("time_s,a_rad\n0,1\n1,inf\n", "column a_rad, row 2: 'inf'"),
     "word": ("time_s,a_rad\n0,one\n1,2\n", "column a_rad, row 1: 'one'"),
-    "empty": ("time_s,a_rad\n0,\n1,2\n", "column a_rad, row 1: None is empty"),
-    "time back": ("time_s,a_rad\n0,1\n2,1\n1,1\n", "row 3: 1 does not come after 2"),
-    "time twice": ("time_s,a_rad\n0,1\n0,1\n", "row 2: 0 does not come after 0"),
+    "empty": ("time_s,a_rad\n0,\n1,2\n", "column a_rad, row 1: the cell is empty"),
+    "time back": ("time_s,a_rad\n0,1\n2,1\n1,1\n", "row 3: 1.0 does not come after 2.0"),
+    "time twice": ("time_s,a_rad\n0,1\n0,1\n", "row 2: 0.0 does not come after 0.0"),
     "unit": ("time_s,angle\n0,1\n1,1\n", "column 'angle' does not end in a unit"),
     "double": ("time_s,a_rad,a_rad\n0,1,1\n1,1,1\n", "column 'a_rad' appears twice"),
     "nothing": ("", "not a table"),
+    "short row": ("time_s,marker0_x_m\n0,1\n1\n", "row 2 has 1 cells and the header 2"),
+    "long row": ("time_s,a_rad\n0,1\n1,2,3\n", "row 2 has 3 cells and the header 2"),
+    "no condition": ("time_s,condition\n0,a\n1,\n", "column condition, row 2: the cell is empty"),
 }
 
 
@@ -62,6 +67,30 @@ def test_bad_input_is_one_sentence(tmp_path, case):
     message = str(caught.value)
     assert complaint in message and str(path) in message
     assert "\n" not in message
+
+
+def test_unwritable_recordings_leave_no_file(tmp_path):
+    good = example()
+    for meta in ({"note": "two\nlines"}, {"a: b": "c"}):
+        for suffix in (".csv", ".parquet"):
+            with pytest.raises(BadInput, match="use one line"):
+                write_recording(replace(good, meta=meta), tmp_path / f"r{suffix}")
+    lost = replace(good, columns={"angle_rad": np.full(50, np.nan)})
+    with pytest.raises(BadInput, match="the cell is empty"):
+        write_recording(lost, tmp_path / "r.csv")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_spreadsheets_mark_and_spaces_are_read(tmp_path):
+    (tmp_path / "r.csv").write_text("\ufefftime_s, a_rad\n0, 1\n1, 2\n", encoding="utf-8")
+    assert read_recording(tmp_path / "r.csv").columns["a_rad"].tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize("rate", [7.0, 29.97, 50.0, 60.0, 1000.0])
+def test_a_uniform_recording_survives_its_own_rate(rate):
+    for count in range(2, 400):
+        recording = Recording("u", np.arange(count) / rate, {"a_rad": np.zeros(count)})
+        assert uniform(recording, 1 / rate).time.size == count
 
 
 def test_missing_column_names_what_there_is():
@@ -85,6 +114,8 @@ def test_resampling_keeps_a_straight_line_and_unwraps_angles():
     assert crop(line, 0.5, 3.0).time.tolist() == [1.0, 3.0]
     with pytest.raises(BadInput, match="ask within it"):
         resample(line, np.array([-1.0, 1.0]))
+    with pytest.raises(BadInput, match="holds 1 samples"):
+        crop(line, 0.5, 2.0)
 
 
 def test_short_gaps_are_bridged_and_long_ones_left():

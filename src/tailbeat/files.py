@@ -29,20 +29,32 @@ def refuse_existing(path: Path) -> None:
 def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     """A path beside `path` to write to; renamed onto it on success, removed on any failure.
 
-    Makes the parent folder. Raises BadInput if `path` exists and `overwrite` is false.
+    Makes the parent folder. Raises BadInput if `path` is a folder, lies where nothing can be
+    written, or exists and `overwrite` is false.
     """
     target = Path(path)
     if not overwrite:
         refuse_existing(target)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=".", suffix=target.suffix, dir=target.parent)
+    if target.is_dir():
+        raise BadInput(f"{target}: is a folder; give the name of a file.")
+    beside = _beside(target)
+    try:
+        yield beside
+        os.replace(beside, target)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _beside(target: Path) -> Path:
+    """An empty hidden file in the target's folder, so that the rename is atomic."""
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=".", suffix=target.suffix, dir=target.parent)
+    except OSError as error:
+        raise BadInput(f"{target}: {error.strerror}; choose a place to write to.") from None
     os.close(handle)
     os.chmod(name, 0o644)  # mkstemp's own mode hides the file from others
-    try:
-        yield Path(name)
-        os.replace(name, target)
-    finally:
-        Path(name).unlink(missing_ok=True)
+    return Path(name)
 
 
 def write_json(path: str | Path, data: Any, overwrite: bool = False) -> None:

@@ -8,7 +8,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
-from tailbeat.recording import Recording, fill_gaps
+from tailbeat.recording import Recording, fill_gaps, markers
 
 Array = NDArray[np.float64]
 
@@ -17,9 +17,8 @@ FISHSIM_MARKERS = 9
 HEAD_DISTANCE = 0.142  # m between head markers 0 and 1
 TAIL_MARKERS = (3, 4, 5, 6, 7)
 TAIL_SPACING = np.array([0.030, 0.032, 0.029, 0.021])  # m along the body, markers 3-4 … 6-7
-SLIP = (
-    0.4  # share by which two tail markers may miss their spacing; chosen on the clean f0_75, f1_00
-)
+# Share by which two tail markers may miss their spacing; chosen on the clean f0_75, f1_00.
+SLIP = 0.4
 JUMP = 0.05  # m from its running median that no marker moves within a frame at 60 fps (3 m/s)
 
 
@@ -29,19 +28,19 @@ def import_fishsim(path: str | Path, frame_rate: float = 60.0) -> Recording:
     Scale is 0.142 m over the mean distance of markers 0 and 1. The world frame starts at the first
     head pose and points along the mean heading of the first second, y to the left. Pose columns
     are of the midpoint of head markers 0 and 1. The frequency in a file's name is not used: it is
-    not the tail's. Raises BadInput naming file, row and what is wrong.
+    not the tail's. Slipped samples are bridged over at most 0.1 s and are NaN beyond. Raises
+    BadInput naming file, row and what is wrong.
     """
     file = Path(path)
-    pixels = _read_pixels(file)
-    tracks, scale = _to_metres(pixels)
+    if not 0 < frame_rate < np.inf:
+        raise BadInput(f"{file}: frame rate {frame_rate:g}; give frames per second, above 0.")
+    tracks, scale = _to_metres(file, _read_pixels(file))
     dropped = _slips(tracks)
     tracks[dropped] = np.nan
     time = np.arange(len(tracks)) / frame_rate
-    pose = _head_pose(tracks)
-    pose, tracks = _to_start(pose, tracks, int(frame_rate))
-    columns = {"x_m": pose[:, 0], "y_m": pose[:, 1], "yaw_rad": pose[:, 2]}
-    for k in range(FISHSIM_MARKERS):
-        columns[f"marker{k}_x_m"], columns[f"marker{k}_y_m"] = tracks[:, k, 0], tracks[:, k, 1]
+    pose = _head_pose(_bridged_head(file, time, tracks))
+    pose, tracks = _to_start(pose, tracks, max(1, int(frame_rate)))
+    columns = {"x_m": pose[:, 0], "y_m": pose[:, 1], "yaw_rad": pose[:, 2], **_columns(tracks)}
     meta = {
         "source": f"srl-ethz/fishsim {file.name}",
         "frame_rate_hz": f"{frame_rate:g}",
@@ -76,10 +75,11 @@ def _read_pixels(file: Path) -> Array:
     return values.reshape(-1, FISHSIM_MARKERS, 2)
 
 
-def _to_metres(pixels: Array) -> tuple[Array, float]:
+def _to_metres(file: Path, pixels: Array) -> tuple[Array, float]:
+    """Tracks (frames, 9, 2) [m], y up, and the metres per pixel."""
     distance = np.linalg.norm(pixels[:, 0] - pixels[:, 1], axis=1).mean()
     if distance < 1:
-        raise BadInput("head markers 0 and 1 coincide; this is not a fishsim marker file.")
+        raise BadInput(f"{file}: head markers 0 and 1 coincide; give a fishsim marker file.")
     scale = HEAD_DISTANCE / distance
     return pixels * [scale, -scale], float(scale)  # image y is down
 
@@ -94,7 +94,7 @@ def _slips(tracks: Array) -> NDArray[np.bool_]:
 
 def _jumps(tracks: Array) -> NDArray[np.bool_]:
     """Samples further than `JUMP` from the median of five frames around them."""
-    padded = np.pad(tracks, ((2, 2), (0, 0), (0, 0)), mode="edge")
+    padded = np.pad(tracks, ((2, 2), (0, 0), (0, 0)), mode="reflect")  # finds a bad first frame
     windows = np.stack([padded[i : i + len(tracks)] for i in range(5)])
     return np.asarray(np.linalg.norm(tracks - np.median(windows, axis=0), axis=2) > JUMP)
 
@@ -118,20 +118,33 @@ def _consistent(tail: Array) -> NDArray[np.bool_]:
     return best
 
 
-def _head_pose(tracks: Array) -> Array:
+def _columns(tracks: Array) -> dict[str, Array]:
+    return {
+        f"marker{k}_{axis}_m": tracks[:, k, i]
+        for k in range(tracks.shape[1])
+        for i, axis in enumerate("xy")
+    }
+
+
+def _bridged_head(file: Path, time: Array, tracks: Array) -> Array:
+    """(frames, 2, 2) head markers without gaps; without them there is no pose."""
+    head, _ = markers(fill_gaps(Recording(file.stem, time, _columns(tracks[:, :2]))))
+    lost = np.argwhere(np.isnan(head[..., 0]))
+    if lost.size:
+        row, marker = lost[0]
+        raise BadInput(
+            f"{file}: row {row + 1}: head marker {marker} jumps and is lost for over 0.1 s or at an"
+            f" end; cut the file to where the head is tracked."
+        )
+    return head
+
+
+def _head_pose(head: Array) -> Array:
     """x, y [m] of the midpoint of markers 0 and 1, and yaw [rad] from 1 to 0, unwrapped."""
-    front, rear = tracks[:, 0], tracks[:, 1]
-    if not np.isfinite(tracks[:, :2]).all():
-        front, rear = _bridged(front), _bridged(rear)
+    front, rear = head[:, 0], head[:, 1]
     axis = front - rear
     yaw = np.unwrap(np.arctan2(axis[:, 1], axis[:, 0]))
     return np.column_stack([(front + rear) / 2, yaw])
-
-
-def _bridged(track: Array) -> Array:
-    frames = np.arange(len(track))
-    seen = np.isfinite(track[:, 0])
-    return np.column_stack([np.interp(frames, frames[seen], c[seen]) for c in track.T])
 
 
 def _to_start(pose: Array, tracks: Array, second: int) -> tuple[Array, Array]:

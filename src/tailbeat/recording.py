@@ -4,7 +4,9 @@ On disk a recording is a table with unit-suffixed columns, CSV (comment lines `#
 metadata) or Parquet (metadata in the file's own key-value part). Time need not be uniform.
 """
 
+import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,6 +21,7 @@ Array = NDArray[np.float64]
 SUFFIXES = (
     "_s _rad _deg _m _nm _n _m_s _m_s2 _rad_s _rad_s2 _v _a _k _hz _ms _px _counts _ratio".split()
 )
+COMMENT = re.compile(r"# *(.+?):(?: (.*))?")  # `# key: value`; a value may be empty or hold colons
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +48,17 @@ def read_recording(path: str | Path) -> Recording:
     if not file.is_file():
         raise BadInput(f"{file}: no such file; give a recording as CSV or Parquet.")
     frame, meta = _read_parquet(file) if file.suffix == ".parquet" else _read_csv(file)
+    return _checked(file, frame, meta)
+
+
+def _checked(file: Path, frame: pl.DataFrame, meta: Mapping[str, str]) -> Recording:
+    """The table as a recording; what is written passes here too, so that it can be read back."""
     if "time_s" not in frame.columns:
         raise BadInput(f"{file}: column time_s is missing; it has {', '.join(frame.columns)}.")
     if frame.height < 2:
         raise BadInput(f"{file}: {frame.height} rows; a recording needs at least 2.")
     numbers = {name: _numbers(file, frame, name) for name in frame.columns if name != "condition"}
-    labels = {n: frame[n].cast(pl.String).to_numpy() for n in frame.columns if n == "condition"}
+    labels = {name: _words(file, frame[name]) for name in frame.columns if name == "condition"}
     time = numbers.pop("time_s")
     _check_time(file, time)
     return Recording(file.stem, time, numbers, meta, labels)
@@ -61,31 +69,45 @@ def _read_parquet(file: Path) -> tuple[pl.DataFrame, dict[str, str]]:
         meta = pl.read_parquet_metadata(file)
         frame = pl.read_parquet(file)
     except pl.exceptions.PolarsError as error:
-        raise BadInput(f"{file}: not a Parquet file ({_first_line(error)}).") from None
+        reason = _first_line(error)
+        raise BadInput(f"{file}: not a Parquet file ({reason}); give another.") from None
     return frame, {key: text for key, text in meta.items() if key != "ARROW:schema"}
 
 
 def _read_csv(file: Path) -> tuple[pl.DataFrame, dict[str, str]]:
     try:
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")  # spreadsheets put a mark in front
     except UnicodeDecodeError:
         raise BadInput(f"{file}: not text; give a CSV in UTF-8 or a .parquet file.") from None
-    lines = text.splitlines()
-    comments = [line[1:].strip() for line in lines if line.startswith("#")]
-    meta = dict(c.split(": ", 1) for c in comments if ": " in c)
-    body = "\n".join(line for line in lines if line.strip() and not line.startswith("#"))
-    header = [name.strip() for name in body.partition("\n")[0].split(",")]
+    lines = text.split("\n")  # not splitlines: other marks of a line's end may stand in a text
+    found = [COMMENT.fullmatch(line.rstrip()) for line in lines if line.startswith("#")]
+    meta = {match[1]: (match[2] or "").strip() for match in found if match}
+    body = [line for line in lines if line.strip() and not line.startswith("#")]
+    _check_cells(file, body)
+    return _parse(file, "\n".join(body)), meta
+
+
+def _check_cells(file: Path, body: Sequence[str]) -> None:
+    """Refuse doubled names and rows of another length: a cell cut off is not an unseen marker."""
+    cells = csv.reader(body)
+    header = [name.strip() for name in next(cells, [])]
     for name in header:
         if header.count(name) > 1:
             raise BadInput(f"{file}: column {name!r} appears twice; rename or remove one.")
-    return _parse(file, body), meta
+    for row, line in enumerate(cells, start=1):
+        if len(line) != len(header):
+            raise BadInput(
+                f"{file}: not a table: row {row} has {len(line)} cells and the header"
+                f" {len(header)}; mend or remove the row."
+            )
 
 
 def _parse(file: Path, body: str) -> pl.DataFrame:
     try:
-        return pl.read_csv(io.StringIO(body), infer_schema=False)
+        frame = pl.read_csv(io.StringIO(body), infer_schema=False)
     except pl.exceptions.PolarsError as error:
         raise BadInput(f"{file}: not a table ({_first_line(error)}); mend the CSV.") from None
+    return frame.select(pl.all().str.strip_chars().replace("", None).name.map(str.strip))
 
 
 def _first_line(error: Exception) -> str:
@@ -99,6 +121,8 @@ def _numbers(file: Path, frame: pl.DataFrame, name: str) -> Array:
             f"{file}: column {name!r} does not end in a unit; allowed are {' '.join(SUFFIXES)}."
         )
     text = frame[name]
+    if not (text.dtype.is_numeric() or text.dtype in (pl.String, pl.Null)):
+        raise BadInput(f"{file}: column {name} holds {text.dtype}; give numbers.")
     numbers = text.cast(pl.Float64, strict=False)
     unreadable = numbers.is_null() & text.is_not_null() | numbers.is_infinite() | numbers.is_nan()
     _refuse(file, text, unreadable.fill_null(False), "is not a finite number")
@@ -107,17 +131,25 @@ def _numbers(file: Path, frame: pl.DataFrame, name: str) -> Array:
     return numbers.fill_null(float("nan")).to_numpy().astype(float)
 
 
+def _words(file: Path, column: pl.Series) -> NDArray[np.str_]:
+    text = column.cast(pl.String)
+    _refuse(file, text, text.is_null() | (text == ""), "is empty, which only marker columns may be")
+    _refuse(file, text, text.str.contains(r"[\r\n]"), "is more than one line")
+    return text.to_numpy().astype(str)
+
+
 def _refuse(file: Path, text: pl.Series, bad: pl.Series, complaint: str) -> None:
     if bad.any():
         row = int(bad.arg_true()[0])
+        value = "the cell" if text[row] in (None, "") else repr(text[row])
         raise BadInput(
-            f"{file}: column {text.name}, row {row + 1}: {text[row]!r} {complaint};"
+            f"{file}: column {text.name}, row {row + 1}: {value} {complaint};"
             f" remove or mend the row."
         )
 
 
 def _is_marker(name: str) -> bool:
-    return name.startswith("marker")
+    return re.match(r"marker\d+_", name) is not None
 
 
 def _check_time(file: Path, time: Array) -> None:
@@ -125,8 +157,8 @@ def _check_time(file: Path, time: Array) -> None:
     if back.size:
         row = int(back[0]) + 1
         raise BadInput(
-            f"{file}: column time_s, row {row + 1}: {time[row]:g} does not come after"
-            f" {time[row - 1]:g}; time must rise, so sort the rows or drop the double."
+            f"{file}: column time_s, row {row + 1}: {time[row]} does not come after"
+            f" {time[row - 1]}; time must rise, so sort the rows or drop the double."
         )
 
 
@@ -134,17 +166,34 @@ def _check_time(file: Path, time: Array) -> None:
 
 
 def write_recording(recording: Recording, path: str | Path, overwrite: bool = False) -> None:
-    """Write CSV or Parquet by suffix; numbers come back bit for bit. BadInput if it exists."""
+    """Write CSV or Parquet by suffix; numbers come back bit for bit.
+
+    Raises BadInput if the file exists, or if the recording could not be read back: NaN outside
+    marker columns, a name without a unit, metadata of several lines.
+    """
     if Path(path).suffix not in (".csv", ".parquet"):
         raise BadInput(f"{path}: a recording is written as .csv or .parquet; rename it.")
     series = {"time_s": recording.time, **recording.columns, **recording.labels}
     frame = pl.DataFrame(series).with_columns(pl.selectors.float().fill_nan(None))
+    _checked(Path(path), frame, recording.meta)
+    _check_meta(Path(path), recording.meta)
     with new_file(path, overwrite) as beside:
         if beside.suffix == ".parquet":
             frame.write_parquet(beside, metadata=dict(recording.meta))
             return
         heading = "".join(f"# {key}: {text}\n" for key, text in recording.meta.items())
         beside.write_text(heading + frame.write_csv(), encoding="utf-8")
+
+
+def _check_meta(file: Path, meta: Mapping[str, str]) -> None:
+    """What a comment line cannot hold is refused in Parquet too: the two forms are equal."""
+    for key, text in meta.items():
+        match = COMMENT.fullmatch(f"# {key}: {text}")  # a dot does not match a line's end
+        if match is None or match[1] != key or "\r" in text:
+            raise BadInput(
+                f"{file}: metadata {key!r}: {text!r} does not fit `# key: value`; use one line, and"
+                f" no colon before a space in the key."
+            )
 
 
 # ---- using --------------------------------------------------------------------------------------
@@ -174,8 +223,13 @@ def markers(recording: Recording) -> tuple[Array, list[int]]:
 
 
 def crop(recording: Recording, start: float, end: float) -> Recording:
-    """The samples with start <= time <= end [s]."""
+    """The samples with start <= time <= end [s]. Raises BadInput if fewer than 2 are left."""
     kept = (recording.time >= start) & (recording.time <= end)
+    if kept.sum() < 2:
+        raise BadInput(
+            f"{recording.name}: {start:g}-{end:g} s holds {kept.sum()} samples of a recording of"
+            f" {recording.time[0]:g}-{recording.time[-1]:g} s; ask for at least 2."
+        )
     return replace(
         recording,
         time=recording.time[kept],
@@ -189,9 +243,9 @@ def resample(recording: Recording, time: Array) -> Recording:
 
     Raises BadInput outside the recording: nothing is extrapolated.
     """
-    if time[0] < recording.time[0] or time[-1] > recording.time[-1]:
+    if not np.all((time >= recording.time[0]) & (time <= recording.time[-1])):
         raise BadInput(
-            f"{recording.name}: {time[0]:g}-{time[-1]:g} s asked of a recording of"
+            f"{recording.name}: {time.min():g}-{time.max():g} s asked of a recording of"
             f" {recording.time[0]:g}-{recording.time[-1]:g} s; ask within it."
         )
     columns = {
@@ -202,9 +256,13 @@ def resample(recording: Recording, time: Array) -> Recording:
 
 
 def uniform(recording: Recording, period: float) -> Recording:
-    """The recording resampled every `period` seconds from its first sample."""
-    count = int((recording.time[-1] - recording.time[0]) / period + 1e-9) + 1
-    return resample(recording, recording.time[0] + period * np.arange(count))
+    """The recording resampled every `period` [s], above 0, from its first sample."""
+    if not period > 0:
+        raise BadInput(f"{recording.name}: period {period:g} s; give one above 0.")
+    first, last = recording.time[0], recording.time[-1]
+    count = int((last - first) / period + 1e-9) + 1
+    # The last sample may come out past the end by rounding, and is no extrapolation.
+    return resample(recording, np.minimum(first + period * np.arange(count), last))
 
 
 def fill_gaps(recording: Recording, longest: float = 0.1) -> Recording:
