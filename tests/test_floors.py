@@ -19,7 +19,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "tailbeat"
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("__main__",),
     ("cli",),
-    ("console", "tasks"),
+    ("bench_tasks", "console", "tasks"),
     ("evaluate",),
     ("pool",),
     ("swim",),

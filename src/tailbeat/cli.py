@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tailbeat import console, tasks
+from tailbeat import bench_tasks, console, tasks
 from tailbeat.files import BadInput, write_json
 
 app = typer.Typer(
@@ -25,6 +25,7 @@ LISTS = ("--fit", "--validate")  # options that take any number of values
 FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
+OutFish = Annotated[Path, typer.Option("--out", help="The identified fish to write.")]
 Recordings = Annotated[list[Path], typer.Argument(help="Recordings, CSV or Parquet.")]
 
 
@@ -65,7 +66,7 @@ def import_fishsim(
 def identify_fluid(
     fish: FishOption,
     fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit; repeat.")],
-    out: Annotated[Path, typer.Option("--out", help="The identified fish to write.")],
+    out: OutFish,
     validate: Annotated[
         list[Path] | None, typer.Option("--validate", help="Recordings held out; repeat.")
     ] = None,
@@ -85,6 +86,79 @@ def identify_fluid(
         done = tasks.identify_fluid(fish, fit, validate or [], out, plan, json, progress)
     console.identified(done.report)
     console.say(f"wrote {', '.join(map(str, done.files))}")
+
+
+@identify.command("tail")
+def identify_tail(
+    fish: FishOption,
+    sweeps: Annotated[list[Path], typer.Argument(help="Driven sweeps, CSV or Parquet.")],
+    out: OutFish,
+    static: Annotated[Path | None, typer.Option(help="A slow pull: the loop it makes.")] = None,
+    ring_down: Annotated[Path | None, typer.Option(help="A released tail.")] = None,
+    json: JsonOption = None,
+) -> None:
+    """Stiffness and damping from driven sweeps with shaft torque, spread over the hinges."""
+    done = bench_tasks.identify_tail(fish, sweeps, static, ring_down, out, json)
+    console.tail(done.report)
+    console.say(f"wrote {', '.join(map(str, done.files))}")
+
+
+@identify.command("motor")
+def identify_motor(
+    fish: FishOption,
+    fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit; repeat.")],
+    out: OutFish,
+    validate: Annotated[
+        list[Path] | None, typer.Option("--validate", help="Recordings held out; repeat.")
+    ] = None,
+    load: Annotated[
+        str | None, typer.Option(help="tail, pendulum or nothing; default: as recorded, else tail.")
+    ] = None,
+    gain: Annotated[
+        float | None, typer.Option(help="Gain register the fish will run with; default: middle.")
+    ] = None,
+    gears: Annotated[bool, typer.Option(help="Fit the gears' load-dependent friction.")] = True,
+    cross_validate: Annotated[bool, typer.Option(help="Also leave out each gain in turn.")] = False,
+    seeds: Annotated[int, typer.Option(help="Independent searches, the best one kept.")] = 5,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Servo from recorded commands and encoder angles, free-running against a known load."""
+    plan = bench_tasks.motor_plan(seeds, seed, gears, gain)
+    with console.search_progress() as progress:
+        done = bench_tasks.identify_motor(
+            fish, fit, validate or [], out, load, plan, cross_validate, json, progress
+        )
+    console.motor(done.report)
+    console.say(f"wrote {', '.join(map(str, done.files))}")
+
+
+@importing.command("xl330")
+def import_xl330(
+    log: Annotated[Path, typer.Argument(help="A pendulum log of Rhoban/bam, JSON.")],
+    out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
+    json: JsonOption = None,
+) -> None:
+    """A servo's pendulum log to a recording; gain and load go into its metadata."""
+    recording = bench_tasks.import_xl330(log, out, json)
+    gain = recording.meta["gain"]
+    console.say(f"wrote {out}: {recording.time.size} samples at gain {gain}")
+
+
+@app.command("protocol")
+def protocol(
+    kind: Annotated[str, typer.Argument(help="tail, motor or fluid.")],
+    fish: FishOption,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the command recordings.")],
+    speed: Annotated[float, typer.Option(help="Shaft speed never asked beyond, rad/s.")] = 4.0,
+    json: JsonOption = None,
+) -> None:
+    """Write the commands that a bench should play; docs/bench.md says how to record them."""
+    paths = bench_tasks.write_protocol(kind, fish, out, speed)
+    if json is not None:
+        write_json(json, {"recordings": [str(path) for path in paths]})
+    for path in paths:
+        console.say(f"wrote {path}")
 
 
 @app.command()

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -38,7 +39,7 @@ def _table(title: str, rows: list[dict[str, Any]]) -> Table:
     table = Table(title=title, title_justify="left", header_style="bold")
     for name in rows[0]:
         numeric = all(isinstance(row[name], int | float | None) for row in rows)
-        table.add_column(name, justify="right" if numeric else "left")
+        table.add_column(escape(name), justify="right" if numeric else "left")
     for row in rows:
         table.add_row(*(_cell(value) for value in row.values()))
     return table
@@ -78,9 +79,67 @@ def search_progress() -> Iterator[Callable[[int, str, float, float], None]]:
         yield report
 
 
-def identified(report: dict[str, Any]) -> None:
-    """Parameters with intervals, seeds, runs, and what the data cannot tell."""
-    rows = [
+def tail(report: dict[str, Any]) -> None:
+    """Shaft numbers, hinges, conditions, and what the data do not support."""
+    names = {"k_eff": "stiffness", "i_eff": "inertia", "c_eff": "damping", "coulomb": "friction"}
+    shaft = [
+        {
+            "at the shaft": f"{name} ({key})",
+            "value": report[key]["value"],
+            "unit": report[key]["unit"],
+            "95 % interval": report[key]["interval"],
+        }
+        for key, name in names.items()
+    ]
+    hinges = [
+        {"hinge": i, "arm [mm]": 1e3 * arm, "stiffness [N m/rad]": k}
+        for i, (arm, k) in enumerate(zip(report["arms"], report["joint_stiffness"], strict=True))
+    ]
+    tables({f"{len(report['conditions'])} conditions": shaft, "hinges": hinges})
+    say(f"compiled twin at the shaft: {report['k_eff_compiled']:.4g} N m/rad")
+    if report["static"] is not None:
+        static = report["static"]
+        say(
+            f"a static fit would have said {static['loading']:.3g} N m/rad while loading,"
+            f" {static['unloading']:.3g} while unloading ({100 * static['bias']:+.0f} % off)"
+        )
+    if report["ring_down"] is not None:
+        ring = report["ring_down"]
+        say(
+            f"ring-down: {ring['natural_frequency']['value']:.3g} Hz, damping ratio"
+            f" {ring['damping_ratio']['value']:.3g}"
+        )
+    _warn(report["warnings"])
+
+
+def motor(report: dict[str, Any]) -> None:
+    """Servo numbers, recordings, trade-offs, and what the data do not support."""
+    runs = [
+        {name.replace("_deg", " [deg]"): value for name, value in run.items()}
+        for run in report["runs"]
+    ]
+    tables({"servo": _parameters(report), "recordings": runs})
+    for row in report.get("cross_validation", []):
+        say(f"without {row['held_out']}: {row['mae_deg']:.2f} deg mean absolute error on it")
+    for pair in report["trade_offs"]:
+        a, b = pair["parameters"]
+        say(
+            f"the data trade {a} against {b} (correlation {pair['correlation']:.2f});"
+            f" told apart by: {pair['separated_by']}"
+        )
+    _warn(report["warnings"])
+    held_out = report["validate_mae_deg"]
+    rest = "" if held_out is None else f", {held_out:.2f} deg on the held-out recordings"
+    say(f"mean absolute angle error {report['fit_mae_deg']:.2f} deg on the fitted{rest}")
+
+
+def _warn(warnings: list[str]) -> None:
+    for warning in warnings:
+        say(f"warning: {warning}")
+
+
+def _parameters(report: dict[str, Any]) -> list[dict[str, Any]]:
+    return [
         {
             "parameter": path,
             "value": row["value"],
@@ -90,13 +149,17 @@ def identified(report: dict[str, Any]) -> None:
         }
         for path, row in report["parameters"].items()
     ]
+
+
+def identified(report: dict[str, Any]) -> None:
+    """Parameters with intervals, seeds, runs, and what the data cannot tell."""
     seeds = [{k: v for k, v in row.items() if k != "values"} for row in report["seeds"]]
     runs = [
         {"role": role, **_run_cells(run)}
         for role, runs in (("fit", report["fit"]), ("held out", report["validate"]))
         for run in runs
     ]
-    tables({"parameters": rows, "seeds, best first": seeds, "runs": runs})
+    tables({"parameters": _parameters(report), "seeds, best first": seeds, "runs": runs})
     if report["without_effect"]:
         say(f"no effect on the result, left alone: {', '.join(report['without_effect'])}")
     for pair in report["trade_offs"]:

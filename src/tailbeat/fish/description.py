@@ -98,10 +98,14 @@ class Link(Body):
 
     `hinge` is the x of the hinge [m]; `guides` the tendon holes (x, y) of the left tendon, in order
     from the head, the right tendon's being their mirror image; `crossed` swaps sides on this link.
+    `strip_height` and `strip_length` are of the flexible strip that the hinge stands for: a tail's
+    identification spreads the measured stiffness in proportion to height over length.
     """
 
     hinge: u.Length
     stiffness: u.AngularStiffness = Field(gt=0)
+    strip_height: u.Length | None = Field(default=None, gt=0)
+    strip_length: u.Length | None = Field(default=None, gt=0)
     guides: u.Points2 = ()
     crossed: bool = False
 
@@ -154,11 +158,14 @@ class Tendons(_Model):
 
 
 class Tail(_Model):
-    """The chain of links. `k_eff` is the stiffness at the shaft that the numbers must give."""
+    """The chain of links. `k_eff` is the stiffness at the shaft that the numbers must give,
+    `damping_time` the ratio of damping to stiffness in every hinge, `friction` the Coulomb friction
+    of tail and tendons as the shaft feels it."""
 
     k_eff: u.AngularStiffness | None = None
     stiffness_scale: u.Ratio = Field(default=1.0, gt=0)
     damping_time: u.Time = Field(default=0.0, ge=0)
+    friction: u.Torque = Field(default=0.0, ge=0)
     links: tuple[Link, ...] = Field(min_length=1)
 
 

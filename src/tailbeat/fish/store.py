@@ -1,6 +1,7 @@
 """Fish on disk: find, read, change and write descriptions, with every complaint one sentence."""
 
 import tomllib
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -84,24 +85,37 @@ def value_at(fish: Fish, path: str) -> float:
 def write_identified(
     source: str | Path,
     target: Path,
-    values: dict[str, dict[str, Any]],
+    values: Mapping[str, Mapping[str, Any] | str],
     note: str,
     overwrite: bool = False,
 ) -> None:
     """Copy the description at `source` to `target` with fields replaced and all comments kept.
 
-    `values` maps a dotted path to {value, unit, interval, source}, in SI. `note` is put on top,
-    line by line, as comments. Raises BadInput if `target` exists.
+    `values` maps a dotted path to {value, unit, interval, source}, in SI, or to a word. `note` is
+    put on top, line by line, as comments. Raises BadInput if `target` exists.
     """
     document = tomlkit.parse(fish_path(source).read_text(encoding="utf-8"))
     for path, entry in values.items():
         *stem, leaf = path.split(".")
         node: Any = document
         for key in stem:
-            node = node.setdefault(key, tomlkit.table())
-        table = tomlkit.inline_table()
-        table.update(entry)
-        node[leaf] = table
+            node = node[int(key)] if isinstance(node, list) else _child(node, key)
+        node[leaf] = entry if isinstance(entry, str) else _inline(entry)
+        if stem and all(".".join([*stem, key]) in values for key in node):
+            node.trivia.comment = ""  # it spoke of numbers that are gone
     heading = "".join(f"# {line}\n" for line in note.splitlines())
     with new_file(target, overwrite) as beside:
         beside.write_text(heading + tomlkit.dumps(document), encoding="utf-8")
+
+
+def _child(node: Any, key: str) -> Any:
+    """A table inside a table, made if need be (`setdefault` would lose what is added later)."""
+    if key not in node:
+        node[key] = tomlkit.table()
+    return node[key]
+
+
+def _inline(entry: Mapping[str, Any]) -> tomlkit.items.InlineTable:
+    table = tomlkit.inline_table()
+    table.update(entry)
+    return table

@@ -238,8 +238,8 @@ def _add_motor(spec: mujoco.MjSpec, head: mujoco.MjsBody, fish: Fish, replayed: 
     _add_speck(rotor)
     axis = [0, 0, -1] if motor.kind == "pulley" else [0, -1, 0]
     joint = rotor.add_joint(name="motor", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
-    joint.armature, joint.frictionloss = servo.armature, servo.friction
-    joint.damping[0] = servo.damping
+    joint.armature, joint.damping[0] = servo.armature, servo.damping
+    joint.frictionloss = servo.friction + (0.0 if replayed else fish.tail.friction)
     _add_anchors(rotor, fish)
     _add_servo(spec, fish, servo, replayed)
 

@@ -1,7 +1,6 @@
 """`tailbeat identify fluid`: several seeds, the best one kept, everything said about it."""
 
 import hashlib
-import pickle
 import shutil
 import time
 from collections.abc import Callable, Sequence
@@ -14,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.files import BadInput, new_file
+from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.fluid import apply, fluid_space, insensitive, residual_function
 from tailbeat.identify.predict import Prediction, predict, row, speed_mae
@@ -24,7 +23,7 @@ from tailbeat.identify.search import (
     Fit,
     Parameter,
     intervals,
-    search,
+    search_once,
     told_apart,
     trade_offs,
     values,
@@ -76,7 +75,7 @@ def identify_fluid(
     residuals = residual_function(fish, fit, space, plan.start_weight)
     key = _key(fish, fit, plan)
     fits = [
-        _one_seed(residuals, space, seed, plan.effort, scratch / key, progress)
+        search_once(residuals, space, seed, plan.effort, scratch / key, progress)
         for seed in range(plan.first_seed, plan.first_seed + plan.seeds)
     ]
     fits.sort(key=lambda found: found.cost)
@@ -90,31 +89,6 @@ def _sensitive_space(
     space = fluid_space(fish, plan.zones)
     idle = insensitive(residual_function(fish, fit, space, plan.start_weight), space)
     return tuple(p for p in space if p.path not in idle), tuple(idle)
-
-
-def _one_seed(
-    residuals: Callable[[Array], Array],
-    space: tuple[Parameter, ...],
-    seed: int,
-    effort: Effort,
-    scratch: Path,
-    progress: Progress,
-) -> Fit:
-    done = scratch / f"seed{seed}.fit"
-    if done.is_file():
-        kept: Fit = pickle.loads(done.read_bytes())
-        return kept
-    found = search(
-        residuals,
-        space,
-        seed,
-        effort,
-        scratch / f"seed{seed}.search",
-        lambda stage, share, best: progress(seed, stage, share, best),
-    )
-    with new_file(done, overwrite=True) as path:
-        path.write_bytes(pickle.dumps(found))
-    return found
 
 
 def _key(fish: Fish, fit: Sequence[Run], plan: Plan) -> str:

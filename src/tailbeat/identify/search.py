@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Residuals = Callable[[Array], Array]
 Progress = Callable[[str, float, float], None]  # stage, share done, best cost so far
 
-FAILED = 1e6  # cost of a candidate that diverged
+FAILED = 1e12  # cost of a candidate that diverged
 STEP = 0.02  # finite difference in z
 WIDE_STEP = 0.2  # that of the intervals: about as far as they reach, over the law's small kinks
 NOISE_FLOOR = 0.3
@@ -59,11 +59,16 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Effort:
-    """How long to search: CMA-ES generations of `population`, then polish iterations."""
+    """How long to search: CMA-ES generations of `population`, then polish iterations.
+
+    With `scouts`, CMA-ES starts at the best of so many draws from the prior: for a cheap model with
+    flat regions, where a start at random may never learn that a parameter matters.
+    """
 
     generations: int = 15
     population: int = 14
     polish: int = 15
+    scouts: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +126,32 @@ def search(
     return Fit(seed, z, total, found, slope, covariance(slope / noise))
 
 
+def search_once(
+    residuals: Residuals,
+    space: tuple[Parameter, ...],
+    seed: int,
+    effort: Effort,
+    scratch: Path,
+    progress: Callable[[int, str, float, float], None],
+) -> Fit:
+    """`search`, kept in `scratch`: a seed that is done is read, one that was begun goes on."""
+    done = scratch / f"seed{seed}.fit"
+    if done.is_file():
+        kept: Fit = pickle.loads(done.read_bytes())
+        return kept
+    found = search(
+        residuals,
+        space,
+        seed,
+        effort,
+        scratch / f"seed{seed}.search",
+        lambda stage, share, best: progress(seed, stage, share, best),
+    )
+    with new_file(done, overwrite=True) as path:
+        path.write_bytes(pickle.dumps(found))
+    return found
+
+
 def noise_level(found: Array, free: int) -> float:
     """The residuals' own standard deviation, from 0.3 up to 1.
 
@@ -145,7 +176,7 @@ def _explore(
     checkpoint: Path | None,
     progress: Progress,
 ) -> Array:
-    strategy = _restore(checkpoint) or _strategy(space, seed, effort)
+    strategy = _restore(checkpoint) or _strategy(residuals, space, seed, effort)
     while strategy.countiter < effort.generations and not strategy.stop():
         candidates = strategy.ask()
         z = np.array(candidates)
@@ -157,18 +188,23 @@ def _explore(
     return np.array(strategy.best.x)
 
 
-def _strategy(space: tuple[Parameter, ...], seed: int, effort: Effort) -> cma.CMAEvolutionStrategy:
+def _strategy(
+    residuals: Residuals, space: tuple[Parameter, ...], seed: int, effort: Effort
+) -> cma.CMAEvolutionStrategy:
     """A strategy that starts at a random draw near the prior, different for every seed."""
     low, high = bounds(space)
-    start = np.random.default_rng(seed).normal(0.0, 0.5, len(space))
+    rng = np.random.default_rng(seed)
+    start = np.clip(rng.normal(0.0, 0.5, len(space)), low + 0.01, high - 0.01)
+    if effort.scouts:
+        draws = np.clip(rng.normal(0.0, 1.0, (effort.scouts, len(space))), low + 0.01, high - 0.01)
+        start = draws[np.argmin(cost(residuals(draws), draws))]
     options = {
         "bounds": [low.tolist(), high.tolist()],
         "popsize": effort.population,
         "seed": seed + 1,  # 0 would mean a seed from the clock
         "verbose": -9,
     }
-    inside = np.clip(start, low + 0.01, high - 0.01)
-    return cma.CMAEvolutionStrategy(inside, 0.4, options)
+    return cma.CMAEvolutionStrategy(start, 0.4, options)
 
 
 def _restore(checkpoint: Path | None) -> cma.CMAEvolutionStrategy | None:

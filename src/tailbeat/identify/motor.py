@@ -1,0 +1,239 @@
+"""Servo identification: the recorded command in, the encoder's angle out, free-running.
+
+tau = clip(kp (command(t - delay) - angle) - kv speed, force_limit) - damping speed, against a known
+load; the numbers that bring the angle of `shaft.free_run` closest to the recorded one. Recordings
+at several gain registers share one set: kp = gain_scale x gain, for a datasheet's divisor is not to
+be trusted (an XL330's was observed as twice what is printed).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish, Servo
+from tailbeat.fish.store import with_values
+from tailbeat.identify.hinges import tail_inertia
+from tailbeat.identify.search import Fit, Parameter, sensitivity
+from tailbeat.identify.shaft import Bench, Load, free_run
+from tailbeat.identify.tail import STILL
+from tailbeat.recording import Recording, require
+
+Array = NDArray[np.float64]
+GRAVITY = 9.80665  # m/s^2
+DEVIATION = np.radians(0.1)  # of an angle: about an encoder count (0.088 deg)
+COUNTED = 100  # independent samples that a recording counts for, chosen: a stroke has about ten
+WIDE = 2 * np.pi  # rad: the range check of angles; nobody turns a position servo further here
+BLOCK = 0.5  # s over which residuals hang together, chosen: the time of a slip or a stroke
+STEP = 0.02  # finite difference of the intervals in z; the model has kinks at every standstill
+GEARS = ("load_friction", "stiction")  # what the bench shows and the twin cannot compile
+
+# What the paper trained with: a servo that does as it is told.
+IDEALISED = Servo(kp=800.0, kv=20.0, armature=0.001, damping=0.0, force_limit=1.0, delay=0.0)
+
+# Prior centre, spread, low, high, unit, logarithmic: wide enough for a hobby servo and a robot's
+# joint alike (factor 4.5 per spread, 2.7 for the limit); kv and the gears' share start from none.
+PRIORS: dict[str, tuple[float, float, float, float, str, bool]] = {
+    "kp": (5.0, 2.0, 1e-3, 1e4, "N m/rad", True),
+    "kv": (0.0, 0.1, 0.0, 50.0, "N m s/rad", False),
+    "armature": (3e-3, 1.5, 1e-6, 1.0, "kg m^2", True),
+    "damping": (0.05, 1.5, 1e-5, 20.0, "N m s/rad", True),
+    "friction": (0.02, 1.5, 1e-5, 5.0, "N m", True),
+    "force_limit": (1.5, 1.0, 0.02, 100.0, "N m", True),
+    "delay": (0.01, 0.01, 0.0, 0.1, "s", False),
+    "damping_off": (0.05, 1.5, 1e-5, 20.0, "N m s/rad", True),
+    "load_friction": (0.0, 0.1, 0.0, 0.9, "1", False),
+    "stiction": (0.0, 0.1, 0.0, 0.9, "1", False),
+}
+
+
+# ---- recordings ---------------------------------------------------------------------------------
+
+
+def as_bench(recording: Recording, fish: Fish, kind: str | None = None) -> Bench:
+    """A recording with its load: `kind` tail, pendulum or nothing, else as its metadata say.
+
+    Needs `time_s`, `command_rad`, `angle_rad`; `enabled_ratio` where torque was switched. Metadata:
+    `gain` (register), `load_mass_kg` and `load_arm_m` of a pendulum hanging at angle 0, or
+    `load: tail` or `nothing`; without any, the fish's tail. Raises BadInput naming what is wrong.
+    """
+    require(recording, ["command_rad", "angle_rad"])
+    command, angle = recording.columns["command_rad"], recording.columns["angle_rad"]
+    for column, values in (("command_rad", command), ("angle_rad", angle)):
+        if np.abs(values).max() > WIDE:
+            raise BadInput(
+                f"{recording.name}: column {column} reaches {np.abs(values).max():.3g}; allowed is"
+                f" {WIDE:.3g} rad, so it looks like degrees: convert it to radians."
+            )
+    if np.ptp(command) < STILL:
+        raise BadInput(
+            f"{recording.name}: column command_rad never moves; record a chirp or steps (see"
+            f" `tailbeat protocol motor`)."
+        )
+    return Bench(
+        recording.name,
+        recording.time - recording.time[0],
+        command,
+        angle,
+        recording.columns.get("enabled_ratio", np.ones_like(angle)),
+        load_of(recording, fish, kind),
+        _number(recording, "gain") if "gain" in recording.meta else None,
+    )
+
+
+def load_of(recording: Recording, fish: Fish, kind: str | None = None) -> Load:
+    """What hung on the shaft."""
+    meta = recording.meta
+    kind = kind or meta.get("load") or ("pendulum" if "load_mass_kg" in meta else "tail")
+    if kind == "pendulum":
+        mass, arm = _number(recording, "load_mass_kg"), _number(recording, "load_arm_m")
+        return Load(kind, inertia=mass * arm**2, weight=mass * GRAVITY * arm)
+    if kind == "nothing":
+        return Load(kind)
+    if kind != "tail":
+        raise BadInput(f"{recording.name}: load {kind!r}; allowed are tail, pendulum, nothing.")
+    return tail_load(fish)
+
+
+def tail_load(fish: Fish) -> Load:
+    """The fish's own tail in air, at the shaft."""
+    k_eff = fish.tail.k_eff
+    if k_eff is None:
+        raise BadInput(
+            f"{fish.name}: tail.k_eff is missing; run `tailbeat identify tail` first, or say what"
+            f" hung on the shaft with --load."
+        )
+    tail = fish.tail
+    inertia = tail_inertia(fish)
+    return Load("tail", k_eff, k_eff * tail.damping_time, inertia, tail.friction)
+
+
+def _number(recording: Recording, key: str) -> float:
+    try:
+        value = float(recording.meta[key])
+    except (KeyError, ValueError):
+        value = float("nan")
+    if not 0 < value < np.inf:
+        raise BadInput(
+            f"{recording.name}: metadata {key} = {recording.meta.get(key)!r}; give a number above 0"
+            f" as a line `# {key}: …`."
+        )
+    return value
+
+
+# ---- the fit's parts ----------------------------------------------------------------------------
+
+
+def servo_space(benches: Sequence[Bench], gears: bool = True) -> tuple[Parameter, ...]:
+    """The free numbers these recordings call for."""
+    names = [name for name in PRIORS if name != "damping_off" or _ever_off(benches)]
+    names = [name for name in names if gears or name not in GEARS]
+    found = {name: _parameter(name) for name in names}
+    reference = gain_reference(benches)
+    if reference is not None:
+        scaled = {key: getattr(found["kp"], key) / reference for key in ("low", "high", "prior")}
+        gain = replace(found["kp"], path="gain_scale", unit="N m/rad per unit", **scaled)
+        found = {("gain_scale" if n == "kp" else n): p for n, p in found.items()} | {
+            "gain_scale": gain
+        }
+    return tuple(found.values())
+
+
+def _parameter(name: str) -> Parameter:
+    centre, spread, low, high, unit, log = PRIORS[name]
+    return Parameter(name, unit, low, high, centre, spread, log)
+
+
+def _ever_off(benches: Sequence[Bench]) -> bool:
+    return any((bench.enabled < 0.5).any() for bench in benches)
+
+
+def gain_reference(benches: Sequence[Bench]) -> float | None:
+    """The middle gain of the recordings, or None where none states a gain."""
+    gains = [bench.gain for bench in benches]
+    if all(gain is None for gain in gains):
+        return None
+    if any(gain is None for gain in gains):
+        lacking = benches[gains.index(None)].name
+        raise BadInput(f"{lacking}: metadata gain is missing while other recordings have it.")
+    return float(np.median([gain for gain in gains if gain is not None]))
+
+
+def as_servos(space: tuple[Parameter, ...], z: Array, benches: Sequence[Bench]) -> dict[str, Array]:
+    """Candidates (n, p) as the arguments of `free_run`."""
+    found = {
+        p.path: np.array([p.from_z(c) for c in column])
+        for p, column in zip(space, z.T, strict=True)
+    }
+    none = np.zeros(len(z))
+    servo = {name: found.get(name, none) for name in PRIORS}
+    servo["damping_off"] = found.get("damping_off", servo["damping"])
+    if "gain_scale" in found:
+        servo["kp"] = found["gain_scale"][:, None] * np.array([b.gain for b in benches], float)
+    return servo
+
+
+def described_servo(servo: Servo) -> dict[str, Array]:
+    """A described servo as the arguments of `free_run`."""
+    found = {name: np.array([float(value)]) for name, value in servo.model_dump().items()}
+    return {**found, "damping_off": found["damping"], **{g: np.zeros(1) for g in GEARS}}
+
+
+def residual_function(
+    benches: Sequence[Bench], space: tuple[Parameter, ...]
+) -> Callable[[Array], Array]:
+    """Batched residuals for `search`: candidates (n, p) in z -> (n, r)."""
+    thin = [max(bench.time.size // 400, 1) for bench in benches]
+    weights = [
+        np.sqrt(COUNTED / len(bench.time[::step])) / DEVIATION
+        for bench, step in zip(benches, thin, strict=True)
+    ]
+
+    def residuals(z: Array) -> Array:
+        angles = free_run(as_servos(space, z, benches), benches)
+        rows = [
+            (angle - bench.angle)[:, ::step] * weight
+            for angle, bench, step, weight in zip(angles, benches, thin, weights, strict=True)
+        ]
+        return np.concatenate(rows, axis=1)
+
+    return residuals
+
+
+def blocks(benches: Sequence[Bench]) -> NDArray[np.int_]:
+    """Which residuals hang together: a number per residual of `residual_function`."""
+    found: list[Array] = []
+    first = 0
+    for bench in benches:
+        time = bench.time[:: max(bench.time.size // 400, 1)]
+        own = (time / BLOCK).astype(int)
+        found.append(first + own)
+        first += int(own[-1]) + 1
+    return np.concatenate(found)
+
+
+def with_honest_intervals(
+    fit: Fit, residuals: Callable[[Array], Array], groups: NDArray[np.int_]
+) -> Fit:
+    """The fit with a covariance that holds for correlated residuals and a model that is not exact.
+
+    Sandwich estimate over blocks of time (White 1982; Liang and Zeger 1986), the prior counting as
+    one observation more: a servo's misfit at one standstill is one fact, not fifty.
+    """
+    found, slope = sensitivity(residuals, fit.z, step=STEP)
+    bread = np.linalg.inv(slope.T @ slope + np.eye(fit.z.size))
+    gradients = np.zeros((groups.max() + 1, fit.z.size))
+    np.add.at(gradients, groups, slope * found[:, None])
+    many = len(gradients)
+    meat = gradients.T @ gradients * many / max(many - fit.z.size, 1)
+    covariance = bread @ (meat + np.eye(fit.z.size)) @ bread
+    return replace(fit, residuals=found, jacobian=slope, covariance=covariance)
+
+
+def with_servo(fish: Fish, servo: dict[str, float]) -> Fish:
+    """The fish driven by an identified servo."""
+    described = Servo(**servo)
+    servos = {**fish.servos, "identified": described}
+    return with_values(fish.model_copy(update={"servos": servos, "servo": "identified"}), {})

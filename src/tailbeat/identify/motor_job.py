@@ -1,0 +1,222 @@
+"""`tailbeat identify motor`: several seeds, the best kept, everything said about it."""
+
+import hashlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
+from tailbeat.identify.motor import (
+    GEARS,
+    IDEALISED,
+    as_servos,
+    blocks,
+    described_servo,
+    gain_reference,
+    residual_function,
+    servo_space,
+    with_honest_intervals,
+)
+from tailbeat.identify.search import (
+    Effort,
+    Fit,
+    Parameter,
+    search_once,
+    values,
+)
+from tailbeat.identify.shaft import Bench, free_run
+from tailbeat.identify.tail import drive_frequency
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, str, float, float], None]  # seed, stage, share done, best cost
+MODEL = ("kp", "kv", "armature", "damping", "friction", "force_limit", "delay")
+SATURATED = 0.9  # share of the time at the limit from which nothing else can be read
+AT_LEAST = 0.002  # a gears' share below this is none
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Seeds, effort, and whether gear friction may be fitted beside the compiled servo."""
+
+    seeds: int = 5
+    first_seed: int = 0
+    effort: Effort = field(
+        default_factory=lambda: Effort(generations=150, population=32, polish=20, scouts=500)
+    )
+    gears: bool = True
+    gain: float | None = None
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """One recording: its angle, the identified servo's and the idealised one's (k,) rad."""
+
+    bench: Bench
+    role: str
+    identified: Array
+    idealised: Array
+
+    @property
+    def stroke(self) -> tuple[float, float]:
+        """Start and end [s] of a stroke: one beat about the widest swing."""
+        beat = 1 / drive_frequency(self.bench.time, self.bench.angle)
+        middle = self.bench.time[np.argmax(np.abs(self.bench.angle - np.median(self.bench.angle)))]
+        return float(middle - beat / 2), float(middle + beat / 2)
+
+    def error_deg(self, which: str = "identified") -> Array:
+        """Angle error (k,) deg."""
+        return np.degrees(getattr(self, which) - self.bench.angle)
+
+
+@dataclass(frozen=True, eq=False)
+class ServoFit:
+    """The outcome: one fit per seed, best first, and every recording replayed."""
+
+    space: tuple[Parameter, ...]
+    fits: tuple[Fit, ...]
+    overlays: tuple[Overlay, ...]
+    servo: dict[str, float]
+    gain: float | None
+    warnings: tuple[str, ...]
+    seconds: float
+
+
+def identify_motor(
+    fish: Fish,
+    fit: Sequence[Bench],
+    validate: Sequence[Bench],
+    plan: Plan,
+    scratch: Path,
+    progress: Progress = lambda seed, stage, share, best: None,
+) -> ServoFit:
+    """Fit on `fit`, judge on `validate`. Interrupted work in `scratch` is taken up again."""
+    began = time.monotonic()
+    if not fit:
+        raise BadInput("--fit is empty; give at least one recording to fit.")
+    gain = plan.gain or gain_reference([*fit, *validate])
+    space, fits = _searched(fit, plan, scratch / _key(fit, plan), progress)
+    baseline = fish.servos.get("idealised", IDEALISED)
+    overlays = [
+        *_replay(space, fits[0], described_servo(baseline), fit, "fit"),
+        *_replay(space, fits[0], described_servo(baseline), validate, "validate"),
+    ]
+    found = values(space, fits[0].z)
+    servo = _compiled_servo(found, gain, fit, overlays)
+    warnings = tuple(_warnings(space, fits[0], fit))
+    elapsed = time.monotonic() - began
+    return ServoFit(space, tuple(fits), tuple(overlays), servo, gain, warnings, elapsed)
+
+
+def _searched(
+    fit: Sequence[Bench], plan: Plan, scratch: Path, progress: Progress
+) -> tuple[tuple[Parameter, ...], list[Fit]]:
+    """Best-first fits; without gear friction where it turns out to be none."""
+    space = servo_space(fit, plan.gears)
+    fits = _seeds(space, fit, plan, scratch / "gears", progress)
+    found = values(space, fits[0].z)
+    if plan.gears and max(found[name] for name in GEARS) < AT_LEAST:
+        space = servo_space(fit, gears=False)
+        fits = _seeds(space, fit, plan, scratch / "plain", progress)
+    return space, fits
+
+
+def _seeds(
+    space: tuple[Parameter, ...],
+    fit: Sequence[Bench],
+    plan: Plan,
+    scratch: Path,
+    progress: Progress,
+) -> list[Fit]:
+    residuals = residual_function(fit, space)
+    seeds = range(plan.first_seed, plan.first_seed + plan.seeds)
+    fits = [search_once(residuals, space, s, plan.effort, scratch, progress) for s in seeds]
+    fits.sort(key=lambda found: found.cost)
+    groups = blocks(fit)
+    return [with_honest_intervals(fits[0], residuals, groups), *fits[1:]]
+
+
+def _key(fit: Sequence[Bench], plan: Plan) -> str:
+    """Names the scratch folder by what is fitted: other work is never resumed by mistake."""
+    digest = hashlib.sha256(repr((plan.effort, plan.gears, version("tailbeat"))).encode())
+    for bench in fit:
+        digest.update(repr((bench.load, bench.gain)).encode())
+        for signal in (bench.time, bench.command, bench.angle, bench.enabled):
+            digest.update(signal.tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _replay(
+    space: tuple[Parameter, ...],
+    fit: Fit,
+    baseline: dict[str, Array],
+    benches: Sequence[Bench],
+    role: str,
+) -> list[Overlay]:
+    if not benches:
+        return []
+    identified = free_run(as_servos(space, fit.z[None], benches), benches)
+    idealised = free_run(baseline, benches)
+    return [
+        Overlay(bench, role, a[0], b[0])
+        for bench, a, b in zip(benches, identified, idealised, strict=True)
+    ]
+
+
+def _compiled_servo(
+    found: dict[str, float],
+    gain: float | None,
+    fit: Sequence[Bench],
+    overlays: Sequence[Overlay],
+) -> dict[str, float]:
+    """The seven numbers the twin compiles, at the gain the fish will run with.
+
+    The engine's friction is one number: the gears' share enters it at the mean torque they carried
+    while the shaft moved.
+    """
+    if gain is not None:
+        found = {**found, "kp": found["gain_scale"] * gain}
+    servo = {name: found[name] for name in MODEL}
+    carried = [_carried(found, bench) for bench in fit]
+    servo["friction"] += found.get("load_friction", 0.0) * float(np.mean(carried))
+    return servo
+
+
+def _carried(found: dict[str, float], bench: Bench) -> float:
+    """Mean torque through the gears while the shaft moved [N m], read off the recording."""
+    kp = found["gain_scale"] * (bench.gain or 0.0) if "gain_scale" in found else found["kp"]
+    torque = np.minimum(kp * np.abs(bench.command - bench.angle), found["force_limit"])
+    speed = np.abs(np.gradient(bench.angle, bench.time))
+    moving = (speed > 0.1 * np.quantile(speed, 0.95)) & (bench.enabled > 0.5)
+    return float(torque[moving].mean()) if moving.any() else 0.0
+
+
+def saturation(found: dict[str, float], bench: Bench) -> float:
+    """Share of the time that the servo spends at its force limit."""
+    kp = found["gain_scale"] * (bench.gain or 0.0) if "gain_scale" in found else found["kp"]
+    late = np.interp(bench.time - found["delay"], bench.time, bench.command)
+    wanted = kp * np.abs(late - bench.angle)
+    return float(np.mean((wanted > found["force_limit"]) & (bench.enabled > 0.5)))
+
+
+def _warnings(space: tuple[Parameter, ...], best: Fit, fit: Sequence[Bench]) -> list[str]:
+    """What the data cannot support, a sentence each."""
+    found = values(space, best.z)
+    shares = {bench.name: saturation(found, bench) for bench in fit}
+    said = [
+        f"{name} is at the force limit {100 * share:.0f} % of the time: gain and delay cannot be"
+        f" read from it; use smaller or slower commands"
+        for name, share in shares.items()
+        if share > SATURATED
+    ]
+    if max(shares.values()) < 0.002:
+        said.append(
+            "no recording reaches the force limit: take its value as a lower bound, and record"
+            " larger steps to find it"
+        )
+    return said

@@ -1,0 +1,153 @@
+"""One shaft on a bench: a position servo and a known load, many candidates and recordings at once.
+
+The same servo that `fish/twin.py` compiles, on one degree of freedom, so that a fit of a dozen
+recordings takes a minute: torque = clip(kp (command(t - delay) - angle) - kv speed, limit),
+shaft damping outside the clip, Coulomb friction. A test holds it to the compiled twin.
+
+A bench shows one thing more, which the engine cannot compile: gears rub in proportion to the torque
+they carry, and more so at rest. `load_friction` and `stiction` are shares of that torque (the form
+is that of Rhoban's BAM models, arXiv 2410.08650; the speed scale is chosen).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+STEP = 1e-3  # s
+SERVO = (
+    "kp kv armature damping friction force_limit delay damping_off load_friction stiction".split()
+)
+LOAD = "stiffness damping inertia friction weight".split()
+CREEP = 0.2  # rad/s at which half the stiction is left, chosen
+
+
+@dataclass(frozen=True)
+class Load:
+    """What hangs on the shaft, all seen at the shaft.
+
+    A tail: `stiffness` [N m/rad], `damping` [N m s/rad], `inertia` [kg m^2], `friction` [N m]. A
+    pendulum: `inertia` m l^2 and `weight` m g l [N m], hanging down at angle 0. Nothing: zeros.
+    """
+
+    kind: str = "nothing"
+    stiffness: float = 0.0
+    damping: float = 0.0
+    inertia: float = 0.0
+    friction: float = 0.0
+    weight: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """One recording of a driven shaft: `time` (k,) s from 0, `command`, `angle` (k,) rad.
+
+    `enabled` (k,) is 1 where the servo's torque was on; `gain` the gain register's value or None.
+    """
+
+    name: str
+    time: Array
+    command: Array
+    angle: Array
+    enabled: Array
+    load: Load
+    gain: float | None = None
+
+
+def free_run(servo: Mapping[str, Array], benches: Sequence[Bench]) -> list[Array]:
+    """Shaft angles (n, k) rad of every bench for n servos, from the recorded start, free-running.
+
+    `servo` maps the names in `SERVO` (damping_off: shaft damping with torque off) to (n,) or, where
+    benches differ, (n, benches). A command holds from its own sample to the next. NaN from where
+    the step was too long for a servo.
+    """
+    lanes = np.stack([_lanes(servo[name], len(benches)) for name in SERVO], axis=-1)
+    load = np.array([[getattr(b.load, name) for name in LOAD] for b in benches])
+    start = np.array([[b.angle[0], _first_speed(b)] for b in benches])
+    time, command, enabled = (
+        np.concatenate([getattr(b, n) for b in benches]) for n in ("time", "command", "enabled")
+    )
+    integral = np.concatenate([_integral(b) for b in benches])
+    edges = np.cumsum([0, *(b.time.size for b in benches)])
+    angle = np.full((len(lanes), time.size), np.nan)
+    _run(lanes, load, start, time, command, integral, enabled > 0.5, edges, angle)
+    return np.split(angle, edges[1:-1], axis=1)
+
+
+def _lanes(value: Array, benches: int) -> Array:
+    column = value[:, None] if value.ndim == 1 else value
+    return np.broadcast_to(column, (len(value), benches))
+
+
+def _first_speed(bench: Bench) -> float:
+    """Slope of the first 50 ms [rad/s]."""
+    early = bench.time <= bench.time[0] + 0.05
+    if early.sum() < 3:
+        return 0.0
+    return float(np.polyfit(bench.time[early], bench.angle[early], 1)[0])
+
+
+def _integral(bench: Bench) -> Array:
+    """Running integral of the held command at its samples: its mean over a step moves smoothly
+    with any delay, where a look-up would move in steps."""
+    return np.concatenate([[0.0], np.cumsum(bench.command[:-1] * np.diff(bench.time))])
+
+
+@njit(parallel=True, cache=True)
+def _run(lanes, load, start, time, command, integral, enabled, edges, angle):  # type: ignore[no-untyped-def]
+    """Every servo on every bench, one lane each."""
+    benches = len(load)
+    for lane in prange(len(lanes) * benches):
+        i, b = lane // benches, lane % benches
+        part = slice(edges[b], edges[b + 1])
+        _shaft(
+            lanes[i, b],
+            load[b],
+            start[b],
+            time[part],
+            command[part],
+            integral[part],
+            enabled[part],
+            angle[i, part],
+        )
+
+
+@njit(cache=True)
+def _shaft(servo, load, start, time, command, integral, enabled, angle):  # type: ignore[no-untyped-def]
+    """One lane. Semi-implicit Euler with implicit damping; friction stops the shaft exactly."""
+    kp, kv, armature, on_damping, friction, limit, delay, off_damping, load_rub, stiction = servo
+    stiffness, damping, load_inertia, load_friction, weight = load
+    q, v = start
+    angle[0] = q
+    held, place, switch, sample = -delay * command[0], 0, 0, 1
+    for step in range(int(np.ceil(time[-1] / STEP))):
+        late = (step + 1) * STEP - delay
+        while place + 1 < time.size and time[place + 1] <= late:
+            place += 1
+        now = integral[place] + command[place] * (late - time[place])
+        while switch + 1 < time.size and time[switch + 1] <= step * STEP:
+            switch += 1
+        torque, slope, drag = 0.0, 0.0, off_damping + damping
+        if enabled[switch]:
+            wanted = kp * ((now - held) / STEP - q) - kv * v
+            torque, drag = min(max(wanted, -limit), limit), on_damping + damping
+            slope = kv if torque == wanted else 0.0
+        held = now
+        pull = stiffness * q + (weight * np.sin(q) if weight > 0 else 0.0)
+        reach = armature + load_inertia + STEP * (drag + slope)
+        rub = friction + load_friction
+        if load_rub > 0 or stiction > 0:
+            share = load_rub + stiction / (1 + (v / CREEP) ** 2)
+            rub += share * max(abs(torque), abs(pull))
+        v += STEP / reach * (torque - pull - drag * v)
+        v -= min(max(v, -STEP * rub / reach), STEP * rub / reach)
+        before, q = q, q + STEP * v
+        if not abs(q) < 1e6:
+            return
+        while sample < time.size and time[sample] <= (step + 1) * STEP:
+            share = time[sample] / STEP - step
+            angle[sample] = before * (1 - share) + q * share
+            sample += 1
