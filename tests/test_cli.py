@@ -3,13 +3,14 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from synthetic import record
 from tailbeat.cli import spread_lists
 from tailbeat.fish.store import load_fish
-from tailbeat.recording import write_recording
+from tailbeat.recording import read_recording, write_recording
 
 
 def tailbeat(*words: object, cwd=None) -> subprocess.CompletedProcess:
@@ -138,3 +139,88 @@ def test_a_missing_gl_library_never_stops_a_picture(tmp_path):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
     assert done.stdout.strip() == "drawn", done.stderr
     assert (tmp_path / "a.png").stat().st_size > 2000
+
+
+EXAMPLES = Path(__file__).parents[1] / "examples" / "bench"
+
+
+def test_the_worked_example_of_the_tail(tmp_path):
+    words = ["--static", EXAMPLES / "tail-static.csv", "--ring-down", EXAMPLES / "tail-release.csv"]
+    out = tmp_path / "fish.toml"
+    done = tailbeat(
+        "identify", "tail", EXAMPLES / "tail-sweep.csv", "--fish", "pulley-fish", "--out", out,
+        "--json", tmp_path / "r.json", *words,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert report["k_eff"]["interval"][0] < 0.98 < report["k_eff"]["interval"][1]
+    assert len(report["joint_stiffness"]) == 5 and len(report["conditions"]) == 12
+    assert report["static"]["bias"] > 0.05 and "a static fit would have said" in done.stdout
+    assert report["ring_down"]["natural_frequency"]["value"] == pytest.approx(4.75, rel=0.01)
+    assert (tmp_path / "fish.png").stat().st_size > 20_000
+    fish = load_fish(out)
+    assert fish.tail.k_eff == pytest.approx(report["k_eff"]["value"], rel=1e-4)
+    assert fish.tail.links[0].stiffness == pytest.approx(report["joint_stiffness"][0], rel=1e-4)
+    assert fish.tail.friction == pytest.approx(0.02, rel=0.1)
+    again = tailbeat(
+        "identify", "tail", EXAMPLES / "tail-sweep.csv", "--fish", "pulley-fish", "--out", out
+    )
+    assert again.returncode == 2 and "exists already" in again.stderr
+
+
+def test_the_worked_example_of_the_servo(tmp_path):
+    out = tmp_path / "fish.toml"
+    done = tailbeat(
+        "identify", "motor", "--fish", "pulley-fish",
+        "--fit", *(EXAMPLES / f"motor-{name}.csv" for name in ("chirp", "steps", "triangle")),
+        "--validate", EXAMPLES / "motor-mixed.csv", EXAMPLES / "motor-beat.csv",
+        "--out", out, "--seeds", 1, "--json", tmp_path / "r.json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert set(report["parameters"]) >= set(
+        "kp kv armature damping friction force_limit delay".split()
+    )
+    assert [run["role"] for run in report["runs"]] == ["fit"] * 3 + ["validate"] * 2
+    assert report["validate_mae_deg"] < 0.1
+    fish = load_fish(out)
+    assert fish.servo == "identified"
+    assert fish.servos["identified"].kp == pytest.approx(5.41, rel=0.05)
+    assert "paper, identified after deployment" not in out.read_text()
+    assert (tmp_path / "fish.png").stat().st_size > 20_000
+    assert not list(tmp_path.glob(".*"))  # no checkpoints left
+
+
+def test_protocols_and_bad_benches(tmp_path):
+    done = tailbeat("protocol", "motor", "--fish", "pulley-fish", "--out", tmp_path / "p")
+    assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "p").glob("motor-*.csv"))) == 5
+    for words, complaint in (
+        (("protocol", "wings", "--fish", "pulley-fish", "--out", tmp_path), "allowed are tail"),
+        (("protocol", "tail", "--fish", "crank-fish", "--out", tmp_path), "cannot be swung"),
+        (
+            ("identify", "tail", EXAMPLES / "motor-beat.csv", "--fish", "pulley-fish", "--out",
+             tmp_path / "f.toml"),
+            "column torque_nm is missing",
+        ),
+        (
+            ("identify", "motor", "--fish", "pulley-fish", "--fit", EXAMPLES / "tail-static.csv",
+             "--out", tmp_path / "f.toml"),
+            "column command_rad is missing",
+        ),
+    ):  # fmt: skip
+        done = tailbeat(*words)
+        assert done.returncode == 2, done.stdout
+        assert complaint in done.stderr and "Traceback" not in done.stderr
+    assert not list(tmp_path.glob("f.*"))
+
+
+def test_a_servo_log_is_imported(tmp_path, data):
+    log = data / "xl330" / "2026-01-15_10h28m10.json"
+    done = tailbeat("import", "xl330", log, "--out", tmp_path / "log.csv")
+    assert done.returncode == 0, done.stderr
+    meta = read_recording(tmp_path / "log.csv").meta
+    assert (meta["gain"], meta["load_mass_kg"], meta["load_arm_m"]) == ("100", "0.49", "0.1")
+    (tmp_path / "bad.json").write_text('{"kp": 100}')
+    bad = tailbeat("import", "xl330", tmp_path / "bad.json", "--out", tmp_path / "x.csv")
+    assert bad.returncode == 2 and "field entries is missing" in bad.stderr

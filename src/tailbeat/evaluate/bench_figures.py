@@ -145,7 +145,7 @@ def _draw_errors(axes: Axes, found: ServoFit) -> None:
         axes.barh(place + shift, rms, 0.4, color=colour, label=which)
     labels = [f"{o.bench.name}{' *' if o.role == 'validate' else ''}" for o in found.overlays]
     axes.set_yticks(place, labels, fontsize="x-small")
-    axes.set(xlabel="RMSE [deg], * held out", xscale="log")
+    axes.set(xlabel="RMSE [deg], * held out")
     axes.invert_yaxis()
     axes.legend(fontsize="small")
     axes.grid(alpha=0.3, axis="x")

@@ -53,12 +53,12 @@ def static_loop(recording: Recording) -> Loop:
     outwards = angle * speed > 0
     moving = np.abs(speed) > 0.1 * np.abs(speed).max()
     loading, unloading = outwards & moving, ~outwards & moving
-    if min(loading.mean(), unloading.mean()) < 0.1:
+    there, back = moving & (speed > 0), moving & (speed < 0)
+    if min(there.mean(), back.mean()) < 0.2:
         raise BadInput(
             f"{recording.name}: the angle goes one way only; pull slowly out and let back at least"
             f" once, to both sides."
         )
-    there, back = moving & (speed > 0), moving & (speed < 0)
     whole = _slope(angle, torque)
     width = float(
         np.mean((torque - whole * angle)[there]) - np.mean((torque - whole * angle)[back])

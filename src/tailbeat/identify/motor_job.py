@@ -67,7 +67,8 @@ class Overlay:
         """Start and end [s] of a stroke: one beat about the widest swing."""
         beat = 1 / drive_frequency(self.bench.time, self.bench.angle)
         middle = self.bench.time[np.argmax(np.abs(self.bench.angle - np.median(self.bench.angle)))]
-        return float(middle - beat / 2), float(middle + beat / 2)
+        start = min(max(middle - beat / 2, 0.0), self.bench.time[-1] - beat)
+        return float(max(start, 0.0)), float(start + beat)
 
     def error_deg(self, which: str = "identified") -> Array:
         """Angle error (k,) deg."""

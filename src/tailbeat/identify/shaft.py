@@ -5,8 +5,9 @@ recordings takes a minute: torque = clip(kp (command(t - delay) - angle) - kv sp
 shaft damping outside the clip, Coulomb friction. A test holds it to the compiled twin.
 
 A bench shows one thing more, which the engine cannot compile: gears rub in proportion to the torque
-they carry, and more so at rest. `load_friction` and `stiction` are shares of that torque (the form
-is that of Rhoban's BAM models, arXiv 2410.08650; the speed scale is chosen).
+they carry, and more so at rest. `load_friction` and `stiction` are shares of that torque, the mean
+of what drives and what resists (after Rhoban's BAM models, arXiv 2410.08650; how stiction fades
+with speed, and the mean, are ours: of the forms tried they predicted left-out gains best).
 """
 
 from collections.abc import Mapping, Sequence
@@ -141,7 +142,7 @@ def _shaft(servo, load, start, time, command, integral, enabled, angle):  # type
         rub = friction + load_friction
         if load_rub > 0 or stiction > 0:
             share = load_rub + stiction / (1 + (v / CREEP) ** 2)
-            rub += share * max(abs(torque), abs(pull))
+            rub += share * 0.5 * (abs(torque) + abs(pull))
         v += STEP / reach * (torque - pull - drag * v)
         v -= min(max(v, -STEP * rub / reach), STEP * rub / reach)
         before, q = q, q + STEP * v

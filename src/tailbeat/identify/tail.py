@@ -168,9 +168,9 @@ def check_clipping(name: str, column: str, signal: Array) -> None:
     resolution = _resolution(signal)
     for extreme in (signal.max(), signal.min()):
         share = float(np.mean(signal == extreme))
-        # share of time that a sine spends within half a count of its peak
-        natural = np.arccos(max(1 - resolution / max(np.ptp(signal), 1e-300), -1.0)) / np.pi
-        if signal.size >= 20 and share > max(CLIPPED, 2.5 * natural):
+        # the largest share of its time that a whole sine spends in its last count
+        natural = np.arccos(max(1 - 2 * resolution / max(np.ptp(signal), 1e-300), -1.0)) / np.pi
+        if signal.size >= 20 and share > max(CLIPPED, 1.1 * natural):
             raise BadInput(
                 f"{name}: column {column} is clipped: {100 * share:.0f} % of its samples are"
                 f" exactly {extreme:g}; drive less, or use a sensor with a wider range."

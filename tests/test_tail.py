@@ -1,0 +1,167 @@
+"""The tail's four numbers come back with honest intervals, and a static test does not find them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tailbeat.evaluate.rehearsal import Noise, TailTruth, release, slow_pull, tail_sweep
+from tailbeat.files import BadInput
+from tailbeat.fish.show import shaft_stiffness
+from tailbeat.fish.store import load_fish
+from tailbeat.identify.decay import ring_down, static_loop
+from tailbeat.identify.hinges import hinges_for, spread, tail_inertia, with_stiffness
+from tailbeat.identify.tail import identify_tail, measure, project
+from tailbeat.recording import Recording, crop, read_recording
+
+TRUTH = TailTruth()
+FREQUENCIES = (0.7, 1.3, 2.2, 3.6)
+STROKES = tuple(np.linspace(0.06, 0.35, 11))
+NAMES = {"k_eff": 0.01, "i_eff": 0.05, "c_eff": 0.10, "coulomb": 0.10}
+
+
+def bench_42(seed: int) -> list[Recording]:
+    """42 conditions at four frequencies: torque noise, encoder counts, jitter, Coulomb friction."""
+    slow = tail_sweep(TRUTH, FREQUENCIES[:2], STROKES, 4.0, seed, Noise(rate=100.0))
+    fast = tail_sweep(TRUTH, FREQUENCIES[2:], STROKES[1:], 4.0, seed + 1000, Noise(rate=100.0))
+    return [slow, fast]
+
+
+def test_four_numbers_come_back_and_intervals_hold_them():
+    inside = dict.fromkeys(NAMES, 0)
+    for seed in range(100):
+        fit = identify_tail(bench_42(seed))
+        assert len(fit.conditions) == 42
+        for name, within in NAMES.items():
+            found, true = getattr(fit, name), getattr(TRUTH, name)
+            assert found.value == pytest.approx(true, rel=within), (name, seed)
+            inside[name] += found.interval[0] <= true <= found.interval[1]
+    assert min(inside.values()) >= 90, inside
+
+
+def test_a_static_test_is_far_off_where_the_sweep_is_not():
+    loop = static_loop(slow_pull(TRUTH, 0.3, 30.0, 0))
+    found = identify_tail(bench_42(0)).k_eff.value
+    assert abs(loop.loading / TRUTH.k_eff - 1) > 10 * abs(found / TRUTH.k_eff - 1)
+    assert loop.loading / TRUTH.k_eff - 1 > 0.05  # friction counted as stiffness
+    assert loop.unloading < TRUTH.k_eff < loop.loading
+    assert loop.width == pytest.approx(2 * TRUTH.coulomb, rel=0.1)
+    assert loop.energy == pytest.approx(4 * TRUTH.coulomb * 0.3, rel=0.1)  # area of the loop
+
+
+def test_projection_is_exact_for_uneven_time_drift_and_part_beats():
+    rng = np.random.default_rng(1)
+    time = np.sort(rng.uniform(0, 3.37, 400))
+    signal = 0.3 * np.cos(2 * np.pi * 1.1 * time + 0.4) + 0.2 + 0.1 * time - 0.05 * time**2
+    found, deviation = project(time, signal, 1.1)
+    assert found == pytest.approx(0.3 * np.exp(0.4j), rel=1e-9)
+    assert deviation < 1e-9
+    bare = 2 * np.mean((signal - signal.mean()) * np.exp(-2j * np.pi * 1.1 * time))
+    assert abs(bare - found) > 0.01  # what a plain transform would have said
+
+
+def test_the_stated_deviation_is_the_scatter():
+    rng = np.random.default_rng(2)
+    time = np.arange(0, 4, 0.01)
+    clean = np.sin(2 * np.pi * 1.3 * time)
+    draws = [project(time, clean + 0.1 * rng.normal(size=time.size), 1.3) for _ in range(300)]
+    real = np.std([value.real for value, _ in draws])
+    assert np.mean([deviation for _, deviation in draws]) == pytest.approx(real, rel=0.2)
+
+
+def test_the_paper_s_hinges_come_out_of_its_geometry():
+    arms = np.array([19.5, 14.5, 10.8, 7.6, 4.5])
+    pattern = np.linspace(2.99, 1.32, 5)  # h / L, published at its ends alone
+    found = spread(17.5, arms, pattern, 0.98)
+    assert found[[0, -1]] == pytest.approx([2.99, 1.32], rel=0.01)
+    fish = load_fish("pulley-fish")
+    hinges = hinges_for(fish, 0.98, 0.011)
+    assert hinges.pattern == "strip height over length"
+    assert [hinges.stiffness[0], hinges.stiffness[-1]] == pytest.approx([2.99, 1.32], rel=0.01)
+
+
+def test_an_identified_tail_has_its_stiffness_in_the_compiled_twin():
+    fish = load_fish("pulley-fish")
+    hinges = hinges_for(fish, 0.7, 0.02)
+    changed = with_stiffness(fish, np.array(hinges.stiffness), 0.7, 0.02)
+    assert shaft_stiffness(changed) == pytest.approx(0.7, rel=0.01)
+    assert changed.tail.damping_time == pytest.approx(0.02 / 0.7)
+    assert 1e-4 < tail_inertia(changed) < 1e-2
+
+
+def test_a_release_rings_at_the_natural_frequency():
+    ring = ring_down(release(TRUTH, 0.3, 4.0, 0))
+    natural = np.sqrt(TRUTH.k_eff / TRUTH.i_eff) / (2 * np.pi)
+    ratio = TRUTH.c_eff / (2 * np.sqrt(TRUTH.k_eff * TRUTH.i_eff))
+    assert ring.natural_frequency.value == pytest.approx(natural, rel=0.01)
+    assert ring.damping_ratio.value == pytest.approx(ratio, rel=0.03)
+
+
+@pytest.mark.parametrize(("run", "frequency", "ratio"), [("a", 7.66, 0.050), ("b", 7.76, 0.054)])
+def test_a_real_beam_rings_as_measured_elsewhere(data, run, frequency, ratio):
+    """Clamped silicone beam: our figures measured by others' means from the same film."""
+    columns = np.genfromtxt(data / "beam" / f"beam_gravity_V2_{run}.csv", delimiter=",", names=True)
+    tip = np.mean([columns[f"tip{i}_x_m"] for i in (1, 2, 3)], axis=0)
+    base = np.mean([columns[f"base{i}_x_m"] for i in (1, 2, 3)], axis=0)
+    ring = ring_down(Recording(run, columns["t_s"], {"tip_m": tip - base}))
+    assert ring.natural_frequency.value == pytest.approx(frequency, rel=0.02)
+    assert ring.damping_ratio.value == pytest.approx(ratio, abs=0.01)
+
+
+def changed(recording: Recording, **columns: np.ndarray) -> Recording:
+    return replace(recording, columns={**recording.columns, **columns})
+
+
+def one_condition() -> Recording:
+    return replace(tail_sweep(TRUTH, (1.3,), (0.2,), 4.0, 0), labels={})
+
+
+def test_one_frequency_cannot_tell_stiffness_from_inertia():
+    sweep = tail_sweep(TRUTH, (1.3,), (0.1, 0.2), 4.0, 0)
+    with pytest.raises(BadInput, match="cannot be told apart at one frequency"):
+        identify_tail([sweep])
+
+
+def test_a_clipped_torque_is_refused():
+    good = one_condition()
+    torque = good.columns["torque_nm"]
+    cut = np.clip(torque, None, np.quantile(torque, 0.9))
+    with pytest.raises(BadInput, match="torque_nm is clipped"):
+        measure(changed(good, torque_nm=cut))
+    coarse = np.round(np.sin(2 * np.pi * 1.3 * good.time) * 5) / 5  # eleven counts, none clipped
+    measure(changed(good, torque_nm=coarse))
+
+
+def test_degrees_and_stillness_are_refused():
+    good = one_condition()
+    angle = good.columns["angle_rad"]
+    with pytest.raises(BadInput, match="looks like degrees"):
+        measure(changed(good, angle_rad=np.degrees(angle)))
+    with pytest.raises(BadInput, match="never moves"):
+        measure(changed(good, angle_rad=0 * angle))
+    with pytest.raises(BadInput, match="column torque_nm is missing"):
+        identify_tail([replace(good, columns={"angle_rad": angle})])
+    with pytest.raises(BadInput, match="record at least 2 beats"):
+        measure(crop(good, 0.0, 1.2))
+
+
+def test_strokes_all_alike_are_warned_of():
+    fit = identify_tail([tail_sweep(TRUTH, FREQUENCIES, (0.2,), 4.0, 0)])
+    assert any("half the stroke" in warning for warning in fit.warnings)
+
+
+def test_a_pull_one_way_and_a_tail_that_never_swings_are_refused():
+    pull = slow_pull(TRUTH, 0.3, 30.0, 0)
+    with pytest.raises(BadInput, match="one way only"):
+        static_loop(crop(pull, 0.0, 7.0))
+    let_go = release(TRUTH, 0.3, 4.0, 0)
+    with pytest.raises(BadInput, match=r"no ring-down found|swings after the release"):
+        ring_down(crop(let_go, 0.0, 0.45))
+
+
+def test_the_shipped_sample_gives_its_documented_truth():
+    folder = Path(__file__).parents[1] / "examples" / "bench"
+    fit = identify_tail([read_recording(folder / "tail-sweep.csv")])
+    assert fit.k_eff.value == pytest.approx(TRUTH.k_eff, rel=0.01)
+    assert fit.c_eff.value == pytest.approx(TRUTH.c_eff, rel=0.1)
