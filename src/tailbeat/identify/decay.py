@@ -64,13 +64,13 @@ def static_loop(recording: Recording) -> Loop:
         np.mean((torque - whole * angle)[there]) - np.mean((torque - whole * angle)[back])
     )
     cycles = max(np.sum(np.diff(np.sign(speed[moving])) != 0) / 2, 0.5)
-    energy = float(np.trapezoid(torque * np.gradient(angle, recording.time), recording.time))
+    energy = np.trapezoid(torque * np.gradient(angle, recording.time), recording.time)
     return Loop(
         _slope(angle[loading], torque[loading]),
         _slope(angle[unloading], torque[unloading]),
         whole,
         width,
-        energy / cycles,
+        float(energy / cycles),
     )
 
 
