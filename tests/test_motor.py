@@ -179,6 +179,13 @@ def test_bad_recordings_are_one_sentence(columns, meta, complaint):
         as_bench(replace(recording(**columns), meta=meta), FISH)
 
 
+def test_a_gain_stated_in_some_recordings_alone_is_refused(tmp_path):
+    with_gain = as_bench(replace(recording(), meta={"gain": "400"}), FISH)
+    without = as_bench(recording(), FISH)
+    with pytest.raises(BadInput, match="metadata gain is missing while other recordings"):
+        identify_motor(FISH, [with_gain], [without], Plan(seeds=1, effort=SHORT), tmp_path)
+
+
 def test_a_servo_at_its_limit_throughout_is_warned_of(tmp_path):
     time = np.arange(0, 4, 0.01)
     command = np.where((time % 2) < 1, 3.0, -3.0)

@@ -146,6 +146,12 @@ def test_degrees_and_stillness_are_refused():
         measure(crop(good, 0.0, 1.2))
 
 
+def test_a_torque_of_the_wrong_sign_is_refused():
+    sweep = tail_sweep(TRUTH, FREQUENCIES, (0.1, 0.2), 4.0, 0)
+    with pytest.raises(BadInput, match="opposite signs"):
+        identify_tail([changed(sweep, torque_nm=-sweep.columns["torque_nm"])])
+
+
 def test_strokes_all_alike_are_warned_of():
     fit = identify_tail([tail_sweep(TRUTH, FREQUENCIES, (0.2,), 4.0, 0)])
     assert any("half the stroke" in warning for warning in fit.warnings)

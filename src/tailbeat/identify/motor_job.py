@@ -100,7 +100,8 @@ def identify_motor(
     began = time.monotonic()
     if not fit:
         raise BadInput("--fit is empty; give at least one recording to fit.")
-    gain = plan.gain or gain_reference([*fit, *validate])
+    middle = gain_reference([*fit, *validate])
+    gain = None if middle is None else plan.gain or gain_reference(fit)
     space, fits = _searched(fit, plan, scratch / _key(fit, plan), progress)
     baseline = fish.servos.get("idealised", IDEALISED)
     overlays = [

@@ -93,6 +93,11 @@ def identify_tail(recordings: Sequence[Recording]) -> TailFit:
     deviation = np.array([c.deviation for c in found])
     ones = np.ones_like(omega)
     (k, i), spare_re = line(np.stack([ones, -(omega**2)], 1), response.real, deviation)
+    if k.value <= 0:
+        raise BadInput(
+            f"{found[0].recording}: the stiffness comes out as {k.value:.3g} N m/rad; torque and"
+            f" angle have opposite signs: torque_nm is what turns the shaft towards larger angles."
+        )
     drag = np.stack([omega, 4 / (np.pi * amplitude)], 1)
     (c, f), spare_im = line(drag, response.imag, deviation)
     warnings = _warnings(found, i, c, f)
