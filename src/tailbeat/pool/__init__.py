@@ -1,0 +1,1 @@
+"""What stands in for water and hardware? An independent, unsteady plant."""
