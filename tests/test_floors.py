@@ -19,6 +19,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "tailbeat"
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("__main__",),
     ("cli",),
+    ("chain_tasks",),
     ("bench_tasks", "console", "tasks"),
     ("evaluate",),
     ("pool",),

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tailbeat import bench_tasks, console, tasks
+from tailbeat import bench_tasks, chain_tasks, console, tasks
 from tailbeat.files import BadInput, write_json
 
 app = typer.Typer(
@@ -133,6 +133,24 @@ def identify_motor(
     console.say(f"wrote {', '.join(map(str, done.files))}")
 
 
+@identify.command("all")
+def identify_all(
+    fish: FishOption,
+    folder: Annotated[Path, typer.Option("--from", help="Folder with all recordings.")],
+    out: OutFish,
+    zones: Annotated[int, typer.Option(help="1: one coefficient set; 3: one per zone.")] = 3,
+    seeds: Annotated[int, typer.Option(help="Independent searches per stage.")] = 3,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Tail, then servo, then fluid from one folder; writes fish, report, page and figures."""
+    tasks.plan(zones, seeds, seed, 1, None)
+    with console.search_progress() as progress:
+        report = chain_tasks.identify_all(fish, folder, out, seeds, seed, zones, json, progress)
+    console.tables({"summary": [report["summary"]]})
+    console.say(f"wrote {out} and, beside it, {out.with_suffix('.md').name}")
+
+
 @importing.command("xl330")
 def import_xl330(
     log: Annotated[Path, typer.Argument(help="A pendulum log of Rhoban/bam, JSON.")],
@@ -159,6 +177,34 @@ def protocol(
         write_json(json, {"recordings": [str(path) for path in paths]})
     for path in paths:
         console.say(f"wrote {path}")
+
+
+@app.command("record")
+def record(
+    kind: Annotated[str, typer.Argument(help="tail, motor or fluid.")],
+    fish: FishOption,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the recordings.")],
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Play a bench's protocol in the virtual pool and record it as a lab would."""
+    paths = chain_tasks.record(kind, fish, out, seed)
+    if json is not None:
+        write_json(json, {"recordings": [str(path) for path in paths]})
+    for path in paths:
+        console.say(f"wrote {path}")
+
+
+@app.command("flutter")
+def flutter(
+    fish: FishOption,
+    out: Annotated[Path, typer.Option("--out", help="The figure to write, .png.")],
+    servo: Annotated[list[str] | None, typer.Option(help="Servo variants; repeat.")] = None,
+    json: JsonOption = None,
+) -> None:
+    """Speed of twin and virtual pool over frequency and stroke, in and far beyond the band."""
+    report = chain_tasks.flutter(fish, servo, out, json)
+    console.tables({f"speed [m/s], water {report['water']}": report["rows"]})
 
 
 @app.command()

@@ -36,7 +36,7 @@ def tables(rows_by_title: dict[str, list[dict[str, Any]]]) -> None:
 
 
 def _table(title: str, rows: list[dict[str, Any]]) -> Table:
-    table = Table(title=title, title_justify="left", header_style="bold")
+    table = Table(title=escape(title), title_justify="left", header_style="bold")
     for name in rows[0]:
         numeric = all(isinstance(row[name], int | float | None) for row in rows)
         table.add_column(escape(name), justify="right" if numeric else "left")
@@ -184,6 +184,17 @@ def _run_cells(run: dict[str, Any]) -> dict[str, Any]:
         "twin [m]": run["predicted_tail_amplitude"],
         "marker error [mm]": 1e3 * run["marker_error"],
         "settled": "yes" if run["settled"] else "NO",
+        **_path_cells(run),
+    }
+
+
+def _path_cells(run: dict[str, Any]) -> dict[str, Any]:
+    """Of a replayed run: how far off the path was."""
+    if "distance" not in run:
+        return {}
+    return {
+        "path error [%]": 100 * run["position_error_share"],
+        "heading [deg]": run["heading_error_deg"],
     }
 
 

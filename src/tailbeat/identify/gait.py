@@ -13,6 +13,7 @@ from tailbeat.files import BadInput
 
 Array = NDArray[np.float64]
 MINIMUM_BEATS = 2.0
+EDGE = 0.03  # a beat driven at the band's edge may be measured a little beyond it
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +161,7 @@ def _check_frequency(
             f"{name}: {duration:.2f} s holds {frequency * duration:.1f} beats of"
             f" {frequency:.2f} Hz; record at least {MINIMUM_BEATS:.0f} beats."
         )
-    if not band[0] <= frequency <= band[1]:
+    if not band[0] * (1 - EDGE) <= frequency <= band[1] * (1 + EDGE):
         raise BadInput(
             f"{name}: beat frequency {frequency:.2f} Hz is outside the description's band"
             f" {band[0]:g}-{band[1]:g} Hz; check the recording, or widen band in the fish."

@@ -8,11 +8,12 @@ import numpy as np
 
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Swim
-from tailbeat.identify.gait import Gait, Track
+from tailbeat.identify.gait import Gait, Track, distance
 from tailbeat.identify.runs import Cruise, Run, last_beats, repeat, twin_gait, twin_track
 
 # A prediction settles longer than a fit can afford, and is averaged over more beats.
 LONG = Cruise(settle=20, measure=3)
+JUDGED = 8.0  # s into a replayed run at which the heading is compared
 SETTLED = 0.02  # relative change of speed over the last beats that counts as settled
 
 
@@ -64,6 +65,22 @@ def marker_error(run: Run, gait: Gait, track: Track) -> float:
     return float(np.sqrt(np.square(path - run.track.pose[:, :2]).sum(axis=1).mean()))
 
 
+def path_errors(prediction: Prediction) -> dict[str, float]:
+    """Of a replayed run: way swum along the heading [m], position error (rms) as a share of it, and
+    heading error [deg] after 8 s or at the end, a tenth of a second's noise averaged out."""
+    track, found = prediction.run.track, prediction.track
+    when = track.time - track.time[0]
+    way = float(np.abs(distance(track)[-1]))
+    at = min(JUDGED, float(when[-1]) - 0.1)
+    around = np.abs(when - at) <= 0.1
+    yaw = np.interp(when[around], found.time, found.pose[:, 2]) - track.pose[around, 2]
+    return {
+        "distance": way,
+        "position_error_share": prediction.marker_error / max(way, 1e-9),
+        "heading_error_deg": float(np.degrees(yaw.mean())),
+    }
+
+
 def as_json(predictions: Sequence[Prediction]) -> dict[str, Any]:
     """The result of `tailbeat predict`, SI throughout."""
     return {
@@ -86,6 +103,8 @@ def row(prediction: Prediction) -> dict[str, Any]:
         "settled": prediction.settled,
         "marker_error": prediction.marker_error,
     }
+    if prediction.run.motor is not None:
+        found |= path_errors(prediction)
     for name in ("speed", "stride", "strouhal", "tail_amplitude"):
         found[f"measured_{name}"] = getattr(prediction.run.gait, name)
         found[f"predicted_{name}"] = getattr(prediction.gait, name)

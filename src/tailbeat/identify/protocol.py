@@ -102,12 +102,13 @@ def motor_commands(fish: Fish, limit: Limits) -> dict[str, Recording]:
 
 
 def fluid_runs(fish: Fish, limit: Limits, seconds: float = 12.0) -> dict[str, Recording]:
-    """Twelve open-loop swims over the band, from rest: nine straight, three turning (paper: twelve
-    runs, 1-4 Hz)."""
+    """Twelve open-loop swims over the band, from rest, at three strokes: nine straight, three
+    turning (paper: twelve runs, 1-4 Hz)."""
     runs = {}
     for number, frequency in enumerate(np.geomspace(fish.band[0], fish.band[1], 12)):
         turn = 0.2 * limit.angle * ((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0)[number % 8])
-        stroke = min(largest(limit, frequency), limit.angle - abs(turn))
+        share = (1.0, 0.7, 0.85)[number % 3]
+        stroke = share * min(largest(limit, frequency), limit.angle - abs(turn))
         swim = _sine(frequency, stroke, max(int(seconds * frequency), 4))
         ramp = np.minimum(np.arange(swim.size) / RATE * frequency, 1.0)
         name = f"fluid-{number + 1:02d}"

@@ -1,0 +1,82 @@
+"""How fast do twin and plant swim at any beat? Speed over frequency and stroke, side by side.
+
+Above its band the stateless twin is known to go wrong; this shows where and how much, whatever
+comes out. Open water, a sine that fades in over a second, the command held at 50 Hz.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.fish.description import Fish
+from tailbeat.fish.rollout import Start, swim
+from tailbeat.fish.twin import compile_twin
+from tailbeat.pool.plant import at_rest, build_plant, step_plant
+from tailbeat.pool.water import Water, fingerprint
+
+Array = NDArray[np.float64]
+FREQUENCIES = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)  # Hz
+SHAFT_SPEEDS = (3.0, 6.0, 9.0)  # rad/s, commanded: stroke times angular frequency
+SECONDS, JUDGED = 12.0, 4.0
+
+
+def flutter(fish: Fish, servos: Sequence[str] = ("identified",)) -> dict[str, Any]:
+    """Speed [m/s] of twin and plant for every beat; negative is backwards."""
+    cases = [
+        (servo, rate, frequency, min(rate / (2 * np.pi * frequency), 1.0))
+        for servo in servos
+        for rate in SHAFT_SPEEDS
+        for frequency in FREQUENCIES
+    ]
+    plant, twin = _plant_speeds(fish, cases), _twin_speeds(fish, cases)
+    rows = [
+        {
+            "servo": servo,
+            "shaft_speed": rate,
+            "frequency": frequency,
+            "stroke": stroke,
+            "plant": float(p),
+            "twin": float(t),
+        }
+        for (servo, rate, frequency, stroke), p, t in zip(cases, plant, twin, strict=True)
+    ]
+    return {"fish": fish.name, "water": fingerprint([Water()]), "rows": rows}
+
+
+def _command(frequency: float, stroke: float, step: float) -> Array:
+    held = np.floor(np.arange(round(SECONDS / step)) * step * 50 + 1e-9) / 50
+    sine = np.sin(2 * np.pi * frequency * held)
+    return np.asarray(stroke * np.minimum(held, 1.0) * sine)
+
+
+def _speed(time: Array, pose: Array) -> float:
+    """Net way over the last seconds, along the mean heading [m/s]."""
+    late = time >= time[-1] - JUDGED
+    way = pose[-1, :2] - pose[late][0, :2]
+    heading = pose[late, 2].mean()
+    return float(way @ [np.cos(heading), np.sin(heading)]) / JUDGED
+
+
+def _plant_speeds(fish: Fish, cases: Sequence[tuple[str, float, float, float]]) -> list[float]:
+    dt = 0.001
+    servos = [fish.servos[servo] for servo, *_ in cases]
+    plant = build_plant(fish, [Water()], servos, dt=dt)
+    commands = np.stack([_command(frequency, stroke, dt) for *_, frequency, stroke in cases])
+    swum = step_plant(plant, at_rest(plant), commands, 20)
+    return [_speed(swum.time, pose) for pose in swum.q[:, :, :3]]
+
+
+def _twin_speeds(fish: Fish, cases: Sequence[tuple[str, float, float, float]]) -> list[float]:
+    calm = fish.simulation.model_copy(update={"step": 0.001})
+    found = []
+    for servo in dict.fromkeys(name for name, *_ in cases):
+        own = [case for case in cases if case[0] == servo]
+        twin = compile_twin(fish.model_copy(update={"servo": servo, "simulation": calm}))
+        commands = [_command(frequency, stroke, 0.001) for *_, frequency, stroke in own]
+        done = swim([twin] * len(own), [Start.at_rest()] * len(own), commands, 20)
+        speeds = [_speed(swum.time, swum.qpos[:, :3]) for swum in done]
+        lost = [swum.diverged for swum in done]
+        found += [np.nan if gone else v for v, gone in zip(speeds, lost, strict=True)]
+    return found

@@ -1,0 +1,158 @@
+"""Bench and pool experiments, played in the plant and recorded as a lab would.
+
+The command recordings are those of `identify.protocol`, the same a lab plays; what comes out is a
+recording of the same columns, with the water's fingerprint in its metadata.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from tailbeat.fish.description import Fish, Servo
+from tailbeat.identify.protocol import (
+    fluid_runs,
+    limits,
+    motor_commands,
+    tail_static,
+    tail_sweep,
+)
+from tailbeat.identify.runs import tracked_pose
+from tailbeat.pool.plant import (
+    LENGTH,
+    WIDTH,
+    Surroundings,
+    Swum,
+    at_rest,
+    build_plant,
+    step_plant,
+)
+from tailbeat.pool.recorder import Sensors, camera, clock, encoder, frames, torque_cell
+from tailbeat.pool.water import Water, fingerprint
+from tailbeat.recording import Recording
+
+Array = NDArray[np.float64]
+SENSORS, WATER = Sensors(), Water()
+DT = 0.002  # s
+AIR = 1.2e-3  # of the water's density
+MARGIN = 0.35  # m: a recording ends where the fish comes so near a wall
+# The bench's drive for the tail: stiff, and upstream of the torque sensor.
+DRIVE = Servo(kp=300.0, kv=3.0, armature=1e-6, damping=0.0, force_limit=50.0, delay=0.0)
+
+
+def record_tail(
+    fish: Fish,
+    seed: int = 0,
+    sensors: Sensors = SENSORS,
+    water: Water = WATER,
+) -> Iterator[Recording]:
+    """Sweep and slow pull in air: `angle_rad` and `torque_nm` of the shaft."""
+    limit = limits(fish)
+    for number, command in enumerate((tail_sweep(fish, limit), tail_static(limit))):
+        rng = np.random.default_rng([seed, number])
+        smooth = _smooth(command, 0.001)
+        swum = _play(fish, smooth, _air(water), Surroundings(held=True), DRIVE, 0.001)
+        time = clock(float(swum.time[-1]), sensors.bench_rate, sensors.jitter, rng)
+        label = command.labels["condition"][_in_force(command, time)]
+        columns = {
+            "angle_rad": encoder(_at(swum, swum.q[0, :, 3], time)),
+            # the torque of a step belongs to its middle
+            "torque_nm": torque_cell(
+                np.interp(time, swum.time[1:] - 0.0005, swum.torque[0, 1:]), sensors, rng
+            ),
+        }
+        yield Recording(command.name, time, columns, _meta(water), {"condition": label})
+
+
+def record_motor(
+    fish: Fish,
+    seed: int = 0,
+    sensors: Sensors = SENSORS,
+    water: Water = WATER,
+) -> Iterator[Recording]:
+    """The servo on its tail in air: `command_rad` as sent and `angle_rad` as read, pass by pass."""
+    for number, command in enumerate(motor_commands(fish, limits(fish)).values()):
+        rng = np.random.default_rng([seed, 100 + number])
+        time = clock(float(command.time[-1]), sensors.loop_rate, sensors.jitter, rng)
+        sent = np.interp(time, command.time, command.columns["command_rad"])
+        passes = Recording(command.name, time, {"command_rad": sent})
+        swum = _play(fish, passes, _air(water), Surroundings(held=True), None, 0.001)
+        columns = {"command_rad": sent, "angle_rad": encoder(_at(swum, swum.q[0, :, 3], time))}
+        yield Recording(command.name, time, columns, {**_meta(water), "load": "tail"})
+
+
+def record_fluid(
+    fish: Fish,
+    seed: int = 0,
+    sensors: Sensors = SENSORS,
+    water: Water = WATER,
+) -> Iterator[Recording]:
+    """Free swims from rest down the pool: encoder and tag, at the frames' times.
+
+    Cut where the fish comes near a wall. The encoder is read at the loop's rate and interpolated to
+    the frames, as a recorder that joins two logs would do.
+    """
+    for number, command in enumerate(fluid_runs(fish, limits(fish)).values()):
+        rng = np.random.default_rng([seed, 200 + number])
+        side = rng.uniform(-0.2, 0.2, 2)
+        start = np.array([[-LENGTH / 2 + 0.8, side[0], side[1] / 2]])
+        swum = _play(fish, command, water, Surroundings(walls=(LENGTH, WIDTH)), None, DT, start)
+        pose = tracked_pose(fish, swum.q[0, :, :3])
+        seconds = _until_wall(swum.time, pose)
+        seen = frames(seconds, sensors, rng)
+        loop = clock(seconds, sensors.loop_rate, sensors.jitter, rng)
+        angle = np.interp(seen, loop, encoder(_at(swum, swum.q[0, :, 3], loop)))
+        late = np.clip(seen + sensors.stamp_noise * rng.normal(size=seen.size), 0, seconds)
+        poses = camera(np.stack([_at(swum, c, late) for c in pose.T], axis=1), sensors, rng)
+        columns = dict(zip(("x_m", "y_m", "yaw_rad"), poses.T, strict=True))
+        columns = {"motor_angle_rad": angle, **columns}
+        yield Recording(command.name, seen, columns, _meta(water))
+
+
+def _air(water: Water) -> Water:
+    return replace(water, density=water.density * AIR)
+
+
+def _play(
+    fish: Fish,
+    command: Recording,
+    water: Water,
+    around: Surroundings,
+    servo: Servo | None,
+    dt: float,
+    start: Array | None = None,
+) -> Swum:
+    """A command recording played to its end, held from its own sample to the next."""
+    plant = build_plant(fish, [water], servo, [around], dt)
+    time = np.asarray(dt * np.arange(int(command.time[-1] / dt) + 2), dtype=np.float64)
+    held = command.columns["command_rad"][_in_force(command, time)]
+    return step_plant(plant, at_rest(plant, start), held[None])
+
+
+def _smooth(command: Recording, dt: float) -> Recording:
+    """What a motion controller makes of a command: no steps every 20 ms."""
+    time = np.arange(command.time[0], command.time[-1], dt)
+    curve = CubicSpline(command.time, command.columns["command_rad"])(time)
+    return Recording(command.name, np.asarray(time), {"command_rad": np.asarray(curve)})
+
+
+def _in_force(command: Recording, time: Array) -> NDArray[np.int64]:
+    """Which sample of a command is in force at each time."""
+    return np.searchsorted(command.time, time + 1e-9, side="right") - 1
+
+
+def _at(swum: Swum, values: Array, time: Array) -> Array:
+    """Values of the plant between its steps."""
+    return np.asarray(CubicSpline(swum.time, values)(np.minimum(time, swum.time[-1])))
+
+
+def _until_wall(time: Array, pose: Array) -> float:
+    """Seconds until the tag comes within the margin of a wall, or all."""
+    near = np.maximum(np.abs(pose[:, 0]) - LENGTH / 2, np.abs(pose[:, 1]) - WIDTH / 2) > -MARGIN
+    return float(time[np.argmax(near)] if near.any() else time[-1])
+
+
+def _meta(water: Water) -> dict[str, str]:
+    return {"source": "tailbeat virtual pool", "water": fingerprint([water])}

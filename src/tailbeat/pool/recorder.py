@@ -1,0 +1,61 @@
+"""What a lab's recorder would have written: counts, noise, latency, drops, uneven clocks.
+
+Every figure is chosen, rounded up from what the parts' makers and others' measurements say; the
+plant's own numbers go no further than this room.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+COUNT = 2 * np.pi / 4096  # rad, a Dynamixel's encoder
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Standard deviations and rates of a bench and a pool."""
+
+    torque_noise: float = 0.01  # N m, chosen: 0.1 % of a 10 N m cell's range
+    torque_count: float = 0.005  # N m
+    bench_rate: float = 200.0  # Hz, angle and torque sampled together
+    loop_rate: float = 100.0  # Hz, of a loop that writes the goal and reads the encoder
+    jitter: float = 0.1  # of a period, uniform
+    frame_rate: float = 60.0  # Hz, of the camera
+    position_noise: float = 0.0015  # m: tag corners at 3 m, 0.1-0.5 px, with refraction left over
+    yaw_noise: float = 0.004  # rad: 0.2 degrees of a 4 px module tag
+    stamp_noise: float = 0.001  # s, of a frame's time after its latency was taken off
+    dropped: float = 0.02  # share of frames without a tag
+
+
+def clock(seconds: float, rate: float, jitter: float, rng: np.random.Generator) -> Array:
+    """Uneven sample times from 0 [s]."""
+    count = int(seconds * rate)
+    time = (np.arange(count) + jitter * rng.uniform(-1, 1, count)) / rate
+    return np.asarray(time - time[0])
+
+
+def encoder(angle: Array) -> Array:
+    """Angle in counts [rad]."""
+    return np.asarray(np.round(angle / COUNT) * COUNT)
+
+
+def torque_cell(torque: Array, sensors: Sensors, rng: np.random.Generator) -> Array:
+    """Torque with noise, in counts [N m]."""
+    noisy = torque + sensors.torque_noise * rng.normal(size=torque.shape)
+    return np.asarray(np.round(noisy / sensors.torque_count) * sensors.torque_count)
+
+
+def frames(seconds: float, sensors: Sensors, rng: np.random.Generator) -> Array:
+    """Times of the frames in which the tag was found [s]; the first always is."""
+    time = np.arange(0, seconds, 1 / sensors.frame_rate)
+    seen = rng.uniform(size=time.size) >= sensors.dropped
+    seen[0] = True
+    return time[seen]
+
+
+def camera(pose: Array, sensors: Sensors, rng: np.random.Generator) -> Array:
+    """Poses (k, 3) x, y [m], yaw [rad] as the tag gives them."""
+    scale = np.array([sensors.position_noise, sensors.position_noise, sensors.yaw_noise])
+    return np.asarray(pose + scale * rng.normal(size=pose.shape))
