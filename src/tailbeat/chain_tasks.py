@@ -13,7 +13,6 @@ from tailbeat.evaluate.flutter import flutter as speeds_of
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
 from tailbeat.fish.store import fish_path, load_fish
 from tailbeat.identify import job
-from tailbeat.identify.search import Effort
 from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
 from tailbeat.recording import write_recording
 
@@ -80,9 +79,7 @@ def identify_all(
     fish: str,
     folder: Path,
     out: Path,
-    seeds: int,
-    seed: int,
-    zones: int,
+    plan: job.Plan,
     json: Path | None,
     progress: Progress,
 ) -> dict[str, Any]:
@@ -93,12 +90,12 @@ def identify_all(
     described = load_fish(fish)
     targets = _targets(out, json)
     data = read_folder(folder)
-    work = out.parent / f".{out.stem}.chain" / _key(fish, data, (seeds, seed, zones))
+    work = out.parent / f".{out.stem}.chain" / _key(fish, data, plan)
     stages = {name: work / f"{name}.toml" for name in ("tail", "motor", "fluid")}
     reports: dict[str, Any] = {}
     _stage(stages["tail"], lambda path: _tail(fish, data, path))
-    _stage(stages["motor"], lambda path: _motor(stages, data, path, seeds, seed, progress))
-    _stage(stages["fluid"], lambda path: _fluid(stages, data, path, zones, seeds, seed, progress))
+    _stage(stages["motor"], lambda path: _motor(stages, data, path, plan, progress))
+    _stage(stages["fluid"], lambda path: _fluid(stages, data, path, plan, progress))
     for name, path in stages.items():
         reports[name] = _read_json(path.with_suffix(".json"))
     report = {"fish": described.name, "source": str(fish_path(fish)), "stages": reports}
@@ -123,9 +120,9 @@ def _targets(out: Path, json: Path | None) -> dict[str, Path]:
     return targets
 
 
-def _key(fish: str, data: Folder, options: tuple[int, ...]) -> str:
+def _key(fish: str, data: Folder, plan: job.Plan) -> str:
     """Names the work by what it is made of: other work is never resumed by mistake."""
-    digest = hashlib.sha256(fish_path(fish).read_bytes() + repr(options).encode())
+    digest = hashlib.sha256(fish_path(fish).read_bytes() + repr(plan).encode())
     singles = [path for path in (data.static, data.release) if path is not None]
     for path in [*data.sweeps, *singles, *data.motor_fit, *data.motor_validate, *data.fluid_fit]:
         digest.update(path.read_bytes())
@@ -148,16 +145,15 @@ def _tail(fish: str, data: Folder, out: Path) -> None:
 
 
 def _motor(
-    stages: dict[str, Path], data: Folder, out: Path, seeds: int, seed: int, progress: Progress
+    stages: dict[str, Path], data: Folder, out: Path, plan: job.Plan, progress: Progress
 ) -> None:
-    plan = bench_tasks.motor_plan(seeds, seed, True, None)
     bench_tasks.identify_motor(
         str(stages["tail"]),
         data.motor_fit,
         data.motor_validate,
         out,
         None,
-        plan,
+        bench_tasks.motor_plan(plan.seeds, plan.first_seed, True, None),
         False,
         None,
         progress,
@@ -165,18 +161,10 @@ def _motor(
 
 
 def _fluid(
-    stages: dict[str, Path],
-    data: Folder,
-    out: Path,
-    zones: int,
-    seeds: int,
-    seed: int,
-    progress: Progress,
+    stages: dict[str, Path], data: Folder, out: Path, plan: job.Plan, progress: Progress
 ) -> None:
-    plan = job.Plan(zones, seeds, seed, Effort())
-    tasks.identify_fluid(
-        str(stages["motor"]), data.fluid_fit, data.fluid_validate, out, plan, None, progress
-    )
+    fish = str(stages["motor"])
+    tasks.identify_fluid(fish, data.fluid_fit, data.fluid_validate, out, plan, None, progress)
 
 
 def _read_json(path: Path) -> Any:

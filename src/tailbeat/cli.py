@@ -141,12 +141,13 @@ def identify_all(
     zones: Annotated[int, typer.Option(help="1: one coefficient set; 3: one per zone.")] = 3,
     seeds: Annotated[int, typer.Option(help="Independent searches per stage.")] = 3,
     seed: SeedOption = 0,
+    generations: Annotated[int, typer.Option(help="CMA-ES generations of the fluid.")] = 15,
     json: JsonOption = None,
 ) -> None:
     """Tail, then servo, then fluid from one folder; writes fish, report, page and figures."""
-    tasks.plan(zones, seeds, seed, 1, None)
+    plan = tasks.plan(zones, seeds, seed, generations, None)
     with console.search_progress() as progress:
-        report = chain_tasks.identify_all(fish, folder, out, seeds, seed, zones, json, progress)
+        report = chain_tasks.identify_all(fish, folder, out, plan, json, progress)
     console.tables({"summary": [report["summary"]]})
     console.say(f"wrote {out} and, beside it, {out.with_suffix('.md').name}")
 

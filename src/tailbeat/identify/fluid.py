@@ -54,14 +54,18 @@ COEFFICIENT_PRIORS: dict[str, tuple[float, float, float, float]] = {
     "kutta": (1.5, 0.8, 0.01, 6.3),
     "magnus": (1.0, 0.8, 0.01, 6.0),
 }
+# Without added inertia the coefficients must stand in for what is missing (the paper's fin has a
+# Kutta factor of 10 and an angular one of 18): ranges reach so many times further, chosen.
+STAND_IN = 4.0
 
 
 def fluid_space(fish: Fish, zones: int) -> tuple[Parameter, ...]:
     """The free numbers: five coefficients for all zones together (1) or for each (3), and what
     the description calls uncertain."""
     groups = ["*"] if zones == 1 else list(fish.zones)
+    room = 1.0 if fish.added_inertia > 0 else STAND_IN
     found = [
-        Parameter(f"zones.{zone}.{name}", "1", low, high, centre, spread)
+        Parameter(f"zones.{zone}.{name}", "1", low, high * room, centre, spread * np.sqrt(room))
         for zone in groups
         for name in COEFFICIENTS
         for centre, spread, low, high in [COEFFICIENT_PRIORS[name]]

@@ -1,0 +1,106 @@
+"""Experiments in the pool are recorded as a lab's are, and a fish is identified from the folder."""
+
+import json
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from tailbeat import chain_tasks, tasks
+from tailbeat.files import BadInput
+from tailbeat.fish.show import shaft_stiffness
+from tailbeat.fish.store import load_fish
+from tailbeat.identify.tail import identify_tail
+from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
+from tailbeat.pool.recorder import COUNT, Sensors
+from tailbeat.pool.water import Water, fingerprint
+from tailbeat.recording import read_recording
+
+FISH = load_fish("pulley-fish")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """All three experiments, as files."""
+    out = tmp_path_factory.mktemp("pool")
+    for kind in ("tail", "motor", "fluid"):
+        chain_tasks.record(kind, "pulley-fish", out, seed=0)
+    return out
+
+
+def test_what_is_recorded_is_what_sensors_give(folder):
+    sweep = read_recording(folder / "tail-sweep.csv")
+    counts = sweep.columns["angle_rad"] / COUNT
+    assert counts == pytest.approx(np.round(counts), abs=1e-6)
+    assert np.ptp(np.diff(sweep.time)) > 1e-4  # the clock is uneven
+    assert sweep.meta["water"] == fingerprint([Water()])
+    swim = read_recording(folder / "fluid-01.csv")
+    assert set(swim.columns) == {"motor_angle_rad", "x_m", "y_m", "yaw_rad"}
+    gaps = np.diff(swim.time) * Sensors().frame_rate
+    assert 0.005 < np.mean(gaps > 1.5) < 0.05  # frames without a tag
+    still = swim.time < 1.0
+    noise = swim.columns["x_m"][still].std()
+    assert noise == pytest.approx(Sensors().position_noise, rel=0.4)
+
+
+def test_the_same_seed_is_the_same_recording_and_the_plant_stays_hidden():
+    first, again = (next(record_motor(FISH, seed=3)) for _ in range(2))
+    assert np.array_equal(first.columns["angle_rad"], again.columns["angle_rad"])
+    other = next(record_motor(FISH, seed=4))
+    assert first.time.size != other.time.size or not np.array_equal(first.time, other.time)
+    hidden = {f.name for f in fields(Water)}
+    assert not hidden & set(first.meta) and not hidden & set(first.columns)
+
+
+def test_swims_start_at_rest_cover_the_band_and_stay_off_the_walls():
+    swims = list(record_fluid(FISH, seed=1))
+    assert len(swims) == 12
+    for swim in swims:
+        x, y = swim.columns["x_m"], swim.columns["y_m"]
+        assert np.abs(x).max() < 2.75 and np.abs(y).max() < 1.35
+        assert np.hypot(x[30] - x[0], y[30] - y[0]) < 0.02
+        assert swim.time[-1] > 5.0
+    turns = [abs(swim.columns["yaw_rad"][-1]) for swim in swims]
+    assert sum(turn > 0.7 for turn in turns) >= 3
+
+
+def test_the_bench_gives_back_the_plant_s_stiffness():
+    sweep = next(record_tail(FISH, seed=0))
+    fit = identify_tail([sweep])
+    assert fit.k_eff.value == pytest.approx(shaft_stiffness(FISH), rel=0.02)
+    assert fit.k_eff.interval[0] < shaft_stiffness(FISH) < fit.k_eff.interval[1]
+
+
+def test_one_folder_one_command(folder, tmp_path):
+    """The whole chain with little effort: every stage runs, and its result goes on to the next."""
+    few = tmp_path / "few"
+    few.mkdir()
+    for name in ("tail-sweep", "motor-chirp", "motor-steps", "motor-beat", "fluid-01", "fluid-05"):
+        (few / f"{name}.csv").write_bytes((folder / f"{name}.csv").read_bytes())
+    (few / "fluid-06.csv").write_bytes((folder / "fluid-07.csv").read_bytes())
+    plan = tasks.plan(zones=1, seeds=1, seed=0, generations=1, start_weight=None)
+    out = tmp_path / "mine.toml"
+    report = chain_tasks.identify_all("pulley-fish", few, out, plan, None, lambda *_: None)
+    assert report["summary"]["k_eff"] == pytest.approx(0.98, rel=0.02)
+    assert report["summary"]["servo_mae_deg"] < 0.2
+    assert len(report["summary"]["position_error_share"]) == 1
+    fish = load_fish(out)
+    assert fish.tail.k_eff == pytest.approx(report["summary"]["k_eff"], rel=1e-4)
+    assert fish.servo == "identified"
+    page = (tmp_path / "mine.md").read_text()
+    assert "fluid-06 | held out" in page and "mine-tail.png" in page
+    saved = json.loads((tmp_path / "mine.json").read_text())
+    assert saved["stages"]["motor"]["parameters"]["kp"]["value"] == pytest.approx(5.41, rel=0.05)
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_folder_without_a_bench_is_refused(folder, tmp_path):
+    plan = tasks.plan(1, 1, 0, 1, None)
+    with pytest.raises(BadInput, match="begins with tail-sweep"):
+        chain_tasks.identify_all(
+            "pulley-fish", tmp_path, tmp_path / "f.toml", plan, None, lambda *_: None
+        )
+    with pytest.raises(BadInput, match="exist already"):
+        chain_tasks.record("tail", "pulley-fish", folder, 0)
+    with pytest.raises(BadInput, match="allowed are tail, motor, fluid"):
+        chain_tasks.record("wings", "pulley-fish", tmp_path, 0)
