@@ -14,7 +14,7 @@ from tailbeat.identify.tail import identify_tail
 from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
 from tailbeat.pool.recorder import COUNT, Sensors
 from tailbeat.pool.water import Water, fingerprint
-from tailbeat.recording import read_recording
+from tailbeat.recording import Recording, read_recording, write_recording
 
 FISH = load_fish("pulley-fish")
 
@@ -92,6 +92,23 @@ def test_one_folder_one_command(folder, tmp_path):
     saved = json.loads((tmp_path / "mine.json").read_text())
     assert saved["stages"]["motor"]["parameters"]["kp"]["value"] == pytest.approx(5.41, rel=0.05)
     assert not list(tmp_path.glob(".*"))
+
+
+def test_given_commands_are_played_and_checked(tmp_path):
+    time = np.arange(0, 6, 0.02)
+    sine = 0.4 * np.sin(2 * np.pi * 1.5 * time)
+    write_recording(Recording("c", time, {"command_rad": sine}), tmp_path / "fluid-mine.csv")
+    write_recording(Recording("c", time, {"command_rad": 4 * sine}), tmp_path / "fluid-wild.csv")
+    made = chain_tasks.record(
+        "fluid", "pulley-fish", tmp_path / "out", 0, [tmp_path / "fluid-mine.csv"]
+    )
+    swim = read_recording(made[0])
+    assert made[0].name == "fluid-mine.csv" and np.ptp(swim.columns["x_m"]) > 0.2
+    with pytest.raises(BadInput, match=r"fluid-wild: column command_rad, row \d+: .* outside"):
+        chain_tasks.record(
+            "fluid", "pulley-fish", tmp_path / "two", 0, [tmp_path / "fluid-wild.csv"]
+        )
+    assert not list((tmp_path / "two").glob("*"))
 
 
 def test_a_folder_without_a_bench_is_refused(folder, tmp_path):

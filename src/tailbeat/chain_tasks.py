@@ -2,7 +2,7 @@
 
 import hashlib
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,14 @@ from tailbeat.files import BadInput, new_file, refuse_existing, write_json
 from tailbeat.fish.store import fish_path, load_fish
 from tailbeat.identify import job
 from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
-from tailbeat.recording import write_recording
+from tailbeat.recording import Recording, read_recording, write_recording
 
 Progress = Callable[[int, str, float, float], None]
-RECORDERS = {"tail": record_tail, "motor": record_motor, "fluid": record_fluid}
+RECORDERS: dict[str, Callable[..., Iterator[Recording]]] = {
+    "tail": record_tail,
+    "motor": record_motor,
+    "fluid": record_fluid,
+}
 HELD_OUT_MOTOR = ("motor-mixed", "motor-beat")
 EVERY = 3  # of the swims, every third is held out
 
@@ -35,14 +39,16 @@ class Folder:
     fluid_validate: list[Path]
 
 
-def record(kind: str, fish: str, out: Path, seed: int) -> list[Path]:
-    """Play one bench's protocol in the virtual pool; writes its recordings, returns their paths."""
+def record(kind: str, fish: str, out: Path, seed: int, commands: Sequence[Path] = ()) -> list[Path]:
+    """Play one bench's protocol (or given commands) in the virtual pool; writes its recordings,
+    returns their paths."""
     if kind not in RECORDERS:
         raise BadInput(f"record {kind!r}: allowed are {', '.join(RECORDERS)}.")
     if any(out.glob(f"{kind}-*.csv")):
         raise BadInput(f"{out}: {kind} recordings exist already; give another folder.")
     paths = []
-    for recording in RECORDERS[kind](load_fish(fish), seed):
+    given = [read_recording(path) for path in commands]
+    for recording in RECORDERS[kind](load_fish(fish), seed, commands=given):
         paths.append(out / f"{recording.name}.csv")
         write_recording(recording, paths[-1])
     return paths

@@ -21,11 +21,15 @@ importing = typer.Typer(help="Turn other people's files into recordings.", no_ar
 app.add_typer(identify, name="identify")
 app.add_typer(importing, name="import")
 
-LISTS = ("--fit", "--validate")  # options that take any number of values
+LISTS = ("--fit", "--validate", "--commands", "--servo")  # options that take any number of values
 FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
 OutFish = Annotated[Path, typer.Option("--out", help="The identified fish to write.")]
+AddedOption = Annotated[
+    float | None,
+    typer.Option(help="Share of the described added mass that is inertia; default: as described."),
+]
 Recordings = Annotated[list[Path], typer.Argument(help="Recordings, CSV or Parquet.")]
 
 
@@ -78,11 +82,12 @@ def identify_fluid(
         bool | None,
         typer.Option(help="Weigh a run's start 4:1; default: when it starts from rest."),
     ] = None,
+    added_inertia: AddedOption = None,
     json: JsonOption = None,
 ) -> None:
     """Fit the fluid coefficients; writes fish, report (.json) and figure (.png) side by side."""
     with console.search_progress() as progress:
-        plan = tasks.plan(zones, seeds, seed, generations, start_weight)
+        plan = tasks.plan(zones, seeds, seed, generations, start_weight, added_inertia)
         done = tasks.identify_fluid(fish, fit, validate or [], out, plan, json, progress)
     console.identified(done.report)
     console.say(f"wrote {', '.join(map(str, done.files))}")
@@ -142,10 +147,11 @@ def identify_all(
     seeds: Annotated[int, typer.Option(help="Independent searches per stage.")] = 3,
     seed: SeedOption = 0,
     generations: Annotated[int, typer.Option(help="CMA-ES generations of the fluid.")] = 15,
+    added_inertia: AddedOption = None,
     json: JsonOption = None,
 ) -> None:
     """Tail, then servo, then fluid from one folder; writes fish, report, page and figures."""
-    plan = tasks.plan(zones, seeds, seed, generations, None)
+    plan = tasks.plan(zones, seeds, seed, generations, None, added_inertia)
     with console.search_progress() as progress:
         report = chain_tasks.identify_all(fish, folder, out, plan, json, progress)
     console.tables({"summary": [report["summary"]]})
@@ -185,11 +191,14 @@ def record(
     kind: Annotated[str, typer.Argument(help="tail, motor or fluid.")],
     fish: FishOption,
     out: Annotated[Path, typer.Option("--out", help="Folder for the recordings.")],
+    commands: Annotated[
+        list[Path] | None, typer.Option("--commands", help="Play these; default: the protocol's.")
+    ] = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
     """Play a bench's protocol in the virtual pool and record it as a lab would."""
-    paths = chain_tasks.record(kind, fish, out, seed)
+    paths = chain_tasks.record(kind, fish, out, seed, commands or ())
     if json is not None:
         write_json(json, {"recordings": [str(path) for path in paths]})
     for path in paths:
@@ -239,7 +248,7 @@ def swim(
 def bench(json: JsonOption = None) -> None:
     """Measure the step against a bare engine loop on this machine."""
     result = tasks.bench()
-    console.tables({result["machine"]: result["fish"]})
+    console.tables({result["machine"]: result["fish"], "virtual pool": result["pool"]})
     if json is not None:
         write_json(json, result)
 

@@ -14,7 +14,7 @@ from tailbeat.evaluate import figures, first_swim
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
 from tailbeat.fish.render import save_picture
 from tailbeat.fish.show import tables
-from tailbeat.fish.store import fish_path, load_fish, write_identified
+from tailbeat.fish.store import fish_path, load_fish, with_values, write_identified
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.identify import job
 from tailbeat.identify.predict import as_json
@@ -84,15 +84,22 @@ def import_fishsim(csv: Path, out: Path, frame_rate: float, json: Path | None) -
 
 
 def plan(
-    zones: int, seeds: int, seed: int, generations: int, start_weight: bool | None
+    zones: int,
+    seeds: int,
+    seed: int,
+    generations: int,
+    start_weight: bool | None,
+    added_inertia: float | None = None,
 ) -> job.Plan:
     """Check the options of an identification."""
     if zones not in (1, 3):
         raise BadInput(f"--zones {zones}: give 1 (one coefficient set) or 3 (one per zone).")
     if seeds < 1 or generations < 1:
         raise BadInput(f"--seeds {seeds} --generations {generations}: both must be 1 or more.")
+    if added_inertia is not None and not 0 <= added_inertia <= 2:
+        raise BadInput(f"--added-inertia {added_inertia:g}: give a share from 0 to 2.")
     effort = Effort(generations=generations)
-    return job.Plan(zones, seeds, seed, effort, start_weight)
+    return job.Plan(zones, seeds, seed, effort, start_weight, added_inertia)
 
 
 def identify_fluid(
@@ -109,6 +116,8 @@ def identify_fluid(
     for path in files:
         refuse_existing(path)
     described = load_fish(fish)
+    if plan.added_inertia is not None:
+        described = with_values(described, {"added_inertia": plan.added_inertia})
     fitted, held_out = _runs(fit, described), _runs(validate, described)
     scratch = out.parent / f".{out.stem}.search"
     found = job.identify_fluid(described, fitted, held_out, plan, scratch, progress)

@@ -35,14 +35,16 @@ Progress = Callable[[int, str, float, float], None]  # seed, stage, share done, 
 
 @dataclass(frozen=True)
 class Plan:
-    """What to fit: zones (1 shared set, 3 one per zone), seeds from the first on, effort, and the
-    weighting of the start of replayed runs (None: when a run starts from rest)."""
+    """What to fit: zones (1 shared set, 3 one per zone), seeds from the first on, effort, the
+    weighting of the start of replayed runs (None: when a run starts from rest), and the added
+    inertia that the description was changed to (None: as described)."""
 
     zones: int = 3
     seeds: int = 5
     first_seed: int = 0
     effort: Effort = field(default_factory=Effort)
     start_weight: bool | None = None
+    added_inertia: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +175,7 @@ def as_report(found: Identified, plan: Plan) -> dict[str, Any]:
             for a, b, r in trade_offs(found.space, found.fits[0])
         ],
         "zones": plan.zones,
+        "added_inertia": found.fish.added_inertia,
         "seeds": list(found.spread),
         "fit": [row(p) for p in found.fitted],
         "validate": [row(p) for p in found.validated],
@@ -198,7 +201,8 @@ def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[
         }
         for zone in found.fish.zones if "*" in path else [""]:
             written[path.replace("*", zone)] = entry
-    return written
+    added = {"value": found.fish.added_inertia, "unit": "1", "source": "the fit's assumption"}
+    return {"added_inertia": added, **written}
 
 
 def heading(found: Identified, plan: Plan) -> str:

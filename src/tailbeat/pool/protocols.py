@@ -1,16 +1,17 @@
 """Bench and pool experiments, played in the plant and recorded as a lab would.
 
-The command recordings are those of `identify.protocol`, the same a lab plays; what comes out is a
-recording of the same columns, with the water's fingerprint in its metadata.
+The command recordings are those of `identify.protocol`, the same a lab plays, or given ones; what
+comes out is a recording of the same columns, with the water's fingerprint in its metadata.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
 from tailbeat.identify.protocol import (
     fluid_runs,
@@ -31,7 +32,7 @@ from tailbeat.pool.plant import (
 )
 from tailbeat.pool.recorder import Sensors, camera, clock, encoder, frames, torque_cell
 from tailbeat.pool.water import Water, fingerprint
-from tailbeat.recording import Recording
+from tailbeat.recording import Recording, require
 
 Array = NDArray[np.float64]
 SENSORS, WATER = Sensors(), Water()
@@ -47,15 +48,18 @@ def record_tail(
     seed: int = 0,
     sensors: Sensors = SENSORS,
     water: Water = WATER,
+    commands: Sequence[Recording] = (),
 ) -> Iterator[Recording]:
     """Sweep and slow pull in air: `angle_rad` and `torque_nm` of the shaft."""
     limit = limits(fish)
-    for number, command in enumerate((tail_sweep(fish, limit), tail_static(limit))):
+    played = commands or (tail_sweep(fish, limit), tail_static(limit))
+    for number, command in enumerate(_checked(fish, played)):
         rng = np.random.default_rng([seed, number])
         smooth = _smooth(command, 0.001)
         swum = _play(fish, smooth, _air(water), Surroundings(held=True), DRIVE, 0.001)
         time = clock(float(swum.time[-1]), sensors.bench_rate, sensors.jitter, rng)
-        label = command.labels["condition"][_in_force(command, time)]
+        labels = command.labels.get("condition", np.full(command.time.size, command.name))
+        label = labels[_in_force(command, time)]
         columns = {
             "angle_rad": encoder(_at(swum, swum.q[0, :, 3], time)),
             # the torque of a step belongs to its middle
@@ -71,9 +75,11 @@ def record_motor(
     seed: int = 0,
     sensors: Sensors = SENSORS,
     water: Water = WATER,
+    commands: Sequence[Recording] = (),
 ) -> Iterator[Recording]:
     """The servo on its tail in air: `command_rad` as sent and `angle_rad` as read, pass by pass."""
-    for number, command in enumerate(motor_commands(fish, limits(fish)).values()):
+    played = commands or tuple(motor_commands(fish, limits(fish)).values())
+    for number, command in enumerate(_checked(fish, played)):
         rng = np.random.default_rng([seed, 100 + number])
         time = clock(float(command.time[-1]), sensors.loop_rate, sensors.jitter, rng)
         sent = np.interp(time, command.time, command.columns["command_rad"])
@@ -88,13 +94,15 @@ def record_fluid(
     seed: int = 0,
     sensors: Sensors = SENSORS,
     water: Water = WATER,
+    commands: Sequence[Recording] = (),
 ) -> Iterator[Recording]:
     """Free swims from rest down the pool: encoder and tag, at the frames' times.
 
     Cut where the fish comes near a wall. The encoder is read at the loop's rate and interpolated to
     the frames, as a recorder that joins two logs would do.
     """
-    for number, command in enumerate(fluid_runs(fish, limits(fish)).values()):
+    played = commands or tuple(fluid_runs(fish, limits(fish)).values())
+    for number, command in enumerate(_checked(fish, played)):
         rng = np.random.default_rng([seed, 200 + number])
         side = rng.uniform(-0.2, 0.2, 2)
         start = np.array([[-LENGTH / 2 + 0.8, side[0], side[1] / 2]])
@@ -109,6 +117,21 @@ def record_fluid(
         columns = dict(zip(("x_m", "y_m", "yaw_rad"), poses.T, strict=True))
         columns = {"motor_angle_rad": angle, **columns}
         yield Recording(command.name, seen, columns, _meta(water))
+
+
+def _checked(fish: Fish, commands: Sequence[Recording]) -> Sequence[Recording]:
+    """Refuse what the motor may not do, before anything is played."""
+    low, high = fish.motor.range or (-np.inf, np.inf)
+    for command in commands:
+        (angle,) = require(command, ["command_rad"])
+        row = int(np.argmax(np.maximum(angle - high, low - angle)))
+        if not low <= angle[row] <= high:
+            raise BadInput(
+                f"{command.name}: column command_rad, row {row + 1}: {angle[row]:.3f} is outside"
+                f" motor.range {low:.3f} to {high:.3f} of {fish.name}; take one of"
+                f" `tailbeat protocol`."
+            )
+    return commands
 
 
 def _air(water: Water) -> Water:
