@@ -1,0 +1,1 @@
+"""What decides? Actions, observation, policy, validity band: numpy and onnxruntime alone."""

@@ -1,0 +1,163 @@
+"""From a policy's action to the servo's setpoint: generator, direct, or direct behind a filter.
+
+Three frozen records say what an action means and go into the policy's contract; `reset` and `step`
+are all there is to an action space, for one fish or a thousand, and the state between two steps is
+plain arrays. Actions are in [-1, 1]; beyond, they are clipped.
+
+Trajectory generator (paper): theta = theta_c + sum_{k=1,2} [a_k cos k phi + b_k sin k phi],
+phi' = omega, u = (omega, theta_c, a_1, b_1, a_2, b_2), u' = (u* - u) / tau.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput
+
+Array = NDArray[np.float64]
+TURN = 2 * np.pi
+
+
+@dataclass(frozen=True)
+class Generator:
+    """Scales and ceilings of the trajectory generator.
+
+    `ceiling` [Hz] binds the fundamental, as in the paper (4 Hz in training), where the second
+    harmonic reaches twice as far; or, with `binds` "signal", the signal: the fundamental then stays
+    below half. `offset`, `first`, `second` [rad] are the largest theta_c, |a_1|, |b_1| and |a_2|,
+    |b_2|: the paper does not print them; these are chosen. `tau` [s] is the paper's. `low`, `high`
+    [rad] are the servo's range, to which the setpoint is clipped.
+    """
+
+    low: float
+    high: float
+    ceiling: float = 4.0
+    binds: Literal["fundamental", "signal"] = "fundamental"
+    offset: float = 0.8
+    first: float = 1.0
+    second: float = 0.4
+    tau: float = 0.1
+    kind: Literal["generator"] = "generator"
+
+    @property
+    def fundamental(self) -> float:
+        """Highest fundamental [Hz]."""
+        return self.ceiling if self.binds == "fundamental" else self.ceiling / 2
+
+
+@dataclass(frozen=True)
+class Direct:
+    """The action is the motor's angle, -1 to 1 over `low` to `high` [rad]."""
+
+    low: float
+    high: float
+    kind: Literal["direct"] = "direct"
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """Direct action behind a first-order lag; `tau` 40 ms puts its corner at 4 Hz (chosen)."""
+
+    low: float
+    high: float
+    tau: float = 0.04
+    kind: Literal["filtered"] = "filtered"
+
+
+ActionSpace = Generator | Direct | Filtered
+
+
+@dataclass(frozen=True)
+class ActionState:
+    """What lies between two steps: `u` (n, 6) of a generator or (n, 1) setpoints [rad], and the
+    generator's `phase` (n,) in [0, 2 pi)."""
+
+    u: Array
+    phase: Array
+
+
+def size(space: ActionSpace) -> int:
+    """Numbers in an action."""
+    return 6 if isinstance(space, Generator) else 1
+
+
+def check_space(space: ActionSpace) -> None:
+    """Raises BadInput for limits that cannot be."""
+    if not space.low < space.high:
+        raise BadInput(f"actions: range {space.low:g} to {space.high:g} rad must rise.")
+    if not isinstance(space, Direct) and not space.tau > 0:
+        raise BadInput(f"actions: tau = {space.tau:g} s; give a time above 0.")
+    if isinstance(space, Generator):
+        if not space.ceiling > 0:
+            raise BadInput(f"actions: ceiling = {space.ceiling:g} Hz; give a frequency above 0.")
+        if min(space.offset, space.first, space.second) < 0:
+            raise BadInput("actions: offset, first and second are sizes; give 0 or more.")
+
+
+def check_band(space: ActionSpace, edge: float) -> None:
+    """Refuse a generator whose ceiling lies above a band's edge [Hz]."""
+    if isinstance(space, Generator) and space.fundamental > edge * (1 + 1e-9):
+        raise BadInput(
+            f"actions: the generator's fundamental reaches {space.fundamental:g} Hz and the"
+            f" identified band ends at {edge:g} Hz; lower the ceiling, or identify further."
+        )
+
+
+def reset(space: ActionSpace, count: int) -> ActionState:
+    """Straight tail, still: the setpoint is 0, or the range's nearest angle."""
+    if isinstance(space, Generator):
+        return ActionState(np.zeros((count, 6)), np.zeros(count))
+    rest = np.clip(0.0, space.low, space.high)
+    return ActionState(np.full((count, 1), rest), np.zeros(count))
+
+
+def step(space: ActionSpace, state: ActionState, action: Array, dt: float) -> ActionState:
+    """The state `dt` [s] later under an action (n, size) held meanwhile; `setpoint` reads it."""
+    if action.shape != (len(state.phase), size(space)):
+        raise BadInput(
+            f"action of shape {action.shape}; {space.kind} takes {(len(state.phase), size(space))}."
+        )
+    if not np.isfinite(action).all():
+        raise BadInput(f"action {action[~np.isfinite(action)][0]}; give finite numbers.")
+    bounded = np.clip(action, -1.0, 1.0)
+    if isinstance(space, Generator):
+        return _generate(space, state, bounded, dt)
+    target = space.low + (bounded + 1) / 2 * (space.high - space.low)
+    if isinstance(space, Direct):
+        return replace(state, u=target)
+    return replace(state, u=target + (state.u - target) * np.exp(-dt / space.tau))
+
+
+def targets(space: Generator, action: Array) -> Array:
+    """u* (n, 6) of actions: frequency from 0 to its ceiling [rad/s], the rest [rad]."""
+    scale = [space.offset, space.first, space.first, space.second, space.second]
+    omega = (action[:, :1] + 1) / 2 * TURN * space.fundamental
+    return np.concatenate([omega, action[:, 1:] * scale], axis=1)
+
+
+def _generate(space: Generator, state: ActionState, action: Array, dt: float) -> ActionState:
+    """The lag and the phase, both exactly: omega relaxes within the step, phi is its integral."""
+    goal = targets(space, action)
+    keep = np.exp(-dt / space.tau)
+    turned = goal[:, 0] * dt + (state.u[:, 0] - goal[:, 0]) * space.tau * (1 - keep)
+    return ActionState(goal + (state.u - goal) * keep, np.mod(state.phase + turned, TURN))
+
+
+def setpoint(space: ActionSpace, state: ActionState) -> Array:
+    """Motor angle (n,) [rad] that a state asks for, inside the servo's range."""
+    if not isinstance(space, Generator):
+        return np.clip(state.u[:, 0], space.low, space.high)
+    harmonics = state.phase[:, None] * [1, 2]
+    cosine, sine = state.u[:, [2, 4]], state.u[:, [3, 5]]
+    waves = cosine * np.cos(harmonics) + sine * np.sin(harmonics)
+    return np.clip(state.u[:, 1] + waves.sum(axis=1), space.low, space.high)
+
+
+def command(space: ActionSpace, state: ActionState) -> Array:
+    """What the observation remembers of an action (n, 2): frequency [rad/s] and centre [rad]; of
+    direct actions 0 and the setpoint."""
+    if isinstance(space, Generator):
+        return state.u[:, :2].copy()
+    return np.concatenate([np.zeros_like(state.u), state.u], axis=1)

@@ -1,0 +1,110 @@
+"""What the policy sees: 24 numbers from raw sensor samples, one table for training and robot.
+
+The paper's observation; the scales, which it does not print, are chosen so that a number is of
+order one. The table is the definition: `observe` fills it in its order, a test checks each row
+against the sample it names, and the policy's contract carries it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+FRAMES = 3  # most recent camera frames
+COMMANDS = 3  # last commands
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One number: what is observed is raw / scale; `source` is the sensor it comes from."""
+
+    name: str
+    unit: str
+    scale: float
+    source: str
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Raw samples of n fish, newest first along the second axis.
+
+    `motor_angle` [rad], `motor_velocity` [rad/s], `yaw_rate` [rad/s], `phase` [rad] (n,);
+    `commands` (n, 3, 2) frequency [rad/s] and centre [rad]; `frames` (n, 3, 6) fish x, y [m], yaw
+    [rad], target x, y [m] in the pool, staleness [s]: now less the time the frame was taken.
+    """
+
+    motor_angle: Array
+    motor_velocity: Array
+    yaw_rate: Array
+    phase: Array
+    commands: Array
+    frames: Array
+
+
+def _table() -> tuple[Entry, ...]:
+    rows = [
+        Entry("cos motor angle", "1", 1.0, "servo's encoder"),
+        Entry("sin motor angle", "1", 1.0, "servo's encoder"),
+        Entry("motor velocity", "rad/s", 5.0, "servo's encoder"),
+        Entry("yaw rate", "rad/s", 2.0, "IMU"),
+        Entry("cos phase", "1", 1.0, "generator"),
+        Entry("sin phase", "1", 1.0, "generator"),
+    ]
+    for i in range(COMMANDS):
+        age = f"command {i}" + (" (newest)" if i == 0 else "")
+        rows += [
+            Entry(f"{age}: frequency", "rad/s", 8 * np.pi, "generator"),
+            Entry(f"{age}: centre", "rad", 1.0, "generator"),
+        ]
+    for i in range(FRAMES):
+        age = f"frame {i}" + (" (newest)" if i == 0 else "")
+        rows += [
+            Entry(f"{age}: target distance", "m", 2.0, "camera"),
+            Entry(f"{age}: target ahead", "m", 2.0, "camera"),
+            Entry(f"{age}: target left", "m", 2.0, "camera"),
+            Entry(f"{age}: staleness", "s", 0.1, "camera's time stamp and the robot's clock"),
+        ]
+    return tuple(rows)
+
+
+TABLE = _table()
+SCALES = np.array([entry.scale for entry in TABLE])
+
+
+def observe(samples: Samples) -> NDArray[np.float32]:
+    """The observation (n, 24) of raw samples, in the table's order."""
+    motor = [
+        np.cos(samples.motor_angle),
+        np.sin(samples.motor_angle),
+        samples.motor_velocity,
+        samples.yaw_rate,
+        np.cos(samples.phase),
+        np.sin(samples.phase),
+    ]
+    count = len(samples.phase)
+    parts = [
+        np.stack(motor, axis=1),
+        samples.commands.reshape(count, -1),
+        relative(samples.frames).reshape(count, -1),
+    ]
+    return (np.concatenate(parts, axis=1) / SCALES).astype(np.float32)
+
+
+def relative(frames: Array) -> Array:
+    """Distance, way ahead and way to the left of the target [m], staleness [s]: (n, k, 4)."""
+    offset = frames[..., 3:5] - frames[..., :2]
+    cos, sin = np.cos(frames[..., 2]), np.sin(frames[..., 2])
+    ahead = cos * offset[..., 0] + sin * offset[..., 1]
+    left = cos * offset[..., 1] - sin * offset[..., 0]
+    distance = np.hypot(offset[..., 0], offset[..., 1])
+    return np.stack([distance, ahead, left, frames[..., 5]], axis=-1)
+
+
+def as_markdown() -> str:
+    """The table as the docs print it."""
+    lines = ["| # | observed | unit | divided by | from |", "|---|---|---|---|---|"]
+    lines += [
+        f"| {i} | {e.name} | {e.unit} | {e.scale:.4g} | {e.source} |" for i, e in enumerate(TABLE)
+    ]
+    return "\n".join(lines)
