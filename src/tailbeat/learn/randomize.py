@@ -1,0 +1,150 @@
+"""Physics drawn anew for every episode: one function per quantity, none of which accumulates.
+
+Each function takes the episode's draw and the nominal model, and writes one fish's row of the
+batch's own copy of a field; `set_const` follows once for all that need it. Ranges are the paper's
+where it states them, else chosen.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import batch
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput
+from tailbeat.fish.twin import Twin
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Randomisation:
+    """Half widths of uniform draws, as shares of the nominal value unless a unit is given."""
+
+    head_mass: float = 0.05  # paper
+    head_inertia: float = 0.05  # paper
+    head_centre: float = 0.005  # m, paper
+    tail_stiffness: float = 0.15  # paper
+    tail_damping: float = 0.15  # paper
+    fluid: float = 0.20  # of every coefficient, each on its own: paper
+    servo_gain: float = 0.15  # chosen: unit-to-unit transfer costs others a factor of two
+    servo_damping: float = 0.15  # chosen
+    servo_limit: float = 0.10  # chosen
+    servo_delay: float = 0.004  # s, chosen
+    density: float = 0.01  # chosen: temperature, salt
+    push: float = 0.3  # N rms, force pulses of a fifth of a second; chosen (paper's extension)
+    push_share: float = 0.02  # of control steps that begin one; chosen
+    current: float = 0.03  # m/s rms of a steady current; chosen (paper's extension)
+
+
+def none() -> Randomisation:
+    """The nominal twin, every episode."""
+    return replace(Randomisation(), **dict.fromkeys(Randomisation.__annotations__, 0.0))
+
+
+def check(ranges: Randomisation) -> None:
+    """Raises BadInput for widths below 0, or of 1 and more where a value would lose its sign."""
+    for name, width in vars(ranges).items():
+        absolute = name in ("head_centre", "servo_delay", "push", "current")
+        if width < 0 or (not absolute and width >= 1):
+            raise BadInput(f"randomisation: {name} = {width:g}; allowed is 0 up to below 1.")
+
+
+FIELDS = (
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "jnt_stiffness",
+    "dof_damping",
+    "geom_fluid",
+    "actuator_gainprm",
+    "actuator_biasprm",
+    "actuator_forcerange",
+    "actuator_delay",
+    "opt.density",
+    "opt.wind",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Physics:
+    """The batch's own fields (n, …), live, and their nominal values."""
+
+    twin: Twin
+    pool: batch.Batch
+    fields: dict[str, Any]
+    nominal: dict[str, Array]
+
+
+def expand(twin: Twin, pool: batch.Batch) -> Physics:
+    """Give every fish its own copy of what is drawn."""
+    fields = {name: pool.expand(name) for name in FIELDS}
+    nominal = {name: np.array(values[0]) for name, values in fields.items()}
+    return Physics(twin, pool, fields, nominal)
+
+
+def randomize(physics: Physics, ranges: Randomisation, fish: int, rng: np.random.Generator) -> None:
+    """Draw one fish's physics from the nominal ones. Call `refresh` when all are drawn."""
+    model = physics.twin.model
+    head, motor = model.body("head").id, int(model.joint("motor").dofadr[0])
+    _scale(physics, "body_mass", fish, head, _factor(ranges.head_mass, rng))
+    _scale(physics, "body_inertia", fish, head, _factor(ranges.head_inertia, rng))
+    centre = physics.nominal["body_ipos"][head] + ranges.head_centre * rng.uniform(-1, 1) * AXIS
+    physics.fields["body_ipos"][fish, head] = centre
+    hinges = slice(motor + 1, None)
+    _scale(physics, "jnt_stiffness", fish, hinges, _factor(ranges.tail_stiffness, rng))
+    _scale(physics, "dof_damping", fish, hinges, _factor(ranges.tail_damping, rng))
+    _scale(physics, "dof_damping", fish, motor, _factor(ranges.servo_damping, rng))
+    _fluid(physics, ranges.fluid, fish, rng)
+    _servo(physics, ranges, fish, rng)
+    _scale(physics, "opt.density", fish, (), _factor(ranges.density, rng))
+    flow = ranges.current * rng.normal(size=2)
+    physics.fields["opt.wind"][fish] = [*flow, 0.0]
+
+
+AXIS = np.array([1.0, 0.0, 0.0])
+
+
+def _factor(width: float, rng: np.random.Generator) -> float:
+    return float(1 + width * rng.uniform(-1, 1))
+
+
+def _scale(physics: Physics, name: str, fish: int, part: Any, factor: float) -> None:
+    """One part of a fish's field, from the nominal value: never from the last draw."""
+    if part == ():
+        physics.fields[name][fish] = physics.nominal[name] * factor
+    else:
+        physics.fields[name][fish, part] = physics.nominal[name][part] * factor
+
+
+def _fluid(physics: Physics, width: float, fish: int, rng: np.random.Generator) -> None:
+    """Every zone's five coefficients on their own; parts of a zone keep together."""
+    coefficients = physics.nominal["geom_fluid"][:, 1:6]
+    kinds, zone = np.unique(coefficients, axis=0, return_inverse=True)
+    factors = 1 + width * rng.uniform(-1, 1, kinds.shape)
+    physics.fields["geom_fluid"][fish, :, 1:6] = coefficients * factors[zone.ravel()]
+
+
+def _servo(physics: Physics, ranges: Randomisation, fish: int, rng: np.random.Generator) -> None:
+    gain, limit = _factor(ranges.servo_gain, rng), _factor(ranges.servo_limit, rng)
+    for name in ("actuator_gainprm", "actuator_biasprm"):
+        physics.fields[name][fish] = physics.nominal[name] * gain
+    physics.fields["actuator_forcerange"][fish] = physics.nominal["actuator_forcerange"] * limit
+    delay = physics.nominal["actuator_delay"]
+    if delay[0] > 0:
+        # the engine's buffer holds one step more than the nominal delay
+        longest = delay + physics.twin.model.opt.timestep
+        drawn = delay + ranges.servo_delay * rng.uniform(-1, 1)
+        physics.fields["actuator_delay"][fish] = np.clip(drawn, 1e-4, longest)
+
+
+def refresh(physics: Physics, fish: NDArray[np.int64]) -> None:
+    """What the engine derives from masses, for the fish that were drawn."""
+    physics.pool.set_const(fish)
+
+
+def stage() -> int:
+    """Engine stage that needs no forward pass after a reset."""
+    return int(mujoco.mjtStage.mjSTAGE_NONE)

@@ -1,0 +1,48 @@
+"""Pictures of a world: from above with path and target, and the twin in three dimensions."""
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from numpy.typing import NDArray
+
+from tailbeat.fish.rollout import Swim
+from tailbeat.learn.world import World
+
+Array = NDArray[np.float64]
+
+
+def outline(world: World, fish: int) -> Array:
+    """Places (k, 2) [m] of head, hinges and fin, from nose to tail."""
+    links = world.fish.tail.links
+    x, y, yaw = world.qpos[fish, :3]
+    angles = yaw - np.concatenate([[0.0], np.cumsum(world.qpos[fish, world.twin.motor + 1 :])])
+    head = [p.position[0] + p.size[0] / 2 for p in world.fish.head.parts]
+    fin = min(p.position[0] - p.size[0] / 2 for p in links[-1].parts)
+    ends = np.diff([0.0, *(link.hinge for link in links), fin])
+    direction = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    behind = np.array([x, y]) + np.cumsum(ends[:, None] * direction, axis=0)
+    nose = np.array([x, y]) + max(head) * direction[0]
+    return np.concatenate([[nose], behind])
+
+
+def from_above(world: World, fish: int, path: Array, pixels: int = 480) -> NDArray[np.uint8]:
+    """One fish, its path (k, 3) and its target: an image (pixels, pixels, 3)."""
+    figure = Figure(figsize=(4, 4), dpi=pixels / 4, layout="constrained")
+    canvas, axes = FigureCanvasAgg(figure), figure.subplots()
+    axes.plot(path[:, 0], path[:, 1], color="0.7", lw=1)
+    body = outline(world, fish)
+    axes.plot(body[:, 0], body[:, 1], color="tab:blue", lw=2.5, solid_capstyle="round")
+    place = world.target[fish]
+    axes.add_patch(Circle((place[0], place[1]), world.task.arrival, color="tab:orange"))
+    reach = world.task.farthest + 0.5
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x [m]", ylabel="y [m]")
+    axes.set_aspect("equal")
+    axes.grid(alpha=0.3)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def as_swim(world: World, time: Array, qpos: Array) -> Swim:
+    """Recorded states (k, nq) of one fish as a swim, for `fish.render` to draw or film."""
+    return Swim(world.twin, time, qpos, False)

@@ -1,0 +1,275 @@
+"""n fish and their targets, stepped at 50 Hz: the task, its reward, its ends. One fish is n = 1.
+
+Every fish has its own generator: in a batch it lives what it would live alone, bit for bit, at any
+number of threads. The faces for gymnasium and SB3 are in `env.py`.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from mujoco import batch
+from numpy.typing import NDArray
+
+from tailbeat.control import actions as act
+from tailbeat.control.actions import ActionSpace, Generator
+from tailbeat.control.observation import COMMANDS, Samples, observe
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
+from tailbeat.fish.twin import compile_twin
+from tailbeat.identify.runs import tracked_pose
+from tailbeat.learn import randomize, sensors
+from tailbeat.learn.randomize import Randomisation
+from tailbeat.learn.sensors import SensorModel
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+PERIOD = 0.02  # s
+PUSH_STEPS = 10  # control steps that a pulse lasts
+
+
+@dataclass(frozen=True)
+class Task:
+    """Where targets are and when an episode ends.
+
+    `nearest`, `farthest` [m] and `arc` (half angle about straight ahead) [rad]; `arrival` [m] is
+    the paper's; `seconds` until time-out; `limit` [m] from the start at which the fish counts as
+    lost; `walls` (length, width) [m] of a pool about the start, or None; `target_speed` [m/s] of
+    targets that move, each on its own straight way.
+    """
+
+    nearest: float = 0.5
+    farthest: float = 2.5
+    arc: float = np.pi
+    arrival: float = 0.05
+    seconds: float = 30.0
+    limit: float = 6.0
+    walls: tuple[float, float] | None = None
+    target_speed: float = 0.0
+
+
+@dataclass(frozen=True)
+class Reward:
+    """r = -distance - effort ||a|| + bonus [distance < arrival] (paper)."""
+
+    distance: float = 1.0
+    effort: float = 0.1
+    bonus: float = 1000.0
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything that an environment is made of, beside the fish."""
+
+    actions: ActionSpace | None = None  # None: the generator over the motor's range
+    task: Task = field(default_factory=Task)
+    reward: Reward = field(default_factory=Reward)
+    sensors: SensorModel = field(default_factory=SensorModel)
+    physics: Randomisation = field(default_factory=Randomisation)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One control step of n fish: observation (n, 24), reward and its terms (n,), ends (n,)."""
+
+    observation: NDArray[np.float32]
+    reward: Array
+    terms: dict[str, Array]
+    terminated: Flags
+    truncated: Flags
+    reached: Flags
+
+
+def check_settings(fish: Fish, settings: Settings) -> ActionSpace:
+    """The action space; raises BadInput for settings that contradict each other."""
+    low, high = fish.motor.range or (-np.pi, np.pi)
+    space = settings.actions or Generator(low, high)
+    act.check_space(space)
+    if space.low < low or space.high > high:
+        raise BadInput(
+            f"actions: range {space.low:g} to {space.high:g} rad; {fish.name}'s motor allows"
+            f" {low:g} to {high:g}."
+        )
+    act.check_band(space, fish.band[1])
+    randomize.check(settings.physics)
+    _check_task(settings.task)
+    return space
+
+
+def _check_task(task: Task) -> None:
+    if not task.arrival < task.nearest <= task.farthest:
+        raise BadInput(
+            f"task: targets from {task.nearest:g} to {task.farthest:g} m with arrival at"
+            f" {task.arrival:g} m; allowed is arrival < nearest <= farthest."
+        )
+    if task.farthest > task.limit:
+        raise BadInput(f"task: farthest {task.farthest:g} m lies beyond limit {task.limit:g} m.")
+    if task.walls is not None and task.nearest > min(task.walls) / 2:
+        raise BadInput(
+            f"task: no target at {task.nearest:g} m or more fits into walls {task.walls}; widen"
+            f" them or bring the targets nearer."
+        )
+    if not 0 <= task.arc <= np.pi or not task.seconds > 0:
+        raise BadInput(
+            f"task: arc {task.arc:g} rad, {task.seconds:g} s; allowed are 0 to pi, above 0 s."
+        )
+
+
+class World:
+    """The batch and what lies between two steps. `reset` some fish, `step` all."""
+
+    def __init__(self, fish: Fish, settings: Settings, seeds: list[int], threads: int = 0) -> None:
+        self.fish, self.settings = fish, settings
+        self.space = check_settings(fish, settings)
+        self.count, self.task = len(seeds), settings.task
+        self.steps_per_episode = round(settings.task.seconds / PERIOD)
+        self.twin = compile_twin(fish)
+        step = self.twin.model.opt.timestep
+        self.substeps = round(PERIOD / step)
+        if abs(self.substeps * step - PERIOD) > 1e-9:
+            raise BadInput(f"{fish.name}: step {1e3 * step:g} ms does not divide 20 ms.")
+        self.pool = batch.Batch(self.twin.model, self.count, nthread=threads, persistent=True)
+        self.physics = randomize.expand(self.twin, self.pool)
+        self.qpos, self.qvel, self.ctrl, self.force = (
+            self.pool.bind(name) for name in ("qpos", "qvel", "ctrl", "xfrc_applied")
+        )
+        self.head = int(self.twin.model.body("head").id)
+        self.rngs = [np.random.default_rng(seed) for seed in seeds]
+        self.seen = sensors.empty(self.count, self.steps_per_episode)
+        self.pushes = np.zeros((self.count, self.steps_per_episode, 2), dtype=np.float32)
+        self.age = np.zeros(self.count, dtype=np.int64)
+        self.target, self.drift = np.zeros((self.count, 2)), np.zeros((self.count, 2))
+        self.pose = np.zeros((self.count, 3))
+        self.state = act.reset(self.space, self.count)
+        self.commands = np.zeros((self.count, COMMANDS, 2))
+        self.warned = np.zeros(self.count)
+
+    def reseed(self, seeds: list[int]) -> None:
+        """New generators; takes effect at the next reset."""
+        self.rngs = [np.random.default_rng(seed) for seed in seeds]
+
+    # ---- beginning ------------------------------------------------------------------------------
+
+    def reset(self, which: Flags | None = None) -> NDArray[np.float32]:
+        """Begin new episodes for the fish in `which` (all by default); observation (n, 24)."""
+        chosen = np.flatnonzero(np.ones(self.count, bool) if which is None else which)
+        if chosen.size:
+            self.pool.reset(chosen, stage=randomize.stage())
+            self.age[chosen] = 0
+            for fish in chosen:
+                self._begin(int(fish), self.rngs[fish])
+            randomize.refresh(self.physics, chosen)
+            self._clear(chosen)
+        return self._observe(self._first_readings())
+
+    def _begin(self, fish: int, rng: np.random.Generator) -> None:
+        """Draw one fish's episode: physics, target, pushes, sensor noise."""
+        settings = self.settings
+        randomize.randomize(self.physics, settings.physics, fish, rng)
+        self.pose[fish] = tracked_pose(self.fish, np.zeros(3))
+        self.target[fish] = self._draw_target(rng)
+        direction = rng.uniform(0, 2 * np.pi)
+        speed = self.task.target_speed * PERIOD
+        self.drift[fish] = speed * np.cos(direction), speed * np.sin(direction)
+        self.pushes[fish] = _pulses(settings.physics, self.steps_per_episode, rng)
+        sensors.begin(settings.sensors, self.seen, fish, self.pose[fish], self.target[fish], rng)
+
+    def _draw_target(self, rng: np.random.Generator) -> Array:
+        """A place by range and bearing from the tag; inside the walls, if there are any."""
+        start = tracked_pose(self.fish, np.zeros(3))[:2]
+        while True:
+            distance = rng.uniform(self.task.nearest, self.task.farthest)
+            bearing = self.task.arc * rng.uniform(-1, 1)
+            place = start + distance * np.array([np.cos(bearing), np.sin(bearing)])
+            walls = self.task.walls
+            if walls is None or np.all(np.abs(place) < np.array(walls) / 2):
+                return place
+
+    def _clear(self, chosen: NDArray[np.int64]) -> None:
+        fresh = act.reset(self.space, self.count)
+        u, phase = self.state.u.copy(), self.state.phase.copy()
+        u[chosen], phase[chosen] = fresh.u[chosen], fresh.phase[chosen]
+        self.state = act.ActionState(u, phase)
+        self.commands[chosen] = act.command(self.space, fresh)[chosen][:, None]
+        self.force[chosen] = 0.0
+
+    def _first_readings(self) -> sensors.Readings:
+        """Readings without a step: the motor as it is, the frames that have arrived."""
+        motor = self.qpos[:, self.twin.motor].copy(), self.qvel[:, self.twin.motor].copy()
+        frames = sensors.newest(self.seen, np.asarray(self.age * PERIOD, dtype=np.float64))
+        return sensors.Readings(*motor, self.qvel[:, 2].copy(), frames)
+
+    # ---- stepping -------------------------------------------------------------------------------
+
+    def step(self, action: Array) -> Outcome:
+        """One control step of every fish under actions (n, size). Ended fish want a `reset`."""
+        before = self.pose.copy()
+        self.state = act.step(self.space, self.state, np.asarray(action, float), PERIOD)
+        self.ctrl[:, 0] = act.setpoint(self.space, self.state)
+        every = np.arange(self.count)
+        age = np.minimum(self.age, self.steps_per_episode - 1)
+        self.force[:, self.head, :2] = self.pushes[every, age]
+        self.pool.step(nstep=self.substeps)
+        lost = self._lost()
+        self.pose = tracked_pose(self.fish, self.qpos[:, :3])
+        self.target = self.target + self.drift
+        self.commands = np.concatenate(
+            [act.command(self.space, self.state)[:, None], self.commands[:, :-1]], axis=1
+        )
+        motor = np.stack([x[:, self.twin.motor] for x in (self.qpos, self.qvel)], axis=1)
+        readings = sensors.sense(
+            self.settings.sensors, self.seen, age, PERIOD, before, self.pose, self.target, motor,
+            self.qvel[:, 2],
+        )  # fmt: skip
+        self.age = self.age + 1
+        return self._judge(action, self._observe(readings), lost)
+
+    def _lost(self) -> Flags:
+        """Fish that the engine warned about in this step."""
+        warned = self.pool.warning.reshape(self.count, -1).sum(axis=1)
+        lost = warned > self.warned
+        self.warned = warned.copy()
+        return np.asarray(lost)
+
+    def _observe(self, readings: sensors.Readings) -> NDArray[np.float32]:
+        return observe(
+            Samples(
+                readings.motor_angle,
+                readings.motor_velocity,
+                readings.yaw_rate,
+                self.state.phase,
+                self.commands,
+                readings.frames,
+            )
+        )
+
+    def _judge(self, action: Array, seen: NDArray[np.float32], lost: Flags) -> Outcome:
+        """Reward and ends, from the exact distance (paper: only the reward sees it)."""
+        reward = self.settings.reward
+        distance = np.linalg.norm(self.target - self.pose[:, :2], axis=1)
+        distance = np.where(lost, self.task.limit, distance)
+        reached = distance < self.task.arrival
+        terms = {
+            "distance": -reward.distance * distance,
+            "effort": -reward.effort * np.linalg.norm(np.clip(action, -1, 1), axis=1),
+            "bonus": reward.bonus * reached,
+        }
+        terminated = reached | lost | self._outside()
+        truncated = (self.age >= self.steps_per_episode) & ~terminated
+        seen = np.where(lost[:, None], np.float32(0), seen)
+        return Outcome(seen, sum(terms.values()), terms, terminated, truncated, reached)
+
+    def _outside(self) -> Flags:
+        place = self.pose[:, :2]
+        far = np.linalg.norm(place, axis=1) > self.task.limit
+        if self.task.walls is not None:
+            far |= (np.abs(place) > np.array(self.task.walls) / 2).any(axis=1)
+        return np.asarray(far)
+
+
+def _pulses(ranges: Randomisation, steps: int, rng: np.random.Generator) -> Array:
+    """Force pulses (steps, 2) [N] on the head."""
+    begins = rng.uniform(size=steps) < ranges.push_share
+    force = np.zeros((steps, 2))
+    for first in np.flatnonzero(begins):
+        force[first : first + PUSH_STEPS] = ranges.push * rng.normal(size=2)
+    return force

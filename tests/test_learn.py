@@ -1,0 +1,297 @@
+"""The environment: batch equals single, draws never add up, checkers pass, bad settings refused."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
+
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_sb3
+
+from tailbeat.control.actions import Direct, Generator
+from tailbeat.control.observation import TABLE
+from tailbeat.files import BadInput
+from tailbeat.fish.store import load_fish
+from tailbeat.learn import randomize, sensors
+from tailbeat.learn.env import FishEnv, FishVecEnv, FishVectorEnv
+from tailbeat.learn.randomize import Randomisation
+from tailbeat.learn.sensors import SensorModel, quiet
+from tailbeat.learn.world import PERIOD, Settings, Task, World, check_settings
+
+FISH = load_fish("pulley-fish")
+STILL = Settings(sensors=quiet(), physics=randomize.none())
+COLUMN = {entry.name: i for i, entry in enumerate(TABLE)}
+
+
+def played(world: World, actions: np.ndarray) -> list[np.ndarray]:
+    """States after each step, and observations, rewards."""
+    world.reset()
+    found = []
+    for action in actions:
+        done = world.step(action)
+        found.append(
+            np.concatenate([world.qpos, world.qvel, done.observation, done.reward[:, None]], axis=1)
+        )
+    return found
+
+
+def random_actions(steps: int, count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1, 1, (steps, count, 6))
+
+
+def test_a_batch_equals_its_members_at_any_number_of_threads():
+    actions = random_actions(60, 5)
+    seeds = [11, 22, 33, 44, 55]
+    together = played(World(FISH, Settings(), seeds, threads=2), actions)
+    again = played(World(FISH, Settings(), seeds, threads=1), actions)
+    assert all(np.array_equal(a, b) for a, b in zip(together, again, strict=True))
+    for i in (0, 3):
+        alone = played(World(FISH, Settings(), seeds[i : i + 1]), actions[:, i : i + 1])
+        assert all(np.array_equal(a[0], b[i]) for a, b in zip(alone, together, strict=True))
+
+
+def test_two_worlds_share_nothing():
+    one, two = (World(FISH, Settings(), [7]) for _ in range(2))
+    one.reset(), two.reset()
+    for _ in range(5):
+        one.step(np.ones((1, 6)))
+    assert np.all(two.qpos == 0) and two.age[0] == 0
+    assert np.abs(one.qpos).max() > 0
+
+
+def test_fish_that_end_begin_anew_and_the_others_go_on():
+    env = FishVectorEnv(FISH, 4, replace(STILL, task=Task(seconds=0.2)), seed=0)
+    env.reset(seed=0)
+    env.world.age[:2] = 5
+    for _ in range(5):
+        seen, _, _, truncated, info = env.step(np.zeros((4, 6)))
+    assert truncated.tolist() == [True, True, False, False]
+    assert env.world.age.tolist() == [0, 0, 5, 5]
+    assert not np.array_equal(info["final_obs"][0], seen[0])
+    assert np.array_equal(info["final_obs"][2], seen[2])
+
+
+def test_the_reward_is_the_paper_s_and_arrival_ends_an_episode():
+    world = World(FISH, STILL, [0, 1])
+    world.reset()
+    action = np.array([[0.5, 0.1, -0.3, 0.2, 0.9, -1.0]] * 2)
+    world.target[1] = world.pose[1, :2] + [0.03, 0.0]
+    done = world.step(action)
+    distance = np.linalg.norm(world.target - world.pose[:, :2], axis=1)
+    expected = -distance - 0.1 * np.linalg.norm(action, axis=1) + [0.0, 1000.0]
+    assert done.reward == pytest.approx(expected)
+    assert done.reached.tolist() == [False, True] and done.terminated.tolist() == [False, True]
+
+
+def test_targets_lie_where_the_task_says():
+    task = Task(nearest=0.8, farthest=1.5, arc=0.5)
+    world = World(FISH, replace(STILL, task=task), list(range(200)))
+    world.reset()
+    away = world.target - world.pose[:, :2]
+    distance, bearing = np.hypot(*away.T), np.arctan2(away[:, 1], away[:, 0])
+    assert 0.8 <= distance.min() and distance.max() <= 1.5 and np.ptp(distance) > 0.6
+    assert np.abs(bearing).max() <= 0.5 and np.ptp(bearing) > 0.8
+    moving = World(FISH, replace(STILL, task=Task(target_speed=0.1)), [0])
+    moving.reset()
+    start = moving.target.copy()
+    for _ in range(50):
+        moving.step(np.zeros((1, 6)))
+    assert np.linalg.norm(moving.target - start) == pytest.approx(0.1, rel=1e-6)
+
+
+def test_an_undisturbed_observation_is_the_truth():
+    world = World(FISH, STILL, [3])
+    world.reset()
+    for action in random_actions(40, 1):
+        seen = world.step(action).observation[0]
+    exact = world.qpos[0, world.twin.motor]
+    assert seen[COLUMN["sin motor angle"]] == pytest.approx(np.sin(exact), abs=1e-6)
+    assert seen[COLUMN["yaw rate"]] * 2.0 == pytest.approx(world.qvel[0, 2], abs=1e-5)
+    age = seen[COLUMN["frame 0 (newest): staleness"]] * 0.1
+    assert -1e-6 <= age < 1 / 60 + 1e-6
+    distance = np.linalg.norm(world.target - world.pose[:, :2])
+    shown = seen[COLUMN["frame 0 (newest): target distance"]] * 2.0
+    assert shown == pytest.approx(distance, abs=0.02)  # as old as the frame is
+
+
+# ---- sensors ------------------------------------------------------------------------------------
+
+
+def watched(model: SensorModel, steps: int = 600) -> tuple[np.ndarray, np.ndarray]:
+    """Staleness of the newest frame and yaw-rate readings of a fish that does not move."""
+    state = sensors.empty(1, steps)
+    sensors.begin(model, state, 0, np.zeros(3), np.array([1.0, 0.0]), np.random.default_rng(0))
+    zero, age, gyro = np.zeros((1, 3)), [], []
+    for step in range(steps):
+        reading = sensors.sense(
+            model, state, np.array([step]), PERIOD, zero, zero, np.array([[1.0, 0.0]]),
+            np.zeros((1, 2)), np.zeros(1),
+        )  # fmt: skip
+        age.append(reading.frames[0, :, 5])
+        gyro.append(reading.yaw_rate[0])
+    return np.array(age), np.array(gyro)
+
+
+def test_frames_come_late_uneven_and_with_gaps():
+    model = SensorModel(stamp_noise=0.0)
+    age, gyro = watched(model)
+    newest = age[20:, 0]
+    assert newest.min() >= model.latency - 1e-9
+    assert newest.mean() == pytest.approx(model.latency + 0.0075 + 0.5 / 60, abs=0.006)
+    assert newest.max() > model.latency + model.latency_jitter + 1 / 60  # a dropped frame
+    assert np.all(np.diff(age[20:], axis=1) > 0)  # newest first
+    assert np.std(gyro) > model.yaw_rate_noise * 0.8
+
+
+# ---- randomisation ------------------------------------------------------------------------------
+
+
+def drawn(ranges: Randomisation, seeds: range) -> randomize.Physics:
+    world = World(FISH, replace(STILL, physics=ranges), list(seeds))
+    for _ in range(20):
+        world.reset()
+    return world.physics
+
+
+def test_draws_stay_in_their_bands_after_many_resets():
+    """Twenty episodes of twenty fish: had draws accumulated, they would have left the bands."""
+    ranges = Randomisation()
+    physics = drawn(ranges, range(20))
+    head = physics.twin.model.body("head").id
+    for name, part, width in (
+        ("body_mass", head, ranges.head_mass),
+        ("jnt_stiffness", slice(4, None), ranges.tail_stiffness),
+        ("dof_damping", slice(4, None), ranges.tail_damping),
+        ("actuator_gainprm", (0, 0), ranges.servo_gain),
+        ("opt.density", (), ranges.density),
+    ):
+        place = part if isinstance(part, tuple) else (part,)
+        values = physics.fields[name][(slice(None), *place)]
+        ratio = np.asarray(values / physics.nominal[name][place])
+        assert np.abs(ratio - 1).max() <= width + 1e-9, name
+        assert np.ptp(ratio) > 0.5 * width, name
+    wet = physics.nominal["geom_fluid"][:, 1] > 0
+    fluid = physics.fields["geom_fluid"][:, wet, 1:6] / physics.nominal["geom_fluid"][wet, 1:6]
+    assert np.abs(fluid - 1).max() <= ranges.fluid + 1e-9 < np.ptp(fluid)
+
+
+@pytest.mark.parametrize("name", list(Randomisation.__annotations__))
+def test_every_draw_changes_the_motion(name):
+    if name == "push_share":
+        pytest.skip("how often, not how much: `push` shows it")
+    value: dict[str, Any] = {name: getattr(Randomisation(), name)}
+    if name == "push":
+        value["push_share"] = 0.2
+    only = replace(randomize.none(), **value)
+    # a stroke large and quick enough to meet the servo's limit
+    space = Generator(-1.39, 1.39, first=1.3)
+    actions = np.tile([0.0, 0.1, 0.0, 1.0, 0.0, 0.0], (100, 1, 1))
+    ends = []
+    for ranges in (randomize.none(), only):
+        world = World(FISH, replace(STILL, physics=ranges, actions=space), [5])
+        ends.append(played(world, actions)[-1][:, :9])
+    assert np.abs(ends[1] - ends[0]).max() > 1e-6
+
+
+# ---- faces --------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_the_checkers_pass():
+    env = FishEnv(FISH, replace(STILL, task=Task(seconds=1.0)), render_mode="rgb_array")
+    check_env(env, skip_render_check=False)
+    check_sb3(FishEnv(FISH, seed=1))
+
+
+def test_a_picture_shows_fish_and_target():
+    env = FishEnv(FISH, STILL, seed=0, render_mode="rgb_array")
+    env.reset(seed=0)
+    empty = env.render()
+    for _ in range(50):
+        env.step(np.array([0.0, 0.2, 0.0, 1.0, 0.0, 0.0]))
+    moved = env.render()
+    assert empty is not None and moved is not None
+    assert moved.shape == (480, 480, 3) and moved.dtype == np.uint8
+    assert (moved != empty).any(axis=2).sum() > 100
+
+
+def test_sb3_sees_last_sights_and_timeouts():
+    env = FishVecEnv(FISH, 3, replace(STILL, task=Task(seconds=0.1)), seed=0)
+    env.seed(4)
+    first = np.asarray(env.reset())
+    for _ in range(5):
+        seen, reward, done, infos = env.step(np.zeros((3, 6)))
+    assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
+    assert infos[0]["terminal_observation"].shape == (24,)
+    assert infos[0]["episode"]["l"] == 5
+    assert reward.dtype == np.float32 and np.shape(seen) == first.shape
+    env.seed(4)
+    assert np.array_equal(np.asarray(env.reset()), first)
+
+
+def test_sac_of_sb3_learns_on_it_without_complaint():
+    from stable_baselines3 import SAC
+
+    env = FishVecEnv(FISH, 8, Settings(), seed=0)
+    model = SAC("MlpPolicy", env, learning_starts=64, batch_size=32, seed=0, device="cpu")
+    model.learn(160)
+    assert model.num_timesteps >= 160
+
+
+def test_nothing_is_lost_in_random_swims():
+    env = FishVectorEnv(FISH, 32, replace(Settings(), task=Task(walls=(5.5, 2.7))), seed=0)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(400):
+        seen, reward, *_ = env.step(rng.uniform(-1, 1, (32, 6)))
+        assert np.isfinite(seen).all() and np.isfinite(reward).all()
+    assert env.world.warned.sum() == 0
+
+
+@pytest.mark.slow
+def test_a_million_control_steps_leave_no_trace():
+    import resource
+
+    env = FishVectorEnv(FISH, 64, seed=0)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    memory = []
+    for step in range(1_000_000 // 64):
+        seen, *_ = env.step(rng.uniform(-1, 1, (64, 6)))
+        if step % 1000 == 0:
+            assert np.isfinite(seen).all()
+            memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+    assert memory[-1] - memory[2] < 20_000  # kB
+    assert env.world.warned.sum() == 0
+
+
+# ---- bad settings -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        (Settings(task=Task(nearest=0.01)), "arrival < nearest"),
+        (Settings(task=Task(farthest=9.0)), "beyond limit 6"),
+        (Settings(task=Task(nearest=2.0, walls=(5.5, 2.7))), "fits into walls"),
+        (Settings(task=Task(arc=4.0)), "allowed are 0 to pi"),
+        (Settings(actions=Generator(-1.0, 1.0, ceiling=6.0)), "identified band ends at 4 Hz"),
+        (Settings(actions=Direct(-3.0, 3.0)), "motor allows -1.396 to 1.396|motor allows -1.39"),
+        (Settings(physics=Randomisation(fluid=1.2)), "fluid = 1.2; allowed"),
+    ],
+)
+def test_settings_that_contradict_are_refused(settings, complaint):
+    with pytest.raises(BadInput, match=complaint):
+        check_settings(FISH, settings)
+
+
+def test_bad_actions_are_refused():
+    world = World(FISH, STILL, [0])
+    world.reset()
+    with pytest.raises(BadInput, match="generator takes"):
+        world.step(np.zeros((1, 5)))
+    with pytest.raises(BadInput, match="give finite numbers"):
+        world.step(np.full((1, 6), np.inf))
