@@ -227,7 +227,7 @@ def test_sb3_sees_last_sights_and_timeouts():
     assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
     assert infos[0]["terminal_observation"].shape == (24,)
     assert infos[0]["episode"]["l"] == 5
-    assert reward.dtype == np.float32 and np.shape(seen) == first.shape
+    assert reward.dtype == np.float32 and np.asarray(seen).shape == first.shape
     env.seed(4)
     assert np.array_equal(np.asarray(env.reset()), first)
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, swim
 from tailbeat.fish.twin import Options, compile_twin
+from tailbeat.identify.shaft import mean_held
 from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]
@@ -136,8 +137,7 @@ def servo_run(fish: Fish, command: Recording, seed: int, rate: float = 100.0) ->
     calm = fish.simulation.model_copy(update={"step": STEP, "integrator": "implicitfast"})
     dry = fish.model_copy(update={"medium": air, "simulation": calm, "added_inertia": 0.0})
     twin = compile_twin(dry, Options(root="fixed"))
-    steps = np.arange(0, passes[-1] + 2 * STEP, STEP)
-    held = sent[np.searchsorted(passes, steps, side="right") - 1]
+    held = mean_held(passes, sent, np.arange(0, passes[-1] + 3 * STEP, STEP))
     done = swim([twin], [Start.at_rest()], [held], 1)[0]
     angle = _counts(np.interp(passes, done.time, done.qpos[:, twin.motor]))
     return Recording(

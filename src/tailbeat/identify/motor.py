@@ -34,18 +34,22 @@ GEARS = ("load_friction", "stiction")  # what the bench shows and the twin canno
 IDEALISED = Servo(kp=800.0, kv=20.0, armature=0.001, damping=0.0, force_limit=1.0, delay=0.0)
 
 # Prior centre, spread, low, high, unit, logarithmic: wide enough for a hobby servo and a robot's
-# joint alike (factor 4.5 per spread, 2.7 for the limit); kv and the gears' share start from none.
+# joint alike (factor 4.5 per spread, 2.7 for the limit). kv, friction and the gears' share start
+# from none.
 PRIORS: dict[str, tuple[float, float, float, float, str, bool]] = {
     "kp": (5.0, 2.0, 1e-3, 1e4, "N m/rad", True),
     "kv": (0.0, 0.1, 0.0, 50.0, "N m s/rad", False),
     "armature": (3e-3, 1.5, 1e-6, 1.0, "kg m^2", True),
     "damping": (0.05, 1.5, 1e-5, 20.0, "N m s/rad", True),
-    "friction": (0.02, 1.5, 1e-5, 5.0, "N m", True),
+    "friction": (0.0, 0.05, 0.0, 5.0, "N m", False),
     "force_limit": (1.5, 1.0, 0.02, 100.0, "N m", True),
     "delay": (0.01, 0.01, 0.0, 0.1, "s", False),
     "damping_off": (0.05, 1.5, 1e-5, 20.0, "N m s/rad", True),
     "load_friction": (0.0, 0.1, 0.0, 0.9, "1", False),
     "stiction": (0.0, 0.1, 0.0, 0.9, "1", False),
+    # How well the load is known: 1 %, chosen. A free run tells the servo's torques from the load's
+    # only in proportion, so this much uncertainty is in every one of them.
+    "load_scale": (1.0, 0.01, 0.9, 1.1, "1", False),
 }
 
 
@@ -130,6 +134,8 @@ def servo_space(benches: Sequence[Bench], gears: bool = True) -> tuple[Parameter
     """The free numbers these recordings call for."""
     names = [name for name in PRIORS if name != "damping_off" or _ever_off(benches)]
     names = [name for name in names if gears or name not in GEARS]
+    if all(bench.load.kind == "nothing" for bench in benches):
+        names.remove("load_scale")
     found = {name: _parameter(name) for name in names}
     reference = gain_reference(benches)
     if reference is not None:
@@ -168,7 +174,8 @@ def as_servos(space: tuple[Parameter, ...], z: Array, benches: Sequence[Bench]) 
         for p, column in zip(space, z.T, strict=True)
     }
     none = np.zeros(len(z))
-    servo = {name: found.get(name, none) for name in PRIORS}
+    servo = {name: found.get(name, none) for name in PRIORS if name != "load_scale"}
+    servo["load_scale"] = found.get("load_scale", none + 1.0)
     servo["damping_off"] = found.get("damping_off", servo["damping"])
     if "gain_scale" in found:
         servo["kp"] = found["gain_scale"][:, None] * np.array([b.gain for b in benches], float)
@@ -178,7 +185,8 @@ def as_servos(space: tuple[Parameter, ...], z: Array, benches: Sequence[Bench]) 
 def described_servo(servo: Servo) -> dict[str, Array]:
     """A described servo as the arguments of `free_run`."""
     found = {name: np.array([float(value)]) for name, value in servo.model_dump().items()}
-    return {**found, "damping_off": found["damping"], **{g: np.zeros(1) for g in GEARS}}
+    none = {name: np.zeros(1) for name in GEARS}
+    return {**found, "damping_off": found["damping"], **none, "load_scale": np.ones(1)}
 
 
 def residual_function(

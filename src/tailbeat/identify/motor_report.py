@@ -1,6 +1,7 @@
 """What a servo identification says: JSON rows, the fish's fields, and what other gains predict."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.motor_job import Overlay, Plan, Progress, ServoFit, identify_motor
-from tailbeat.identify.search import intervals, told_apart, trade_offs, values
+from tailbeat.identify.search import Fit, Parameter, intervals, told_apart, trade_offs, values
 from tailbeat.identify.shaft import Bench
 
 # What to record when the data trade one number against another.
@@ -71,7 +72,7 @@ def as_report(found: ServoFit) -> dict[str, Any]:
         "undecided": [name for name, row in rows.items() if not row["decided_by_data"]],
         "trade_offs": [
             {"parameters": [a, b], "correlation": r, "separated_by": remedy(a, b)}
-            for a, b, r in trade_offs(found.space, found.fits[0])
+            for a, b, r in trade_offs(*given_load(found))
         ],
         "warnings": list(found.warnings),
         "seeds": [
@@ -89,6 +90,15 @@ def mean_error(runs: Sequence[dict[str, Any]], role: str) -> float | None:
     """Mean absolute error over the recordings of a role [deg]."""
     errors = [run["mae_deg"] for run in runs if run["role"] == role]
     return float(np.mean(errors)) if errors else None
+
+
+def given_load(found: ServoFit) -> tuple[tuple[Parameter, ...], Fit]:
+    """Space and best fit as if the load were known exactly: its scale moves every torque alike,
+    which the intervals hold and which is no trade-off that another command could undo."""
+    best = found.fits[0]
+    kept = [i for i, p in enumerate(found.space) if p.path != "load_scale"]
+    precision = np.linalg.inv(best.covariance)[np.ix_(kept, kept)]
+    return tuple(found.space[i] for i in kept), replace(best, covariance=np.linalg.inv(precision))
 
 
 def remedy(a: str, b: str) -> str:

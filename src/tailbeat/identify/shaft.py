@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 STEP = 1e-3  # s
 SERVO = (
-    "kp kv armature damping friction force_limit delay damping_off load_friction stiction".split()
+    "kp kv armature damping friction force_limit delay damping_off load_friction stiction"
+    " load_scale".split()
 )
 LOAD = "stiffness damping inertia friction weight".split()
 CREEP = 0.2  # rad/s at which half the stiction is left, chosen
@@ -97,6 +98,13 @@ def _integral(bench: Bench) -> Array:
     return np.concatenate([[0.0], np.cumsum(bench.command[:-1] * np.diff(bench.time))])
 
 
+def mean_held(time: Array, command: Array, edges: Array) -> Array:
+    """Mean over each interval of `edges` (k + 1,) of a command held from sample to sample (k,)."""
+    ends = np.append(time, edges[-1] + 1.0)
+    integral = np.concatenate([[0.0], np.cumsum(command * np.diff(ends))])
+    return np.asarray(np.diff(np.interp(edges, ends, integral)) / np.diff(edges))
+
+
 @njit(parallel=True, cache=True)
 def _run(lanes, load, start, time, command, integral, enabled, edges, angle):  # type: ignore[no-untyped-def]
     """Every servo on every bench, one lane each."""
@@ -119,8 +127,9 @@ def _run(lanes, load, start, time, command, integral, enabled, edges, angle):  #
 @njit(cache=True)
 def _shaft(servo, load, start, time, command, integral, enabled, angle):  # type: ignore[no-untyped-def]
     """One lane. Semi-implicit Euler with implicit damping; friction stops the shaft exactly."""
-    kp, kv, armature, on_damping, friction, limit, delay, off_damping, load_rub, stiction = servo
-    stiffness, damping, load_inertia, load_friction, weight = load
+    kp, kv, armature, on_damping, friction, limit, delay, off_damping = servo[:8]
+    load_rub, stiction, scale = servo[8:]
+    stiffness, damping, load_inertia, load_friction, weight = load * scale
     q, v = start
     angle[0] = q
     held, place, switch, sample = -delay * command[0], 0, 0, 1

@@ -21,6 +21,7 @@ from tailbeat.identify.protocol import (
     tail_sweep,
 )
 from tailbeat.identify.runs import tracked_pose
+from tailbeat.identify.shaft import mean_held
 from tailbeat.pool.plant import (
     LENGTH,
     WIDTH,
@@ -149,8 +150,8 @@ def _play(
 ) -> Swum:
     """A command recording played to its end, held from its own sample to the next."""
     plant = build_plant(fish, [water], servo, [around], dt)
-    time = np.asarray(dt * np.arange(int(command.time[-1] / dt) + 2), dtype=np.float64)
-    held = command.columns["command_rad"][_in_force(command, time)]
+    edges = np.asarray(dt * np.arange(int(command.time[-1] / dt) + 3), dtype=np.float64)
+    held = mean_held(command.time, command.columns["command_rad"], edges)
     return step_plant(plant, at_rest(plant, start), held[None])
 
 
