@@ -1,6 +1,7 @@
 """The action spaces keep their promises whatever the policy does; the observation is its table."""
 
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -176,6 +177,11 @@ def test_a_target_is_seen_from_the_fish():
     assert seen[0, 12:16] == pytest.approx([3.0, 3.0, 0.0, 0.0], abs=1e-5)
     raw.frames[:, 0] = [1.0, 2.0, np.pi / 2, 0.0, 2.0, 0.0]  # and one to its left
     assert (observe(raw) * SCALES)[0, 12:15] == pytest.approx([1.0, 0.0, 1.0], abs=1e-5)
+
+
+def test_the_docs_show_the_table():
+    page = (Path(__file__).parents[1] / "docs" / "control.md").read_text()
+    assert as_markdown() in page
 
 
 def test_one_fish_is_a_batch_of_one():

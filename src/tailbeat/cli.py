@@ -245,10 +245,16 @@ def swim(
 
 
 @app.command()
-def bench(json: JsonOption = None) -> None:
-    """Measure the step against a bare engine loop on this machine."""
-    result = tasks.bench()
+def bench(
+    env: Annotated[bool, typer.Option(help="Also the environment, against SB3's ways.")] = True,
+    json: JsonOption = None,
+) -> None:
+    """Measure the step against a bare engine loop on this machine, pool and environment too."""
+    result = tasks.bench(env)
     console.tables({result["machine"]: result["fish"], "virtual pool": result["pool"]})
+    rows = [{"fish": int(count), **row} for count, row in result.get("env", {}).items()]
+    common = ("fish", "steps_per_s", "bare_engine", "of_bare_engine")
+    console.tables({"environment": [{name: row[name] for name in common} for row in rows]})
     if json is not None:
         write_json(json, result)
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -178,6 +179,11 @@ def _identify_real(
     return first_swim.write_results(found, plan, out)
 
 
-def bench() -> dict[str, Any]:
-    """Speed on this machine."""
-    return benchmark.bench()
+def bench(env: bool = True) -> dict[str, Any]:
+    """Speed on this machine; with `env`, of the environment too, where the train extra is."""
+    result = benchmark.bench()
+    if env and find_spec("stable_baselines3") is not None:
+        from tailbeat.evaluate.env_bench import env_bench  # needs the extra
+
+        result["env"] = env_bench()
+    return result

@@ -8,6 +8,7 @@ hear alone.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -114,60 +115,87 @@ def sense(
     `before`, `after` (n, 3) are the tag's poses at both ends of the step, `target` (n, 2), `motor`
     (n, 2) angle and velocity.
     """
-    every = np.arange(len(step))
-    draws = state.noise[every, step].astype(float)
+    figures = np.array([getattr(model, name) for name in FIGURES])
+    readings = np.empty((3, len(step)))
+    _sense(
+        figures, state.noise, state.bias, state.drift, state.phase, state.frames, step, period,
+        before, after, target, motor, yaw_rate, readings,
+    )  # fmt: skip
     now = np.asarray((step + 1) * period, dtype=np.float64)
-    _film(model, state, draws, now, period, before, after, target)
-    age = model.encoder_age * _uniform(draws[:, 0])
-    angle = _counted(motor[:, 0] - age * motor[:, 1], model.encoder_count)
-    velocity = _counted(motor[:, 1], model.velocity_count)
-    spike = _uniform(draws[:, 2]) < model.spike_share
-    gyro = yaw_rate + state.bias + state.drift * step + model.yaw_rate_noise * draws[:, 1]
-    gyro = np.where(spike, gyro + model.spike_size * np.sign(draws[:, 3]), gyro)
-    return Readings(angle, velocity, gyro, newest(state, now))
+    return Readings(readings[0], readings[1], readings[2], newest(state, now))
 
 
-def _film(
-    model: SensorModel,
-    state: SensorState,
-    draws: Array,
-    now: Array,
-    period: float,
-    before: Array,
-    after: Array,
-    target: Array,
-) -> None:
+FIGURES = tuple(SensorModel.__annotations__)
+
+
+@njit(cache=True)
+def _sense(  # type: ignore[no-untyped-def]
+    figures, noise, bias, drift, phase, frames, step, period, before, after, target, motor,
+    yaw_rate, readings,
+):  # fmt: skip
+    """One fish after the other: film what falls into the step, then read encoder and IMU."""
+    for i in range(len(step)):
+        draws, now = noise[i, step[i]], (step[i] + 1) * period
+        _film(figures, draws, now, period, phase[i], before[i], after[i], target[i], frames[i])
+        age = figures[2] * _uniform(draws[0])
+        readings[0, i] = _counted(motor[i, 0] - age * motor[i, 1], figures[0])
+        readings[1, i] = _counted(motor[i, 1], figures[1])
+        readings[2, i] = yaw_rate[i] + bias[i] + drift[i] * step[i] + figures[3] * draws[1]
+        if _uniform(draws[2]) < figures[6]:
+            readings[2, i] += figures[7] * np.sign(draws[3])
+
+
+@njit(cache=True)
+def _film(figures, draws, now, period, phase, before, after, target, frames):  # type: ignore[no-untyped-def]
     """Take the frames that fall into the step that ends `now`."""
-    first = np.floor((now - period - state.phase) * model.frame_rate + 1e-9).astype(int) + 1
-    for i in range(PER_STEP):
-        number = first + i
-        stamp = state.phase + number / model.frame_rate
-        taken = stamp <= now + 1e-9
-        own = draws[:, 4 + 6 * i : 10 + 6 * i]
-        share = ((stamp - now) / period + 1)[:, None]
-        noise = own[:, :3] * [model.position_noise, model.position_noise, model.yaw_noise]
-        pose = before + share * (after - before) + noise
-        late = model.latency + model.latency_jitter * _uniform(own[:, 4])
-        lost = _uniform(own[:, 5]) < model.dropped
-        arrival = np.where(lost, np.inf, stamp + late)
-        seen = stamp + model.stamp_noise * own[:, 3]
-        rows = np.column_stack([pose, target, seen, arrival])[taken]
-        state.frames[np.flatnonzero(taken), number[taken] % KEPT] = rows
+    rate, latency, jitter, dropped = figures[8], figures[9], figures[10], figures[11]
+    place, yaw, clock = figures[12], figures[13], figures[14]
+    first = int(np.floor((now - period - phase) * rate + 1e-9)) + 1
+    for k in range(PER_STEP):
+        number = first + k
+        stamp = phase + number / rate
+        if stamp > now + 1e-9:
+            return
+        own, row = draws[4 + 6 * k :], frames[number % KEPT]
+        share = (stamp - now) / period + 1
+        for j in range(3):
+            spread = place if j < 2 else yaw
+            row[j] = before[j] + share * (after[j] - before[j]) + spread * own[j]
+        row[3], row[4] = target[0], target[1]
+        row[5] = stamp + clock * own[3]
+        lost = _uniform(own[5]) < dropped
+        row[6] = np.inf if lost else stamp + latency + jitter * _uniform(own[4])
 
 
 def newest(state: SensorState, now: Array) -> Array:
     """The three newest frames that have arrived, with their staleness (n, 3, 6)."""
-    stamp = np.where(state.frames[:, :, 6] <= now[:, None] + 1e-9, state.frames[:, :, 5], -np.inf)
-    order = np.argsort(-stamp, axis=1, kind="stable")[:, :3]
-    frames = np.take_along_axis(state.frames, order[:, :, None], axis=1)[:, :, :6].copy()
-    frames[:, :, 5] = now[:, None] - frames[:, :, 5]
-    return frames
+    found = np.empty((len(now), 3, 6))
+    _newest(state.frames, now, found)
+    return found
 
 
-def _counted(values: Array, count: float) -> Array:
-    return np.round(values / count) * count if count > 0 else values
+@njit(cache=True)
+def _newest(frames, now, found):  # type: ignore[no-untyped-def]
+    for i in range(len(now)):
+        last = np.inf
+        for k in range(3):
+            best = -1
+            for j in range(KEPT):
+                row = frames[i, j]
+                late = row[6] > now[i] + 1e-9 or row[5] >= last
+                if not late and (best < 0 or row[5] > frames[i, best, 5]):
+                    best = j
+            last = frames[i, best, 5]
+            found[i, k] = frames[i, best, :6]
+            found[i, k, 5] = now[i] - last
 
 
-def _uniform(normal: Array) -> Array:
-    """Uniform numbers in (0, 1) from normal ones (logistic approximation, within 0.02)."""
-    return np.asarray(1 / (1 + np.exp(-1.702 * normal)))
+@njit(cache=True)
+def _counted(value, count):  # type: ignore[no-untyped-def]
+    return np.round(value / count) * count if count > 0 else value
+
+
+@njit(cache=True)
+def _uniform(normal):  # type: ignore[no-untyped-def]
+    """Uniform number in (0, 1) from a normal one (logistic approximation, within 0.02)."""
+    return 1 / (1 + np.exp(-1.702 * normal))
