@@ -13,6 +13,7 @@ from tailbeat.fish.store import (
     with_values,
     write_identified,
 )
+from tailbeat.pool.water import Water, fingerprint
 
 PULLEY = "pulley-fish"
 
@@ -25,8 +26,14 @@ def changed(tmp_path, old: str, new: str, fish: str = PULLEY):
     return path
 
 
-def test_both_fish_ship():
-    assert shipped() == ["crank-fish", "pulley-fish"]
+def test_the_fish_ship():
+    assert shipped() == ["crank-fish", "pulley-fish", "pulley-fish-pool"]
+
+
+def test_the_pool_s_fish_says_where_it_comes_from():
+    text = fish_path("pulley-fish-pool").read_text()
+    assert f"water {fingerprint([Water()])}" in text and "identify all" in text
+    assert load_fish("pulley-fish-pool").servo == "identified"
 
 
 @pytest.mark.parametrize("name", ["crank-fish", "pulley-fish"])
