@@ -28,6 +28,10 @@ COUNTED = 100  # independent samples that a recording counts for, chosen: a stro
 WIDE = 2 * np.pi  # rad: the range check of angles; nobody turns a position servo further here
 BLOCK = 0.5  # s over which residuals hang together, chosen: the time of a slip or a stroke
 STEP = 0.02  # finite difference of the intervals in z; the model has kinks at every standstill
+# How well the load is known: 1 %, chosen. A free run tells the servo's torques from the load's only
+# in proportion, so this much doubt is in every one of them.
+LOAD_DOUBT = 0.01
+IN_PROPORTION = "gain_scale kp kv armature damping damping_off friction force_limit".split()
 GEARS = ("load_friction", "stiction")  # what the bench shows and the twin cannot compile
 
 # What the paper trained with: a servo that does as it is told.
@@ -47,9 +51,6 @@ PRIORS: dict[str, tuple[float, float, float, float, str, bool]] = {
     "damping_off": (0.05, 1.5, 1e-5, 20.0, "N m s/rad", True),
     "load_friction": (0.0, 0.1, 0.0, 0.9, "1", False),
     "stiction": (0.0, 0.1, 0.0, 0.9, "1", False),
-    # How well the load is known: 1 %, chosen. A free run tells the servo's torques from the load's
-    # only in proportion, so this much uncertainty is in every one of them.
-    "load_scale": (1.0, 0.01, 0.9, 1.1, "1", False),
 }
 
 
@@ -134,8 +135,6 @@ def servo_space(benches: Sequence[Bench], gears: bool = True) -> tuple[Parameter
     """The free numbers these recordings call for."""
     names = [name for name in PRIORS if name != "damping_off" or _ever_off(benches)]
     names = [name for name in names if gears or name not in GEARS]
-    if all(bench.load.kind == "nothing" for bench in benches):
-        names.remove("load_scale")
     found = {name: _parameter(name) for name in names}
     reference = gain_reference(benches)
     if reference is not None:
@@ -174,8 +173,7 @@ def as_servos(space: tuple[Parameter, ...], z: Array, benches: Sequence[Bench]) 
         for p, column in zip(space, z.T, strict=True)
     }
     none = np.zeros(len(z))
-    servo = {name: found.get(name, none) for name in PRIORS if name != "load_scale"}
-    servo["load_scale"] = found.get("load_scale", none + 1.0)
+    servo = {name: found.get(name, none) for name in PRIORS}
     servo["damping_off"] = found.get("damping_off", servo["damping"])
     if "gain_scale" in found:
         servo["kp"] = found["gain_scale"][:, None] * np.array([b.gain for b in benches], float)
@@ -185,8 +183,7 @@ def as_servos(space: tuple[Parameter, ...], z: Array, benches: Sequence[Bench]) 
 def described_servo(servo: Servo) -> dict[str, Array]:
     """A described servo as the arguments of `free_run`."""
     found = {name: np.array([float(value)]) for name, value in servo.model_dump().items()}
-    none = {name: np.zeros(1) for name in GEARS}
-    return {**found, "damping_off": found["damping"], **none, "load_scale": np.ones(1)}
+    return {**found, "damping_off": found["damping"], **{g: np.zeros(1) for g in GEARS}}
 
 
 def residual_function(
@@ -238,6 +235,16 @@ def with_honest_intervals(
     meat = gradients.T @ gradients * many / max(many - fit.z.size, 1)
     covariance = bread @ (meat + np.eye(fit.z.size)) @ bread
     return replace(fit, residuals=found, jacobian=slope, covariance=covariance)
+
+
+def load_doubt(space: tuple[Parameter, ...], z: Array, benches: Sequence[Bench]) -> Array:
+    """Covariance (p, p) in z that the load's uncertainty puts on every torque alike."""
+    shift = np.zeros(z.size)
+    if any(bench.load.kind != "nothing" for bench in benches):
+        for i, p in enumerate(space):
+            if p.path in IN_PROPORTION:
+                shift[i] = 1.0 / p.spread if p.log else p.from_z(float(z[i])) / p.spread
+    return LOAD_DOUBT**2 * np.outer(shift, shift)
 
 
 def with_servo(fish: Fish, servo: dict[str, float]) -> Fish:

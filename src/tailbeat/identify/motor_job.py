@@ -3,7 +3,7 @@
 import hashlib
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from tailbeat.identify.motor import (
     blocks,
     described_servo,
     gain_reference,
+    load_doubt,
     residual_function,
     servo_space,
     with_honest_intervals,
@@ -139,8 +140,9 @@ def _seeds(
     seeds = range(plan.first_seed, plan.first_seed + plan.seeds)
     fits = [search_once(residuals, space, s, plan.effort, scratch, progress) for s in seeds]
     fits.sort(key=lambda found: found.cost)
-    groups = blocks(fit)
-    return [with_honest_intervals(fits[0], residuals, groups), *fits[1:]]
+    best = with_honest_intervals(fits[0], residuals, blocks(fit))
+    doubt = load_doubt(space, best.z, fit)
+    return [replace(best, covariance=best.covariance + doubt), *fits[1:]]
 
 
 def _key(fit: Sequence[Bench], plan: Plan) -> str:

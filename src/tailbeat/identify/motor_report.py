@@ -10,6 +10,7 @@ import numpy as np
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
+from tailbeat.identify.motor import load_doubt
 from tailbeat.identify.motor_job import Overlay, Plan, Progress, ServoFit, identify_motor
 from tailbeat.identify.search import Fit, Parameter, intervals, told_apart, trade_offs, values
 from tailbeat.identify.shaft import Bench
@@ -93,12 +94,12 @@ def mean_error(runs: Sequence[dict[str, Any]], role: str) -> float | None:
 
 
 def given_load(found: ServoFit) -> tuple[tuple[Parameter, ...], Fit]:
-    """Space and best fit as if the load were known exactly: its scale moves every torque alike,
-    which the intervals hold and which is no trade-off that another command could undo."""
+    """Space and best fit as if the load were known exactly: doubt about it moves every torque
+    alike, which the intervals hold and which no other command could undo."""
     best = found.fits[0]
-    kept = [i for i, p in enumerate(found.space) if p.path != "load_scale"]
-    precision = np.linalg.inv(best.covariance)[np.ix_(kept, kept)]
-    return tuple(found.space[i] for i in kept), replace(best, covariance=np.linalg.inv(precision))
+    benches = [overlay.bench for overlay in found.overlays]
+    doubt = load_doubt(found.space, best.z, benches)
+    return found.space, replace(best, covariance=best.covariance - doubt)
 
 
 def remedy(a: str, b: str) -> str:

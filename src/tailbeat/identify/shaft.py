@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 STEP = 1e-3  # s
 SERVO = (
-    "kp kv armature damping friction force_limit delay damping_off load_friction stiction"
-    " load_scale".split()
+    "kp kv armature damping friction force_limit delay damping_off load_friction stiction".split()
 )
 LOAD = "stiffness damping inertia friction weight".split()
 CREEP = 0.2  # rad/s at which half the stiction is left, chosen
@@ -128,8 +127,8 @@ def _run(lanes, load, start, time, command, integral, enabled, edges, angle):  #
 def _shaft(servo, load, start, time, command, integral, enabled, angle):  # type: ignore[no-untyped-def]
     """One lane. Semi-implicit Euler with implicit damping; friction stops the shaft exactly."""
     kp, kv, armature, on_damping, friction, limit, delay, off_damping = servo[:8]
-    load_rub, stiction, scale = servo[8:]
-    stiffness, damping, load_inertia, load_friction, weight = load * scale
+    load_rub, stiction = servo[8:]
+    stiffness, damping, load_inertia, load_friction, weight = load
     q, v = start
     angle[0] = q
     held, place, switch, sample = -delay * command[0], 0, 0, 1
