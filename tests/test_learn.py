@@ -128,7 +128,7 @@ def watched(model: SensorModel, steps: int = 600) -> tuple[np.ndarray, np.ndarra
     for step in range(steps):
         reading = sensors.sense(
             model, state, np.array([step]), PERIOD, zero, zero, np.array([[1.0, 0.0]]),
-            np.zeros((1, 2)), np.zeros(1),
+            np.zeros(1), np.zeros(1), np.zeros(1),
         )  # fmt: skip
         age.append(reading.frames[0, :, 5])
         gyro.append(reading.yaw_rate[0])

@@ -254,7 +254,12 @@ def bench(
     console.tables({result["machine"]: result["fish"], "virtual pool": result["pool"]})
     rows = [{"fish": int(count), **row} for count, row in result.get("env", {}).items()]
     common = ("fish", "steps_per_s", "bare_engine", "of_bare_engine")
-    console.tables({"environment": [{name: row[name] for name in common} for row in rows]})
+    peers = ("dummy_vec_env", "subproc_vec_env", "of_sb3")
+    console.tables({
+        "physics: a control step": result.get("physics", []),
+        "environment": [{name: row[name] for name in common} for row in rows],
+        "against SB3": [{n: row[n] for n in ("fish", *peers)} for row in rows if "of_sb3" in row],
+    })  # fmt: skip
     if json is not None:
         write_json(json, result)
 

@@ -184,6 +184,8 @@ def bench(env: bool = True) -> dict[str, Any]:
     result = benchmark.bench()
     if env and find_spec("stable_baselines3") is not None:
         from tailbeat.evaluate.env_bench import env_bench  # needs the extra
+        from tailbeat.evaluate.physics_bench import physics_bench  # and so does the environment
 
+        result["physics"] = physics_bench()
         result["env"] = env_bench()
     return result

@@ -121,7 +121,7 @@ def step(space: ActionSpace, state: ActionState, action: Array, dt: float) -> Ac
         )
     if not np.isfinite(action).all():
         raise BadInput(f"action {action[~np.isfinite(action)][0]}; give finite numbers.")
-    bounded = np.clip(action, -1.0, 1.0)
+    bounded = bound(action, -1.0, 1.0)
     if isinstance(space, Generator):
         return _generate(space, state, bounded, dt)
     target = space.low + (bounded + 1) / 2 * (space.high - space.low)
@@ -130,11 +130,17 @@ def step(space: ActionSpace, state: ActionState, action: Array, dt: float) -> Ac
     return replace(state, u=target + (state.u - target) * np.exp(-dt / space.tau))
 
 
+def bound(values: Array, low: float, high: float) -> Array:
+    """`np.clip` without its checks: a third of its time for few values."""
+    return np.minimum(np.maximum(values, low), high)
+
+
 def targets(space: Generator, action: Array) -> Array:
     """u* (n, 6) of actions: frequency from 0 to its ceiling [rad/s], the rest [rad]."""
-    scale = [space.offset, space.first, space.first, space.second, space.second]
-    omega = (action[:, :1] + 1) / 2 * TURN * space.fundamental
-    return np.concatenate([omega, action[:, 1:] * scale], axis=1)
+    half = np.pi * space.fundamental
+    wanted = action * [half, space.offset, space.first, space.first, space.second, space.second]
+    wanted[:, 0] += half
+    return np.asarray(wanted)
 
 
 def _generate(space: Generator, state: ActionState, action: Array, dt: float) -> ActionState:
@@ -148,11 +154,11 @@ def _generate(space: Generator, state: ActionState, action: Array, dt: float) ->
 def setpoint(space: ActionSpace, state: ActionState) -> Array:
     """Motor angle (n,) [rad] that a state asks for, inside the servo's range."""
     if not isinstance(space, Generator):
-        return np.clip(state.u[:, 0], space.low, space.high)
-    harmonics = state.phase[:, None] * [1, 2]
-    cosine, sine = state.u[:, [2, 4]], state.u[:, [3, 5]]
-    waves = cosine * np.cos(harmonics) + sine * np.sin(harmonics)
-    return np.clip(state.u[:, 1] + waves.sum(axis=1), space.low, space.high)
+        return bound(state.u[:, 0], space.low, space.high)
+    _, centre, a1, b1, a2, b2 = state.u.T
+    first, second = state.phase, 2 * state.phase
+    waves = a1 * np.cos(first) + b1 * np.sin(first) + a2 * np.cos(second) + b2 * np.sin(second)
+    return bound(centre + waves, space.low, space.high)
 
 
 def command(space: ActionSpace, state: ActionState) -> Array:

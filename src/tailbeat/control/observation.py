@@ -74,31 +74,26 @@ SCALES = np.array([entry.scale for entry in TABLE])
 
 def observe(samples: Samples) -> NDArray[np.float32]:
     """The observation (n, 24) of raw samples, in the table's order."""
-    motor = [
-        np.cos(samples.motor_angle),
-        np.sin(samples.motor_angle),
-        samples.motor_velocity,
-        samples.yaw_rate,
-        np.cos(samples.phase),
-        np.sin(samples.phase),
-    ]
     count = len(samples.phase)
-    parts = [
-        np.stack(motor, axis=1),
-        samples.commands.reshape(count, -1),
-        relative(samples.frames).reshape(count, -1),
-    ]
-    return (np.concatenate(parts, axis=1) / SCALES).astype(np.float32)
+    seen = np.empty((count, len(TABLE)))
+    seen[:, 0], seen[:, 1] = np.cos(samples.motor_angle), np.sin(samples.motor_angle)
+    seen[:, 2], seen[:, 3] = samples.motor_velocity, samples.yaw_rate
+    seen[:, 4], seen[:, 5] = np.cos(samples.phase), np.sin(samples.phase)
+    seen[:, 6:12] = samples.commands.reshape(count, -1)
+    seen[:, 12:] = relative(samples.frames).reshape(count, -1)
+    return (seen / SCALES).astype(np.float32)
 
 
 def relative(frames: Array) -> Array:
     """Distance, way ahead and way to the left of the target [m], staleness [s]: (n, k, 4)."""
-    offset = frames[..., 3:5] - frames[..., :2]
+    x, y = frames[..., 3] - frames[..., 0], frames[..., 4] - frames[..., 1]
     cos, sin = np.cos(frames[..., 2]), np.sin(frames[..., 2])
-    ahead = cos * offset[..., 0] + sin * offset[..., 1]
-    left = cos * offset[..., 1] - sin * offset[..., 0]
-    distance = np.hypot(offset[..., 0], offset[..., 1])
-    return np.stack([distance, ahead, left, frames[..., 5]], axis=-1)
+    seen = np.empty((*x.shape, 4))
+    seen[..., 0] = np.hypot(x, y)
+    seen[..., 1] = cos * x + sin * y
+    seen[..., 2] = cos * y - sin * x
+    seen[..., 3] = frames[..., 5]
+    return seen
 
 
 def as_markdown() -> str:

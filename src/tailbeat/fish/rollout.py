@@ -75,7 +75,7 @@ def swim(
     padded = np.zeros((len(twins), int(lengths.max()) * every, 1))
     for i, command in enumerate(commands):
         padded[i, : lengths[i] * every, 0] = command[: lengths[i] * every]
-    with _quiet():
+    with quiet_engine():
         qpos = _advance(pool, padded, lengths, every)
     diverged = pool.warning.reshape(len(twins), -1).sum(axis=1) > 0
     qpos[diverged] = 0.0
@@ -87,7 +87,7 @@ def swim(
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet_engine() -> Iterator[None]:
     """Keep the engine from printing and logging a divergence: `diverged` tells of it, and in a
     search it is an ordinary answer."""
     mujoco.set_mju_user_warning(lambda message: None)

@@ -6,6 +6,7 @@ hear alone.
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numba import njit
@@ -107,42 +108,45 @@ def sense(
     before: Array,
     after: Array,
     target: Array,
-    motor: Array,
+    angle: Array,
+    velocity: Array,
     yaw_rate: Array,
 ) -> Readings:
     """Readings at the end of control step `step` (n,), counted from 0; moves `state.frames` on.
 
-    `before`, `after` (n, 3) are the tag's poses at both ends of the step, `target` (n, 2), `motor`
-    (n, 2) angle and velocity.
+    `before`, `after` (n, 3) are the tag's poses at both ends of the step, `target` (n, 2); `angle`,
+    `velocity` and `yaw_rate` (n,) are true at its end.
     """
-    figures = np.array([getattr(model, name) for name in FIGURES])
-    readings = np.empty((3, len(step)))
+    readings, frames = np.empty((3, len(step))), np.empty((len(step), 3, 6))
     _sense(
-        figures, state.noise, state.bias, state.drift, state.phase, state.frames, step, period,
-        before, after, target, motor, yaw_rate, readings,
+        figures(model), state.noise, state.bias, state.drift, state.phase, state.frames, step,
+        period, before, after, target, angle, velocity, yaw_rate, readings, frames,
     )  # fmt: skip
-    now = np.asarray((step + 1) * period, dtype=np.float64)
-    return Readings(readings[0], readings[1], readings[2], newest(state, now))
+    return Readings(readings[0], readings[1], readings[2], frames)
 
 
-FIGURES = tuple(SensorModel.__annotations__)
+@cache
+def figures(model: SensorModel) -> Array:
+    """A model's figures in their order, for the kernels."""
+    return np.array(list(vars(model).values()), dtype=np.float64)
 
 
 @njit(cache=True)
 def _sense(  # type: ignore[no-untyped-def]
-    figures, noise, bias, drift, phase, frames, step, period, before, after, target, motor,
-    yaw_rate, readings,
+    figures, noise, bias, drift, phase, frames, step, period, before, after, target, angle,
+    velocity, yaw_rate, readings, found,
 ):  # fmt: skip
     """One fish after the other: film what falls into the step, then read encoder and IMU."""
     for i in range(len(step)):
         draws, now = noise[i, step[i]], (step[i] + 1) * period
         _film(figures, draws, now, period, phase[i], before[i], after[i], target[i], frames[i])
         age = figures[2] * _uniform(draws[0])
-        readings[0, i] = _counted(motor[i, 0] - age * motor[i, 1], figures[0])
-        readings[1, i] = _counted(motor[i, 1], figures[1])
+        readings[0, i] = _counted(angle[i] - age * velocity[i], figures[0])
+        readings[1, i] = _counted(velocity[i], figures[1])
         readings[2, i] = yaw_rate[i] + bias[i] + drift[i] * step[i] + figures[3] * draws[1]
         if _uniform(draws[2]) < figures[6]:
             readings[2, i] += figures[7] * np.sign(draws[3])
+        _newest(frames[i], now, found[i])
 
 
 @njit(cache=True)
@@ -170,24 +174,24 @@ def _film(figures, draws, now, period, phase, before, after, target, frames):  #
 def newest(state: SensorState, now: Array) -> Array:
     """The three newest frames that have arrived, with their staleness (n, 3, 6)."""
     found = np.empty((len(now), 3, 6))
-    _newest(state.frames, now, found)
+    for fish, time in enumerate(now):
+        _newest(state.frames[fish], time, found[fish])
     return found
 
 
 @njit(cache=True)
 def _newest(frames, now, found):  # type: ignore[no-untyped-def]
-    for i in range(len(now)):
-        last = np.inf
-        for k in range(3):
-            best = -1
-            for j in range(KEPT):
-                row = frames[i, j]
-                late = row[6] > now[i] + 1e-9 or row[5] >= last
-                if not late and (best < 0 or row[5] > frames[i, best, 5]):
-                    best = j
-            last = frames[i, best, 5]
-            found[i, k] = frames[i, best, :6]
-            found[i, k, 5] = now[i] - last
+    last = np.inf
+    for k in range(3):
+        best = -1
+        for j in range(KEPT):
+            late = frames[j, 6] > now + 1e-9 or frames[j, 5] >= last
+            if not late and (best < 0 or frames[j, 5] > frames[best, 5]):
+                best = j
+        last = frames[best, 5]
+        for j in range(5):
+            found[k, j] = frames[best, j]
+        found[k, 5] = now - last
 
 
 @njit(cache=True)

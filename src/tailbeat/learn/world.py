@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from mujoco import batch
+from numba import njit
 from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
@@ -15,6 +16,7 @@ from tailbeat.control.actions import ActionSpace, Generator
 from tailbeat.control.observation import COMMANDS, Samples, observe
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
+from tailbeat.fish.rollout import quiet_engine
 from tailbeat.fish.twin import compile_twin
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.learn import randomize, sensors
@@ -142,6 +144,7 @@ class World:
         self.state = act.reset(self.space, self.count)
         self.commands = np.zeros((self.count, COMMANDS, 2))
         self.warned = np.zeros(self.count)
+        self.every = np.arange(self.count)
 
     def reseed(self, seeds: list[int]) -> None:
         """New generators; takes effect at the next reset."""
@@ -202,32 +205,31 @@ class World:
 
     def step(self, action: Array) -> Outcome:
         """One control step of every fish under actions (n, size). Ended fish want a `reset`."""
-        before = self.pose.copy()
-        self.state = act.step(self.space, self.state, np.asarray(action, float), PERIOD)
+        before, action = self.pose, np.asarray(action, float)
+        self.state = act.step(self.space, self.state, action, PERIOD)
         self.ctrl[:, 0] = act.setpoint(self.space, self.state)
-        every = np.arange(self.count)
         age = np.minimum(self.age, self.steps_per_episode - 1)
-        self.force[:, self.head, :2] = self.pushes[every, age]
-        self.pool.step(nstep=self.substeps)
+        self.force[:, self.head, :2] = self.pushes[self.every, age]
+        with quiet_engine():  # a divergence ends the fish's episode and is counted there
+            self.pool.step(nstep=self.substeps)
         lost = self._lost()
         self.pose = tracked_pose(self.fish, self.qpos[:, :3])
         self.target = self.target + self.drift
-        self.commands = np.concatenate(
-            [act.command(self.space, self.state)[:, None], self.commands[:, :-1]], axis=1
-        )
-        motor = np.stack([x[:, self.twin.motor] for x in (self.qpos, self.qvel)], axis=1)
+        self.commands[:, 1:] = self.commands[:, :-1]
+        self.commands[:, 0] = act.command(self.space, self.state)
+        motor = self.twin.motor
         readings = sensors.sense(
-            self.settings.sensors, self.seen, age, PERIOD, before, self.pose, self.target, motor,
-            self.qvel[:, 2],
+            self.settings.sensors, self.seen, age, PERIOD, before, self.pose, self.target,
+            self.qpos[:, motor], self.qvel[:, motor], self.qvel[:, 2],
         )  # fmt: skip
         self.age = self.age + 1
         return self._judge(action, self._observe(readings), lost)
 
     def _lost(self) -> Flags:
         """Fish that the engine warned about in this step."""
-        warned = self.pool.warning.reshape(self.count, -1).sum(axis=1)
-        lost = warned > self.warned
-        self.warned = warned.copy()
+        total = self.pool.warning.reshape(self.count, -1).sum(axis=1)
+        lost = total > self.warned
+        self.warned = total
         return np.asarray(lost)
 
     def _observe(self, readings: sensors.Readings) -> NDArray[np.float32]:
@@ -244,26 +246,41 @@ class World:
 
     def _judge(self, action: Array, seen: NDArray[np.float32], lost: Flags) -> Outcome:
         """Reward and ends, from the exact distance (paper: only the reward sees it)."""
-        reward = self.settings.reward
-        distance = np.linalg.norm(self.target - self.pose[:, :2], axis=1)
-        distance = np.where(lost, self.task.limit, distance)
-        reached = distance < self.task.arrival
-        terms = {
-            "distance": -reward.distance * distance,
-            "effort": -reward.effort * np.linalg.norm(np.clip(action, -1, 1), axis=1),
+        reward, task = self.settings.reward, self.task
+        walls = np.array(task.walls or (np.inf, np.inf)) / 2
+        terms, reached, outside = _judge(
+            self.pose, self.target, action, lost, task.arrival, task.limit, walls
+        )
+        named = {
+            "distance": -reward.distance * terms[0],
+            "effort": -reward.effort * terms[1],
             "bonus": reward.bonus * reached,
         }
-        terminated = reached | lost | self._outside()
+        terminated = reached | outside
         truncated = (self.age >= self.steps_per_episode) & ~terminated
-        seen = np.where(lost[:, None], np.float32(0), seen)
-        return Outcome(seen, sum(terms.values()), terms, terminated, truncated, reached)
+        if lost.any():
+            seen = np.where(lost[:, None], np.float32(0), seen)
+        total = named["distance"] + named["effort"] + named["bonus"]
+        return Outcome(seen, total, named, terminated, truncated, reached)
 
-    def _outside(self) -> Flags:
-        place = self.pose[:, :2]
-        far = np.linalg.norm(place, axis=1) > self.task.limit
-        if self.task.walls is not None:
-            far |= (np.abs(place) > np.array(self.task.walls) / 2).any(axis=1)
-        return np.asarray(far)
+
+@njit(cache=True)
+def _judge(pose, target, action, lost, arrival, limit, walls):  # type: ignore[no-untyped-def]
+    """Distance (the limit for a lost fish) and size of the action (2, n), reached, out (n,)."""
+    count = len(pose)
+    terms, reached, outside = np.empty((2, count)), lost.copy(), lost.copy()
+    for i in range(count):
+        x, y = pose[i, 0], pose[i, 1]
+        distance = np.hypot(target[i, 0] - x, target[i, 1] - y)
+        terms[0, i] = limit if lost[i] else distance
+        square = 0.0
+        for value in action[i]:
+            square += min(max(value, -1.0), 1.0) ** 2
+        terms[1, i] = np.sqrt(square)
+        reached[i] = not lost[i] and distance < arrival
+        far = np.hypot(x, y) > limit or abs(x) > walls[0] or abs(y) > walls[1]
+        outside[i] = lost[i] or far
+    return terms, reached, outside
 
 
 def _pulses(ranges: Randomisation, steps: int, rng: np.random.Generator) -> Array:
