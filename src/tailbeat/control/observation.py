@@ -81,7 +81,7 @@ def observe(samples: Samples) -> NDArray[np.float32]:
     seen[:, 4], seen[:, 5] = np.cos(samples.phase), np.sin(samples.phase)
     seen[:, 6:12] = samples.commands.reshape(count, -1)
     seen[:, 12:] = relative(samples.frames).reshape(count, -1)
-    return (seen / SCALES).astype(np.float32)
+    return np.divide(seen, SCALES, out=np.empty(seen.shape, np.float32), casting="same_kind")
 
 
 def relative(frames: Array) -> Array:

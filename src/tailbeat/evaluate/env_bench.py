@@ -1,7 +1,7 @@
 """How fast is the environment, against the bare engine and against SB3's own ways, in one run?
 
-Needs the train extra. The peers are as simple as they can be made: no noise, no delay, no
-randomisation, a bare observation; ours has everything on.
+Needs the train extra. The peers do the same task without noise, latency and randomisation; ours
+has everything on.
 """
 
 import tempfile
@@ -12,17 +12,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from gymnasium.envs.mujoco import MujocoEnv
 from mujoco import batch
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
+from tailbeat.control import actions as act
+from tailbeat.control.observation import Samples, observe
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import build_spec, compile_twin
-from tailbeat.learn.env import FishVectorEnv
-from tailbeat.learn.world import PERIOD
+from tailbeat.learn.env import FishVectorEnv, action_space, observation_space
+from tailbeat.learn.world import PERIOD, Settings, check_settings
 
 COUNTS = (1, 16, 64, 256)
 PEER_COUNT = 64
@@ -31,27 +32,41 @@ TURNS = 11
 
 
 class OrdinaryFish(MujocoEnv):
-    """One fish the ordinary way: gymnasium's MujocoEnv, the action is the motor's angle."""
+    """One fish the ordinary way: gymnasium's MujocoEnv with the same actions, observation and
+    reward, but exact sensors, no latency, no randomisation, no pulses."""
 
     metadata = {"render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"]}  # noqa: RUF012
 
-    def __init__(self, path: str, substeps: int) -> None:
-        box = spaces.Box(-np.inf, np.inf, (18,), np.float64)
-        super().__init__(path, substeps, box)
+    def __init__(self, path: str, substeps: int, limits: tuple[float, float]) -> None:
+        self.generator = act.Generator(*limits)
+        self.tail = act.reset(self.generator, 1)
+        self.commands, self.frames = np.zeros((1, 3, 2)), np.zeros((1, 3, 6))
+        super().__init__(path, substeps, observation_space())
+        self.action_space = action_space(6)
 
     def step(self, action: Any) -> Any:
         """Gymnasium's five."""
-        self.do_simulation(action, self.frame_skip)
-        distance = float(np.linalg.norm(self.data.qpos[:2] - 2.0))
-        return self._seen(), -distance, False, False, {}
+        self.tail = act.step(self.generator, self.tail, np.asarray(action, float)[None], PERIOD)
+        self.do_simulation(act.setpoint(self.generator, self.tail), self.frame_skip)
+        self.commands = np.roll(self.commands, 1, axis=1)
+        self.commands[:, 0] = act.command(self.generator, self.tail)
+        self.frames = np.roll(self.frames, 1, axis=1)
+        self.frames[0, 0] = [*self.data.qpos[:3], 1.5, 0.5, 0.0]
+        distance = float(np.hypot(1.5 - self.data.qpos[0], 0.5 - self.data.qpos[1]))
+        reward = -distance - 0.1 * float(np.linalg.norm(action)) + 1000.0 * (distance < 0.05)
+        return self._seen(), reward, distance < 0.05, False, {}
 
     def reset_model(self) -> Any:
         """Straight and still."""
+        self.tail = act.reset(self.generator, 1)
+        self.commands, self.frames = np.zeros((1, 3, 2)), np.zeros((1, 3, 6))
         self.set_state(self.init_qpos, self.init_qvel)
         return self._seen()
 
     def _seen(self) -> Any:
-        return np.concatenate([self.data.qpos, self.data.qvel])
+        angle, rate, yaw_rate = self.data.qpos[3:4], self.data.qvel[3:4], self.data.qvel[2:3]
+        samples = Samples(angle, rate, yaw_rate, self.tail.phase, self.commands, self.frames)
+        return observe(samples)[0]
 
 
 def env_bench(name: str = "pulley-fish-pool") -> dict[str, Any]:
@@ -96,30 +111,38 @@ def _rate(steps: int, play: Round) -> float:
 def _ours(fish: Fish, count: int) -> tuple[int, Round]:
     env = FishVectorEnv(fish, count, seed=0)
     env.reset(seed=0)
-    rounds = _rounds(count)
-    actions = np.random.default_rng(0).uniform(-1, 1, (rounds, count, 6))
+    actions = _actions(count)
 
     def play() -> None:
         for action in actions:
             env.step(action)
 
     env.step(actions[0])  # compiled here, if it was not
-    return rounds * count, play
+    return actions.shape[0] * count, play
 
 
 def _bare(fish: Fish, count: int) -> tuple[int, Round]:
-    """The engine alone on the same model: the same substeps, a command per control step."""
+    """The engine alone on the same model: the same substeps under the same setpoints."""
     twin = compile_twin(fish)
     substeps = round(PERIOD / twin.model.opt.timestep)
     pool = batch.Batch(twin.model, count, persistent=True)
-    control, rounds = pool.bind("ctrl"), _rounds(count)
+    control = pool.bind("ctrl")
+    space = check_settings(fish, Settings())
+    state, setpoints = act.reset(space, count), []
+    for action in _actions(count):
+        state = act.step(space, state, action, PERIOD)
+        setpoints.append(act.setpoint(space, state))
 
     def play() -> None:
-        for step in range(rounds):
-            control[:] = 0.6 * np.sin(0.19 * step)
+        for setpoint in setpoints:
+            control[:, 0] = setpoint
             pool.step(nstep=substeps)
 
-    return rounds * count, play
+    return len(setpoints) * count, play
+
+
+def _actions(count: int) -> NDArray[np.float64]:
+    return np.random.default_rng(0).uniform(-1, 1, (_rounds(count), count, 6))
 
 
 def _rounds(count: int) -> int:
@@ -134,13 +157,13 @@ def _peer(fish: Fish, kind: Any) -> float:
         spec = build_spec(fish)
         spec.compile()
         path.write_text(spec.to_xml(), encoding="utf-8")
-        peers = kind([partial(OrdinaryFish, str(path), substeps)] * PEER_COUNT)
+        limits = fish.motor.range or (-np.pi, np.pi)
+        peers = kind([partial(OrdinaryFish, str(path), substeps, limits)] * PEER_COUNT)
         peers.reset()
-        rounds = _rounds(PEER_COUNT)
-        action = np.full((PEER_COUNT, 1), 0.3, dtype=np.float32)
+        actions = _actions(PEER_COUNT).astype(np.float32)
         began = time.perf_counter()
-        for _ in range(rounds):
+        for action in actions:
             peers.step(action)
-        rate = rounds * PEER_COUNT / (time.perf_counter() - began)
+        rate = len(actions) * PEER_COUNT / (time.perf_counter() - began)
         peers.close()
     return rate

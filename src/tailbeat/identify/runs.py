@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
@@ -170,10 +171,18 @@ def tracked_pose(fish: Fish, root: Array) -> Array:
 
 def _shift(fish: Fish, pose: Array, sign: float) -> Array:
     x, y, _ = fish.tracked
-    cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
-    moved = pose.copy()
-    moved[..., 0] += sign * (x * cos - y * sin)
-    moved[..., 1] += sign * (x * sin + y * cos)
+    return np.asarray(_moved(pose.reshape(-1, 3), sign * x, sign * y)).reshape(pose.shape)
+
+
+@njit(cache=True)
+def _moved(poses, x, y):  # type: ignore[no-untyped-def]
+    """Poses (n, 3) of a point at x, y of their frames."""
+    moved = np.empty((len(poses), 3))
+    for i in range(len(poses)):
+        yaw = poses[i, 2]
+        moved[i, 0] = poses[i, 0] + (x * np.cos(yaw) - y * np.sin(yaw))
+        moved[i, 1] = poses[i, 1] + (x * np.sin(yaw) + y * np.cos(yaw))
+        moved[i, 2] = yaw
     return moved
 
 

@@ -145,6 +145,7 @@ class World:
         self.commands = np.zeros((self.count, COMMANDS, 2))
         self.warned = np.zeros(self.count)
         self.every = np.arange(self.count)
+        self.walls = np.array(settings.task.walls or (np.inf, np.inf)) / 2
 
     def reseed(self, seeds: list[int]) -> None:
         """New generators; takes effect at the next reset."""
@@ -227,9 +228,11 @@ class World:
 
     def _lost(self) -> Flags:
         """Fish that the engine warned about in this step."""
-        total = self.pool.warning.reshape(self.count, -1).sum(axis=1)
-        lost = total > self.warned
-        self.warned = total
+        warning = self.pool.warning
+        if int(warning.sum()) == self.warned.sum():
+            return np.zeros(self.count, dtype=bool)
+        total = warning.reshape(self.count, -1).sum(axis=1)
+        lost, self.warned = total > self.warned, total
         return np.asarray(lost)
 
     def _observe(self, readings: sensors.Readings) -> NDArray[np.float32]:
@@ -247,40 +250,37 @@ class World:
     def _judge(self, action: Array, seen: NDArray[np.float32], lost: Flags) -> Outcome:
         """Reward and ends, from the exact distance (paper: only the reward sees it)."""
         reward, task = self.settings.reward, self.task
-        walls = np.array(task.walls or (np.inf, np.inf)) / 2
-        terms, reached, outside = _judge(
-            self.pose, self.target, action, lost, task.arrival, task.limit, walls
+        weights = reward.distance, reward.effort, reward.bonus
+        terms, ends = _judge(
+            self.pose, self.target, action, lost, task.arrival, task.limit, self.walls, weights
         )
-        named = {
-            "distance": -reward.distance * terms[0],
-            "effort": -reward.effort * terms[1],
-            "bonus": reward.bonus * reached,
-        }
-        terminated = reached | outside
-        truncated = (self.age >= self.steps_per_episode) & ~terminated
         if lost.any():
             seen = np.where(lost[:, None], np.float32(0), seen)
-        total = named["distance"] + named["effort"] + named["bonus"]
-        return Outcome(seen, total, named, terminated, truncated, reached)
+        named = {"distance": terms[0], "effort": terms[1], "bonus": terms[2]}
+        truncated = (self.age >= self.steps_per_episode) & ~ends[1]
+        return Outcome(seen, terms[3], named, ends[1], truncated, ends[0])
 
 
 @njit(cache=True)
-def _judge(pose, target, action, lost, arrival, limit, walls):  # type: ignore[no-untyped-def]
-    """Distance (the limit for a lost fish) and size of the action (2, n), reached, out (n,)."""
+def _judge(pose, target, action, lost, arrival, limit, walls, weights):  # type: ignore[no-untyped-def]
+    """Three terms of the reward and their sum (4, n); reached and ended (2, n). A lost fish is
+    `limit` away."""
     count = len(pose)
-    terms, reached, outside = np.empty((2, count)), lost.copy(), lost.copy()
+    terms, ends = np.empty((4, count)), np.empty((2, count), dtype=np.bool_)
     for i in range(count):
         x, y = pose[i, 0], pose[i, 1]
-        distance = np.hypot(target[i, 0] - x, target[i, 1] - y)
-        terms[0, i] = limit if lost[i] else distance
+        distance = limit if lost[i] else np.hypot(target[i, 0] - x, target[i, 1] - y)
         square = 0.0
         for value in action[i]:
             square += min(max(value, -1.0), 1.0) ** 2
-        terms[1, i] = np.sqrt(square)
-        reached[i] = not lost[i] and distance < arrival
+        ends[0, i] = distance < arrival and not lost[i]
         far = np.hypot(x, y) > limit or abs(x) > walls[0] or abs(y) > walls[1]
-        outside[i] = lost[i] or far
-    return terms, reached, outside
+        ends[1, i] = ends[0, i] or lost[i] or far
+        terms[0, i] = -weights[0] * distance
+        terms[1, i] = -weights[1] * np.sqrt(square)
+        terms[2, i] = weights[2] * ends[0, i]
+        terms[3, i] = terms[0, i] + terms[1, i] + terms[2, i]
+    return terms, ends
 
 
 def _pulses(ranges: Randomisation, steps: int, rng: np.random.Generator) -> Array:
