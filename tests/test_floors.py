@@ -19,8 +19,9 @@ SOURCE = Path(__file__).parents[1] / "src" / "tailbeat"
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("__main__",),
     ("cli",),
+    ("learn_cli",),
     ("chain_tasks",),
-    ("bench_tasks", "console", "tasks"),
+    ("bench_tasks", "console", "learn_tasks", "tasks"),
     ("evaluate",),
     ("pool",),
     ("swim",),

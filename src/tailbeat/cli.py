@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tailbeat import bench_tasks, chain_tasks, console, tasks
+from tailbeat import bench_tasks, chain_tasks, console, learn_cli, tasks
 from tailbeat.files import BadInput, write_json
 
 app = typer.Typer(
@@ -20,6 +20,8 @@ identify = typer.Typer(help="Find a fish's parameters from recordings.", no_args
 importing = typer.Typer(help="Turn other people's files into recordings.", no_args_is_help=True)
 app.add_typer(identify, name="identify")
 app.add_typer(importing, name="import")
+app.add_typer(learn_cli.policy, name="policy")
+app.command("train")(learn_cli.train)
 
 LISTS = ("--fit", "--validate", "--commands", "--servo")  # options that take any number of values
 FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]

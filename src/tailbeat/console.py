@@ -6,9 +6,12 @@ from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
+from rich.live import Live
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+
+from tailbeat.files import leaves
 
 # A pipe has no width: wide enough that no number is cut.
 OUT = Console(width=None if sys.stdout.isatty() else 140)
@@ -212,3 +215,83 @@ def summary(report: dict[str, Any]) -> None:
         plain = {key: value for key, value in report.items() if not isinstance(value, list)}
         tables({"open-loop swim": [plain]})
     say(f"rendered: {report['rendered']}; see {report['folder']}/: {', '.join(report['files'])}")
+
+
+# ---- learning -----------------------------------------------------------------------------------
+
+
+@contextmanager
+def training() -> Iterator[Callable[[dict[str, Any]], None]]:
+    """A table that follows a training on a terminal; in a pipe a line every half minute."""
+    if not OUT.is_terminal:
+        yield _line_now_and_then()
+        return
+    with Live(console=OUT, refresh_per_second=2) as live:
+        yield lambda row: live.update(_course(row))
+
+
+def _line_now_and_then(every: float = 30.0) -> Callable[[dict[str, Any]], None]:
+    due = [0.0]
+
+    def report(row: dict[str, Any]) -> None:
+        if row["seconds"] >= due[0]:
+            due[0] = row["seconds"] + every
+            cells = [f"{name} {value}" for name, value in _cells(row).items()]
+            print(", ".join(cells), flush=True)
+
+    return report
+
+
+def _course(row: dict[str, Any]) -> Table:
+    table = Table(title="training", title_justify="left", show_header=False)
+    for name, value in _cells(row).items():
+        table.add_row(name, escape(value))
+    return table
+
+
+def _cells(row: dict[str, Any]) -> dict[str, str]:
+    eta = row["promotion_in"]
+    return {
+        "time": f"{row['seconds'] / 60:.1f} min",
+        "stage": f"{row['stage']} {row['name']}",
+        "success": f"{100 * row['success']:.0f} %",
+        "promotion in": "-" if eta is None else f"{eta / 60:.1f} min",
+        "episode": f"{row['episode_seconds']:.1f} s",
+        "reward": " ".join(f"{name} {row[name]:.0f}" for name in ("distance", "effort", "bonus")),
+        "control steps": f"{row['control_steps']:,} ({row['steps_per_s']:.0f}/s)",
+        "updates": f"{row['updates']:,} ({row['updates_per_s']:.0f}/s)",
+    }
+
+
+def trained(done: dict[str, Any]) -> None:
+    """Stages passed, and where the policy lies."""
+    rows = [
+        {
+            "stage": f"{row['stage']} {row['name']}",
+            "passed after [min]": row["seconds"] / 60,
+            "updates": row["updates"],
+            "greedy": row["greedy"]["reached"],
+        }
+        for row in done["promotions"]
+    ]
+    tables({"stages passed": rows})
+    if done["stalled"]:
+        say("warning: the stage did not pass in its time; look at curve.json and the films.")
+    say(f"{done['stages_passed']} of {done['stages']} stages; policy: {done['policy']}")
+
+
+def contract(held: dict[str, Any]) -> None:
+    """A policy's contract, the observation table last."""
+    rest = {k: v for k, v in held.items() if k not in ("golden", "observation")}
+    rows = [{"field": name, "value": value} for name, value in leaves("", rest).items()]
+    tables({"contract": rows, "observation": list(held["observation"])})
+    say(f"{len(held['golden'][0])} golden pairs agree")
+
+
+def differences(rows: list[dict[str, Any]]) -> None:
+    """Fields of two contracts side by side."""
+    tables(
+        {"differences": [{"field": r["field"], "a": str(r["a"]), "b": str(r["b"])} for r in rows]}
+    )
+    if not rows:
+        say("the contracts are equal")

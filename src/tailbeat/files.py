@@ -73,3 +73,12 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
+
+
+def leaves(name: str, value: Any) -> dict[str, Any]:
+    """Every leaf of nested lists and mappings by its dotted name."""
+    if isinstance(value, dict | list | tuple):
+        pairs = value.items() if isinstance(value, dict) else enumerate(value)
+        parts = [leaves(f"{name}.{key}".lstrip("."), part) for key, part in pairs]
+        return {key: leaf for part in parts for key, leaf in part.items()}
+    return {name: value}

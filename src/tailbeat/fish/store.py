@@ -1,5 +1,7 @@
 """Fish on disk: find, read, change and write descriptions, with every complaint one sentence."""
 
+import hashlib
+import json
 import tomllib
 from collections.abc import Mapping
 from importlib import resources
@@ -119,3 +121,9 @@ def _inline(entry: Mapping[str, Any]) -> tomlkit.items.InlineTable:
     table = tomlkit.inline_table()
     table.update(entry)
     return table
+
+
+def digest(fish: Fish) -> str:
+    """What a policy's contract knows a fish by: all that the twin is made of, not its words."""
+    content = fish.model_dump(mode="json", exclude={"summary"})
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

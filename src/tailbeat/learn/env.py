@@ -5,6 +5,7 @@ after an end, and where the last observation goes.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
@@ -16,10 +17,11 @@ from stable_baselines3.common.vec_env import VecEnv
 from tailbeat.control import actions as act
 from tailbeat.fish.description import Fish
 from tailbeat.learn import view
-from tailbeat.learn.world import PERIOD, Settings, World
+from tailbeat.learn.world import PERIOD, TERMS, Flags, Outcome, Settings, World
 
 Array = NDArray[np.float64]
 OBSERVED = 24
+POSE = [0, 1, 2, 5]  # of a frame: x, y, yaw, staleness
 
 
 def observation_space(count: int | None = None) -> gymnasium.spaces.Box:
@@ -128,8 +130,24 @@ class FishEnv(gymnasium.Env):
         return view.from_above(self.world, 0, np.array(self.path))
 
 
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What lay behind one decision of n fish: frames before and after (n, 3, 4) x, y, yaw,
+    staleness; the tag's way (n, hold, 2), NaN after an end; effort earned (n,)."""
+
+    frames: Array
+    next_frames: Array
+    track: Array
+    effort: Array
+
+
 class FishVecEnv(VecEnv):
-    """SB3's face: the same world, no copies, no processes."""
+    """SB3's face: the same world, no copies, no processes.
+
+    `hold` control steps share one action, in training alone: the observation between them is not
+    handed out, their rewards are summed and multiplied by `reward_scale`; a fish that ends among
+    them waits for the others.
+    """
 
     def __init__(
         self,
@@ -138,10 +156,14 @@ class FishVecEnv(VecEnv):
         settings: Settings | None = None,
         seed: int | None = None,
         threads: int = 0,
+        hold: int = 1,
+        reward_scale: float = 1.0,
     ) -> None:
         self.world = World(fish, settings or Settings(), seeds_from(seed, count), threads)
         self.render_mode = "rgb_array"
+        self.hold, self.reward_scale = hold, reward_scale
         self.returns, self.lengths = np.zeros(count), np.zeros(count, dtype=int)
+        self.sums = {name: np.zeros(count) for name in TERMS}
         self.actions: Array = np.zeros((count, act.size(self.world.space)))
         super().__init__(count, observation_space(), action_space(act.size(self.world.space)))
 
@@ -150,7 +172,7 @@ class FishVecEnv(VecEnv):
         if any(seed is not None for seed in self._seeds):
             self.world.reseed([int(seed or 0) for seed in self._seeds])
             self._reset_seeds()
-        self.returns[:], self.lengths[:] = 0.0, 0
+        self._forget(np.ones(self.num_envs, bool))
         return self.world.reset()
 
     def step_async(self, actions: Array) -> None:
@@ -159,10 +181,10 @@ class FishVecEnv(VecEnv):
 
     def step_wait(self) -> Any:
         """SB3's four; an ended fish's last sight, return and length in its info."""
-        done = self.world.step(self.actions)
+        before = self.world.frames[..., POSE]
+        done, track = self._held()
         ended = done.terminated | done.truncated
-        self.returns += done.reward
-        self.lengths += 1
+        self.last = Decision(before, done.frames[..., POSE], track, done.terms["effort"])
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         seen = done.observation
         for fish in np.flatnonzero(ended):
@@ -170,13 +192,39 @@ class FishVecEnv(VecEnv):
                 "terminal_observation": seen[fish].copy(),
                 "TimeLimit.truncated": bool(done.truncated[fish]),
                 "reached": bool(done.reached[fish]),
-                "reward_terms": {n: float(v[fish]) for n, v in done.terms.items()},
+                "reward_terms": {n: float(v[fish]) for n, v in self.sums.items()},
                 "episode": {"r": float(self.returns[fish]), "l": int(self.lengths[fish])},
             }
         if ended.any():
-            self.returns[ended], self.lengths[ended] = 0.0, 0
+            self._forget(ended)
             seen = np.where(ended[:, None], self.world.reset(ended), seen)
-        return seen, done.reward.astype(np.float32), ended, infos
+        return seen, (self.reward_scale * done.reward).astype(np.float32), ended, infos
+
+    def _held(self) -> tuple[Outcome, Array]:
+        """The action held: of every fish what it was when it ended, else at the last step; sums of
+        rewards and of their terms until then; the tag's way."""
+        track = np.full((self.num_envs, self.hold, 2), np.nan)
+        done = self._counted(self.world.step(self.actions), np.ones(self.num_envs, bool))
+        track[:, 0] = self.world.pose[:, :2]
+        for step in range(1, self.hold):
+            going = ~(done.terminated | done.truncated)
+            after = self._counted(self.world.step(self.actions), going)
+            track[going, step] = self.world.pose[going, :2]
+            done = _joined(done, after, going)
+        return done, track
+
+    def _counted(self, done: Outcome, going: Flags) -> Outcome:
+        self.returns += np.where(going, done.reward, 0.0)
+        self.lengths += going
+        for name, values in done.terms.items():
+            self.sums[name] += np.where(going, values, 0.0)
+        return done
+
+    def _forget(self, which: Flags) -> None:
+        """Begin new sums."""
+        self.returns[which], self.lengths[which] = 0.0, 0
+        for values in self.sums.values():
+            values[which] = 0.0
 
     def close(self) -> None:
         """Nothing to release."""
@@ -203,3 +251,16 @@ class FishVecEnv(VecEnv):
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """The first fish from above."""
         return [view.from_above(self.world, 0, self.world.pose[:1])]
+
+
+def _joined(before: Outcome, after: Outcome, going: Flags) -> Outcome:
+    """Two control steps as one, for the fish that go on; the others stay as they ended."""
+    return Outcome(
+        np.where(going[:, None], after.observation, before.observation),
+        np.where(going[:, None, None], after.frames, before.frames),
+        before.reward + np.where(going, after.reward, 0.0),
+        {n: before.terms[n] + np.where(going, v, 0.0) for n, v in after.terms.items()},
+        np.where(going, after.terminated, before.terminated),
+        np.where(going, after.truncated, before.truncated),
+        np.where(going, after.reached, before.reached),
+    )

@@ -1,15 +1,22 @@
 """Pictures of a world: from above with path and target, and the twin in three dimensions."""
 
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import imageio.v2 as imageio
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from tailbeat.fish.rollout import Swim
-from tailbeat.learn.world import World
+from tailbeat.files import new_file
+from tailbeat.fish.description import Fish
+from tailbeat.learn.world import PERIOD, Settings, World
 
 Array = NDArray[np.float64]
+FILM_RATE, SPEED = 12.5, 8.0  # frames per second, seconds swum per second shown
 
 
 def outline(world: World, fish: int) -> Array:
@@ -43,6 +50,29 @@ def from_above(world: World, fish: int, path: Array, pixels: int = 480) -> NDArr
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def as_swim(world: World, time: Array, qpos: Array) -> Swim:
-    """Recorded states (k, nq) of one fish as a swim, for `fish.render` to draw or film."""
-    return Swim(world.twin, time, qpos, False)
+def film(
+    decide: Callable[[NDArray[np.float32]], NDArray[np.float32]],
+    fish: Fish,
+    settings: Settings,
+    path: Path,
+    seeds: tuple[int, ...] = (1, 2),
+) -> None:
+    """An MP4 of one greedy episode per seed from above, at eight times real speed."""
+    every = round(SPEED / FILM_RATE / PERIOD)
+    with (
+        new_file(path, overwrite=True) as beside,
+        imageio.get_writer(beside, fps=FILM_RATE, macro_block_size=None) as writer,
+    ):
+        for seed in seeds:
+            for image in _episode(decide, World(fish, settings, [seed]), every):
+                writer.append_data(image)  # type: ignore[attr-defined]
+
+
+def _episode(decide: Any, world: World, every: int) -> Iterator[NDArray[np.uint8]]:
+    seen, path, over = world.reset(), [world.pose[0].copy()], False
+    while not over:
+        done = world.step(np.asarray(decide(seen), dtype=np.float64))
+        seen, over = done.observation, bool(done.terminated[0] | done.truncated[0])
+        path.append(world.pose[0].copy())
+        if over or len(path) % every == 0:
+            yield from_above(world, 0, np.array(path))

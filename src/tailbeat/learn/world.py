@@ -26,6 +26,7 @@ from tailbeat.learn.sensors import SensorModel
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 PERIOD = 0.02  # s
+TERMS = ("distance", "effort", "bonus")  # of the reward
 PUSH_STEPS = 10  # control steps that a pulse lasts
 
 
@@ -71,9 +72,11 @@ class Settings:
 
 @dataclass(frozen=True)
 class Outcome:
-    """One control step of n fish: observation (n, 24), reward and its terms (n,), ends (n,)."""
+    """One control step of n fish: observation (n, 24) and the frames behind it (n, 3, 6), reward
+    and its terms (n,), ends (n,)."""
 
     observation: NDArray[np.float32]
+    frames: Array
     reward: Array
     terms: dict[str, Array]
     terminated: Flags
@@ -145,11 +148,21 @@ class World:
         self.commands = np.zeros((self.count, COMMANDS, 2))
         self.warned = np.zeros(self.count)
         self.every = np.arange(self.count)
+        self.frames = np.zeros((self.count, 3, 6))
         self.walls = np.array(settings.task.walls or (np.inf, np.inf)) / 2
 
     def reseed(self, seeds: list[int]) -> None:
         """New generators; takes effect at the next reset."""
         self.rngs = [np.random.default_rng(seed) for seed in seeds]
+
+    def change(self, settings: Settings) -> None:
+        """Other sensors, physics and targets from each fish's next reset on (the noise at once);
+        actions and the length of an episode stay."""
+        check_settings(self.fish, settings)
+        if round(settings.task.seconds / PERIOD) != self.steps_per_episode:
+            raise BadInput(f"task: {settings.task.seconds:g} s; the world's episodes have others.")
+        self.settings, self.task = settings, settings.task
+        self.walls = np.array(settings.task.walls or (np.inf, np.inf)) / 2
 
     # ---- beginning ------------------------------------------------------------------------------
 
@@ -236,6 +249,7 @@ class World:
         return np.asarray(lost)
 
     def _observe(self, readings: sensors.Readings) -> NDArray[np.float32]:
+        self.frames = readings.frames
         return observe(
             Samples(
                 readings.motor_angle,
@@ -248,7 +262,11 @@ class World:
         )
 
     def _judge(self, action: Array, seen: NDArray[np.float32], lost: Flags) -> Outcome:
-        """Reward and ends, from the exact distance (paper: only the reward sees it)."""
+        """Reward and ends, from the exact distance (paper: only the reward sees it).
+
+        Out of range counts as a truncation: every step costs its distance, so an end without a
+        sequel would be worth fleeing to.
+        """
         reward, task = self.settings.reward, self.task
         weights = reward.distance, reward.effort, reward.bonus
         terms, ends = _judge(
@@ -256,17 +274,17 @@ class World:
         )
         if lost.any():
             seen = np.where(lost[:, None], np.float32(0), seen)
-        named = {"distance": terms[0], "effort": terms[1], "bonus": terms[2]}
-        truncated = (self.age >= self.steps_per_episode) & ~ends[1]
-        return Outcome(seen, terms[3], named, ends[1], truncated, ends[0])
+        named = dict(zip(TERMS, terms, strict=False))
+        truncated = ((self.age >= self.steps_per_episode) | ends[2]) & ~ends[1]
+        return Outcome(seen, self.frames, terms[3], named, ends[1], truncated, ends[0])
 
 
 @njit(cache=True)
 def _judge(pose, target, action, lost, arrival, limit, walls, weights):  # type: ignore[no-untyped-def]
-    """Three terms of the reward and their sum (4, n); reached and ended (2, n). A lost fish is
-    `limit` away."""
+    """Three terms of the reward and their sum (4, n); reached, over (reached or diverged), out of
+    range (3, n). A diverged fish is `limit` away."""
     count = len(pose)
-    terms, ends = np.empty((4, count)), np.empty((2, count), dtype=np.bool_)
+    terms, ends = np.empty((4, count)), np.empty((3, count), dtype=np.bool_)
     for i in range(count):
         x, y = pose[i, 0], pose[i, 1]
         distance = limit if lost[i] else np.hypot(target[i, 0] - x, target[i, 1] - y)
@@ -274,8 +292,8 @@ def _judge(pose, target, action, lost, arrival, limit, walls, weights):  # type:
         for value in action[i]:
             square += min(max(value, -1.0), 1.0) ** 2
         ends[0, i] = distance < arrival and not lost[i]
-        far = np.hypot(x, y) > limit or abs(x) > walls[0] or abs(y) > walls[1]
-        ends[1, i] = ends[0, i] or lost[i] or far
+        ends[1, i] = ends[0, i] or lost[i]
+        ends[2, i] = np.hypot(x, y) > limit or abs(x) > walls[0] or abs(y) > walls[1]
         terms[0, i] = -weights[0] * distance
         terms[1, i] = -weights[1] * np.sqrt(square)
         terms[2, i] = weights[2] * ends[0, i]

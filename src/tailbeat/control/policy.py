@@ -1,0 +1,195 @@
+"""A policy is one ONNX file: a network, and the contract that says what its numbers mean.
+
+The contract holds all that stands between sensors and a motor angle: observation table, action
+space with every scale, period, fish, band, versions, how it was trained, and golden pairs of
+observation and action. A file whose contract does not hold is refused, field by field. Needs
+numpy and onnxruntime alone.
+"""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from tailbeat.control.actions import ActionSpace, Direct, Filtered, Generator, check_space, size
+from tailbeat.control.observation import TABLE, Entry
+from tailbeat.files import BadInput, leaves
+
+Single = NDArray[np.float32]
+VERSION = 1
+KEY = "tailbeat"  # of the file's metadata
+CLOSE = 1e-5  # golden actions agree to this on any machine; 1e-6 was measured here
+SPACES = {"generator": Generator, "direct": Direct, "filtered": Filtered}
+
+
+@dataclass(frozen=True)
+class Contract:
+    """What a policy was trained to see, do and swim in.
+
+    `fish` and `fish_digest` name the description; `band` [Hz] is the identified one; `period` [s]
+    of control; `training` holds versions, stage, seed and recipe; `golden` are pairs of observation
+    (k, 24) and action (k, size).
+    """
+
+    version: int
+    fish: str
+    fish_digest: str
+    band: tuple[float, float]
+    period: float
+    observation: tuple[Entry, ...]
+    actions: ActionSpace
+    training: dict[str, Any]
+    golden: tuple[tuple[list[float], ...], tuple[list[float], ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """A loaded policy: see `decide`."""
+
+    contract: Contract
+    session: onnxruntime.InferenceSession
+
+
+def decide(policy: Policy, observation: Single) -> Single:
+    """Actions (n, size) in [-1, 1] for observations (n, 24); the deterministic ones."""
+    answer: Single = policy.session.run(None, {"observation": observation})[0]
+    return answer
+
+
+# ---- the contract in the file -------------------------------------------------------------------
+
+
+def as_text(contract: Contract) -> str:
+    """The contract as the file carries it: JSON, and a digest of every field."""
+    content = asdict(contract)
+    return json.dumps({"contract": content, "digests": _digests(content)}, sort_keys=True)
+
+
+def _digests(content: dict[str, Any]) -> dict[str, str]:
+    def digest(value: Any) -> str:
+        return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]
+
+    return {name: digest(value) for name, value in content.items()}
+
+
+def load_policy(path: Path) -> Policy:
+    """Read a policy and hold it to its contract; raises BadInput that names what is wrong."""
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file; give a policy, an .onnx file.")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4  # what goes wrong is said below
+    try:
+        session = onnxruntime.InferenceSession(
+            str(path), options, providers=["CPUExecutionProvider"]
+        )
+    except Exception as error:  # onnxruntime raises a dozen kinds of its own
+        raise BadInput(f"{path}: not a readable ONNX file; export the policy again.") from error
+    text = session.get_modelmeta().custom_metadata_map.get(KEY)
+    if text is None:
+        raise BadInput(
+            f"{path}: an ONNX file without a contract; only tailbeat's own policies run."
+        )
+    policy = Policy(_contract(path, text), session)
+    _check_golden(path, policy)
+    return policy
+
+
+def _contract(path: Path, text: str) -> Contract:
+    try:
+        held = json.loads(text)
+        content, digests = held["contract"], held["digests"]
+        version = content["version"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise BadInput(f"{path}: its contract cannot be read; export the policy again.") from error
+    if version != VERSION:
+        raise BadInput(f"{path}: contract version {version}; this tailbeat reads {VERSION}.")
+    names = [field.name for field in fields(Contract)]
+    if sorted(content) != sorted(names):
+        odd = sorted(set(content) ^ set(names))
+        raise BadInput(f"{path}: contract has missing or unknown fields {odd}; export it again.")
+    changed = [name for name, value in _digests(content).items() if digests.get(name) != value]
+    if changed:
+        raise BadInput(
+            f"{path}: {', '.join(changed)} changed after the policy was exported; export it again."
+        )
+    content["observation"] = tuple(Entry(**entry) for entry in content["observation"])
+    content["actions"] = SPACES[content["actions"]["kind"]](**content["actions"])
+    content["band"] = tuple(content["band"])
+    content["golden"] = tuple(tuple(side) for side in content["golden"])
+    contract = Contract(**content)
+    check_space(contract.actions)
+    _check_observation(path, contract)
+    return contract
+
+
+def _check_observation(path: Path, contract: Contract) -> None:
+    """The table in the file must be the one this package fills."""
+    if len(contract.observation) != len(TABLE):
+        raise BadInput(
+            f"{path}: {len(contract.observation)} observations; this tailbeat makes {len(TABLE)}."
+        )
+    for row, (theirs, ours) in enumerate(zip(contract.observation, TABLE, strict=True)):
+        if theirs != ours:
+            raise BadInput(f"{path}: observation {row} is {theirs}; this tailbeat makes {ours}.")
+
+
+def _check_golden(path: Path, policy: Policy) -> None:
+    seen, wanted = (np.array(side, dtype=np.float32) for side in policy.contract.golden)
+    inputs = policy.session.get_inputs()
+    if [one.name for one in inputs] != ["observation"] or inputs[0].shape[-1] != len(TABLE):
+        raise BadInput(
+            f"{path}: the network does not take {len(TABLE)} observations; export again."
+        )
+    answer = decide(policy, seen)
+    if answer.shape != (len(seen), size(policy.contract.actions)):
+        raise BadInput(
+            f"{path}: the network gives {answer.shape[-1]} numbers; its action space takes"
+            f" {size(policy.contract.actions)}."
+        )
+    worst = float(np.abs(answer - wanted).max())
+    if not worst <= CLOSE:
+        raise BadInput(
+            f"{path}: golden actions are off by {worst:.2g}, allowed is {CLOSE:g}: the network is"
+            f" not the one that was exported."
+        )
+
+
+# ---- who it may run on --------------------------------------------------------------------------
+
+
+def check_fits(
+    contract: Contract, fish: str, digest: str, band: tuple[float, float], period: float
+) -> None:
+    """Refuse a policy for another fish, band [Hz] or period [s]; each difference is named."""
+    wrong = []
+    if contract.fish != fish:
+        wrong.append(f"fish is {contract.fish}, here {fish}")
+    elif contract.fish_digest != digest:
+        wrong.append(f"{fish}'s description has changed since the training")
+    if tuple(contract.band) != tuple(band):
+        wrong.append(f"band is {_range(contract.band)} Hz, here {_range(band)} Hz")
+    if contract.period != period:
+        wrong.append(f"period is {1e3 * contract.period:g} ms, here {1e3 * period:g} ms")
+    if wrong:
+        raise BadInput(f"policy: {'; '.join(wrong)}. Train it for this fish, or give that one.")
+
+
+def _range(band: tuple[float, float]) -> str:
+    return f"{band[0]:g}-{band[1]:g}"
+
+
+def differences(a: Contract, b: Contract) -> list[dict[str, Any]]:
+    """Every leaf in which two contracts differ: `field`, `a`, `b`."""
+    left, right = (leaves("", asdict(contract)) for contract in (a, b))
+    names = sorted(set(left) | set(right))
+    return [
+        {"field": name, "a": left.get(name), "b": right.get(name)}
+        for name in names
+        if left.get(name) != right.get(name)
+    ]

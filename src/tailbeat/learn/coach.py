@@ -1,0 +1,213 @@
+"""What happens between updates: count arrivals, promote, report, examine, keep checkpoints."""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from stable_baselines3 import SAC
+from stable_baselines3.common.callbacks import BaseCallback
+
+from tailbeat.learn import checkpoint, curriculum, view
+from tailbeat.learn.assess import Swims, assess
+from tailbeat.learn.env import FishVecEnv
+from tailbeat.learn.export import act, export
+from tailbeat.learn.plan import Plan
+from tailbeat.learn.world import PERIOD, TERMS
+
+REPORT_SECONDS = 5.0
+EXAM_SECONDS = 300.0  # between greedy evaluations
+EXAM, EXAM_SEED = 64, 9_000  # targets of one, always the same
+RECENT = 24  # rows of the history from which the time to promotion is reckoned
+
+Row = dict[str, Any]
+Report = Callable[[Row], None]
+
+
+@dataclass
+class Course:
+    """How far a training has come: what a checkpoint holds beside the networks."""
+
+    stage: int = 0
+    seconds: float = 0.0  # of training, in all sessions
+    stage_began: float = 0.0  # in those seconds
+    episodes: int = 0
+    recent: list[bool] = field(default_factory=list)  # arrivals in this stage, newest last
+    history: list[Row] = field(default_factory=list)
+    promotions: list[Row] = field(default_factory=list)
+    finished: bool = False
+    stalled: bool = False
+
+
+class Coach(BaseCallback):
+    """SB3's callback; `course` is where it left off, setting `stop` ends the training cleanly."""
+
+    model: SAC
+
+    def __init__(self, plan: Plan, course: Course, env: FishVecEnv, report: Report) -> None:
+        super().__init__()
+        self.plan, self.course, self.env, self.report = plan, course, env, report
+        self.stop = False
+        self.terms: deque[Row] = deque(maxlen=plan.recipe.window)
+        self.counted = np.zeros(env.num_envs, dtype=bool)
+
+    # ---- SB3 calls these ------------------------------------------------------------------------
+
+    def _on_training_start(self) -> None:
+        now = time.monotonic()
+        self.began, self.before = now, self.course.seconds
+        self.due = {
+            "report": now + REPORT_SECONDS,
+            "exam": now + EXAM_SECONDS,
+            "keep": now + 60 * self.plan.checkpoint_minutes,
+        }
+        self.last = now, self.model.num_timesteps, self.model._n_updates
+        self._enter()
+
+    def _on_step(self) -> bool:
+        for fish, info in enumerate(self.locals["infos"]):
+            if "episode" in info:
+                self._count(fish, info)
+        self.course.seconds = self.before + time.monotonic() - self.began
+        self._judge_stage()
+        for name, work in (("report", self._tell), ("exam", self._examine), ("keep", self.keep)):
+            if time.monotonic() >= self.due[name]:
+                work()
+        over = time.monotonic() - self.began > 3600 * self.plan.hours
+        return not (self.stop or over or self.course.finished or self.course.stalled)
+
+    # ---- stages ---------------------------------------------------------------------------------
+
+    def _enter(self) -> None:
+        """Put the world and the learning rate into the course's stage."""
+        recipe = self.plan.recipe
+        stage = recipe.stages[self.course.stage]
+        self.env.world.change(curriculum.settings_of(stage, self.plan.actions))
+        rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rate)
+        self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
+        self.counted[:] = False  # fish on their way began in the stage before
+
+    def _count(self, fish: int, info: Row) -> None:
+        self.course.episodes += 1
+        if self.counted[fish]:
+            self.course.recent.append(bool(info["reached"]))
+            del self.course.recent[: -self.plan.recipe.window]
+            self.terms.append({**info["reward_terms"], "seconds": PERIOD * info["episode"]["l"]})
+        self.counted[fish] = True
+
+    def share(self) -> float:
+        """Rolling share of targets acquired in this stage."""
+        return float(np.mean(self.course.recent)) if self.course.recent else 0.0
+
+    def _judge_stage(self) -> None:
+        full = len(self.course.recent) == self.plan.recipe.window
+        if full and self.share() > curriculum.PROMOTED:
+            self._promote()
+        elif self.course.seconds - self.course.stage_began > 3600 * self.plan.recipe.budget_hours:
+            self.course.stalled = True
+
+    def _promote(self) -> None:
+        """Examine, write the policy and a film, then go on to the next stage."""
+        course, stages = self.course, self.plan.recipe.stages
+        row = self._tell() | {"greedy": self._examine().summary()}
+        course.promotions.append(row)
+        self.write_policy()
+        name = f"stage-{course.stage + 1:02d}.mp4"
+        view.film(self._decide, self.plan.fish, self._settings(), self.plan.out / name)
+        if course.stage + 1 == len(stages):
+            course.finished = True
+            return
+        course.stage, course.stage_began = course.stage + 1, course.seconds
+        course.recent.clear()
+        self._enter()
+        self.keep()
+
+    # ---- what is told and kept ------------------------------------------------------------------
+
+    def _settings(self) -> Any:
+        return curriculum.settings_of(self.plan.recipe.stages[self.course.stage], self.plan.actions)
+
+    def _decide(self, seen: Any) -> Any:
+        return act(self.model, seen)
+
+    def _examine(self) -> Swims:
+        """Greedy swims to fixed targets of this stage."""
+        swims = assess(self._decide, self.plan.fish, self._settings(), EXAM, EXAM_SEED)
+        self.seen = swims.seen
+        self.logger.record("greedy/reached", float(swims.reached.mean()))
+        self.due["exam"] = time.monotonic() + EXAM_SECONDS
+        return swims
+
+    def write_policy(self) -> None:
+        """`policy.onnx` in the run's folder, as the networks are now."""
+        if not hasattr(self, "seen"):
+            self._examine()
+        stage = self.plan.recipe.stages[self.course.stage]
+        training = {
+            "stage": stage.name,
+            "stages_passed": len(self.course.promotions),
+            "seed": self.plan.seed,
+            "recipe": self.plan.recipe.name,
+            "updates": self.model._n_updates,
+            "control_steps": self.control_steps(),
+            "hours": round(self.course.seconds / 3600, 3),
+        }
+        plan = self.plan
+        export(self.model, plan.fish, plan.actions, self.seen, training, plan.out / "policy.onnx")
+
+    def control_steps(self) -> int:
+        """Of all fish so far."""
+        return int(self.model.num_timesteps) * self.plan.recipe.hold
+
+    def keep(self) -> None:
+        """A checkpoint, now."""
+        state = asdict(self.course) | {
+            "decisions": self.model.num_timesteps,
+            "updates": self.model._n_updates,
+        }
+        checkpoint.save(self.plan.out, self.model, self.env.world, state)
+        self.due["keep"] = time.monotonic() + 60 * self.plan.checkpoint_minutes
+
+    def _tell(self) -> Row:
+        """One row of the history: reported, logged, kept."""
+        now, steps, updates = time.monotonic(), self.model.num_timesteps, self.model._n_updates
+        span = max(now - self.last[0], 1e-9)
+        row: Row = {
+            "seconds": self.course.seconds,
+            "stage": self.course.stage + 1,
+            "name": self.plan.recipe.stages[self.course.stage].name,
+            "success": self.share(),
+            "episodes": self.course.episodes,
+            "control_steps": self.control_steps(),
+            "updates": updates,
+            "steps_per_s": (steps - self.last[1]) * self.plan.recipe.hold / span,
+            "updates_per_s": (updates - self.last[2]) / span,
+            **{name: _mean(self.terms, name) for name in TERMS},
+            "episode_seconds": _mean(self.terms, "seconds"),
+        }
+        self.last = now, steps, updates
+        self.course.history.append(row)
+        self.due["report"] = now + REPORT_SECONDS
+        for name, value in row.items():
+            if isinstance(value, float | int):
+                self.logger.record(f"course/{name}", value)
+        self.logger.dump(self.control_steps())
+        self.report(row | {"promotion_in": self._promotion_in()})
+        return row
+
+    def _promotion_in(self) -> float | None:
+        """Seconds until the rolling share passes the mark, by the slope of late; None if it does
+        not rise."""
+        rows = [row for row in self.course.history if row["stage"] == self.course.stage + 1]
+        if len(rows) < RECENT // 2:
+            return None
+        time_, share = np.array([[r["seconds"], r["success"]] for r in rows[-RECENT:]]).T
+        slope = float(np.polyfit(time_ - time_[0], share, 1)[0])
+        missing = curriculum.PROMOTED - float(share[-1])
+        return max(missing / slope, 0.0) if slope > 1e-6 else None
+
+
+def _mean(rows: deque[Row], name: str) -> float:
+    return float(np.mean([row[name] for row in rows])) if rows else float("nan")

@@ -1,0 +1,75 @@
+"""Ten stages in three phases: sensors, physics, targets. Data, and what follows from a stage.
+
+The paper gives the phases, the rule of promotion and the learning rate; where the difficulty of a
+stage stands between nothing and everything is chosen, and named here.
+"""
+
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from tailbeat.control.actions import ActionSpace
+from tailbeat.learn.randomize import Randomisation
+from tailbeat.learn.sensors import SensorModel
+from tailbeat.learn.world import Settings, Task
+
+CONE = np.radians(30)  # half angle of the "narrow forward cone" (chosen)
+FALL = 0.3  # of the learning rate, per stage within a phase (paper)
+PROMOTED = 0.95  # rolling share of targets acquired (paper)
+Figures = TypeVar("Figures", SensorModel, Randomisation)
+RATES = ("frame_rate",)  # figures of a sensor model that are no errors
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage: `noise` and `physics` are shares of the full figures, `arc` [rad] the half angle
+    of the targets' bearings."""
+
+    name: str
+    phase: int
+    noise: float
+    physics: float
+    arc: float
+
+
+STAGES = (
+    Stage("exact", 1, 0.0, 0.0, CONE),
+    Stage("half noise", 1, 0.5, 0.0, CONE),
+    Stage("full noise", 1, 1.0, 0.0, CONE),
+    Stage("third physics", 2, 1.0, 1 / 3, CONE),
+    Stage("two thirds physics", 2, 1.0, 2 / 3, CONE),
+    Stage("full physics", 2, 1.0, 1.0, CONE),
+    Stage("arc 60", 3, 1.0, 1.0, np.radians(60)),
+    Stage("arc 90", 3, 1.0, 1.0, np.radians(90)),
+    Stage("arc 120", 3, 1.0, 1.0, np.radians(120)),
+    Stage("arc 180", 3, 1.0, 1.0, np.pi),
+)
+
+
+def settings_of(stage: Stage, actions: ActionSpace | None = None) -> Settings:
+    """The environment's settings in a stage."""
+    return Settings(
+        actions=actions,
+        task=Task(arc=float(stage.arc)),
+        sensors=scaled(SensorModel(), stage.noise),
+        physics=scaled(Randomisation(), stage.physics),
+    )
+
+
+def scaled(figures: Figures, share: float) -> Figures:
+    """Every error or width times `share`."""
+    small = {name: share * size for name, size in vars(figures).items() if name not in RATES}
+    return replace(figures, **small)
+
+
+def learning_rate(stages: tuple[Stage, ...], index: int, first: float) -> float:
+    """`first` at the start of each phase, times `FALL` with every stage in it (paper)."""
+    phase = stages[index].phase
+    before = sum(stage.phase == phase for stage in stages[:index])
+    return first * FALL**before
+
+
+def smoke_stages() -> tuple[Stage, ...]:
+    """One stage that a minute improves on: targets ahead, nothing disturbed."""
+    return (Stage("ahead", 1, 0.0, 0.0, CONE),)

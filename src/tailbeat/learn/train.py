@@ -1,0 +1,120 @@
+"""From a fish to a policy: build, resume, learn, write. `plan` says what, `coach` watches."""
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+from typing import Any
+
+import torch
+from stable_baselines3 import SAC
+from stable_baselines3.common.logger import configure
+
+from tailbeat.files import BadInput, write_json
+from tailbeat.learn import checkpoint
+from tailbeat.learn import plan as planned
+from tailbeat.learn.buffer import RelabelBuffer
+from tailbeat.learn.coach import Coach, Course, Report
+from tailbeat.learn.curriculum import settings_of
+from tailbeat.learn.env import FishVecEnv
+from tailbeat.learn.plan import Plan
+from tailbeat.learn.recipe import DEPTH, WIDTH
+from tailbeat.learn.sac import QuickSAC
+
+FOREVER = 10**12
+
+
+def train(plan: Plan, resume: bool, report: Report) -> Course:
+    """Train until the last stage is passed, the hours are over, a stage stalls or Ctrl-C.
+
+    Leaves `policy.onnx`, a checkpoint and `curve.json` in the folder whatever ended it. Raises
+    BadInput before anything is built if the plan will not do, and when the disk is full.
+    """
+    planned.check(plan, resume)
+    place = checkpoint.find(plan.out) if resume else None
+    torch.set_num_threads(1)  # the update runs two threads of its own
+    env = _environment(plan)
+    model = _model(plan, env)
+    course = Course()
+    if place is None:
+        planned.begin(plan)
+    else:
+        course = _restored(place, model, env)
+    coach = Coach(plan, course, env, report)
+    model.set_logger(configure(str(plan.out / "tensorboard"), ["tensorboard"]))
+    with _stopped_by_signals(coach):
+        model.learn(
+            FOREVER, callback=coach, log_interval=FOREVER, reset_num_timesteps=place is None
+        )
+    coach.keep()
+    coach.write_policy()
+    write_json(plan.out / "curve.json", course.__dict__, overwrite=True)
+    return course
+
+
+def _environment(plan: Plan) -> FishVecEnv:
+    recipe = plan.recipe
+    return FishVecEnv(
+        plan.fish,
+        recipe.fish,
+        settings_of(recipe.stages[0], plan.actions),
+        seed=plan.seed,
+        hold=recipe.hold,
+        reward_scale=recipe.reward_scale,
+    )
+
+
+def _model(plan: Plan, env: FishVecEnv) -> SAC:
+    recipe = plan.recipe
+    more: dict[str, Any] = {}
+    if recipe.relabel:
+        more = {"replay_buffer_class": RelabelBuffer, "replay_buffer_kwargs": {"source": env}}
+    kind = QuickSAC if recipe.quick else SAC
+    shape: dict[str, Any] = {"net_arch": [WIDTH] * DEPTH}
+    if recipe.quick:
+        shape["optimizer_kwargs"] = {"fused": True}
+    return kind(
+        "MlpPolicy",
+        env,
+        learning_rate=recipe.rate,
+        gamma=recipe.discount,
+        tau=recipe.tau,
+        buffer_size=recipe.buffer,
+        batch_size=recipe.batch,
+        learning_starts=recipe.starts,
+        train_freq=1,
+        gradient_steps=recipe.updates,
+        ent_coef=recipe.entropy,
+        policy_kwargs=shape,
+        device=plan.device,
+        seed=plan.seed,
+        **more,
+    )
+
+
+def _restored(place: Any, model: SAC, env: FishVecEnv) -> Course:
+    """Put a checkpoint into model and world; the course so far."""
+    state = checkpoint.load(place, model, env.world)
+    model.num_timesteps, model._n_updates = state["decisions"], state["updates"]
+    names = {one.name for one in fields(Course)}
+    course = Course(**{name: value for name, value in state.items() if name in names})
+    course.stalled = False  # it may have another budget's time
+    course.stage_began = course.seconds if state["stalled"] else course.stage_began
+    if course.finished:
+        raise BadInput(f"{place.parent}: this run has passed its last stage; nothing to resume.")
+    return course
+
+
+@contextmanager
+def _stopped_by_signals(coach: Coach) -> Iterator[None]:
+    """Ctrl-C and SIGTERM end the training after the current round, with a checkpoint."""
+
+    def ask(*_: Any) -> None:
+        coach.stop = True
+
+    kept = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)

@@ -1,0 +1,103 @@
+"""What do the learning verbs do? Train, show a policy, compare two, try one in the twin."""
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tailbeat.control.policy import check_fits, decide, differences, load_policy
+from tailbeat.files import BadInput
+from tailbeat.fish.store import digest, load_fish
+
+Report = Callable[[dict[str, Any]], None]
+
+
+def train(
+    fish: str,
+    out: Path,
+    actions: str,
+    recipe: str,
+    seed: int,
+    hours: float,
+    resume: bool,
+    device: str,
+    report: Report,
+    note: Callable[[str], None],
+) -> dict[str, Any]:
+    """Train a policy into a folder; what came of it."""
+    _need_extra()
+    from tailbeat.learn.plan import Plan, action_space  # needs the extra
+    from tailbeat.learn.recipe import recipe_of
+    from tailbeat.learn.train import train as run
+
+    described, chosen = load_fish(fish), recipe_of(recipe)
+    space = action_space(actions, described)
+    plan = Plan(described, space, chosen, seed, out, hours, device)
+    note(f"replay buffer: {chosen.buffer_bytes / 1e6:.0f} MB of memory and of every checkpoint")
+    course = run(plan, resume, report)
+    return {
+        "folder": str(out),
+        "policy": str(out / "policy.onnx"),
+        "stages_passed": len(course.promotions),
+        "stages": len(chosen.stages),
+        "finished": course.finished,
+        "stalled": course.stalled,
+        "hours": course.seconds / 3600,
+        "promotions": course.promotions,
+        "last": course.history[-1] if course.history else None,
+    }
+
+
+def _need_extra() -> None:
+    for module in ("stable_baselines3", "onnx", "tensorboard"):
+        if find_spec(module) is None:
+            raise BadInput(f"training needs {module}: pip install 'tailbeat[train]'.")
+
+
+def show_policy(path: Path) -> dict[str, Any]:
+    """The contract of a policy, golden pairs checked."""
+    return asdict(load_policy(path).contract)
+
+
+def diff_policies(a: Path, b: Path) -> list[dict[str, Any]]:
+    """Every field in which two contracts differ."""
+    return differences(load_policy(a).contract, load_policy(b).contract)
+
+
+def try_policy(
+    path: Path, fish: str, arc: float, count: int, seed: int, exact: bool
+) -> dict[str, Any]:
+    """Swim a policy to seeded targets in the twin; with `exact`, undisturbed."""
+    _need_extra()
+    from tailbeat.learn.assess import assess
+    from tailbeat.learn.curriculum import Stage, settings_of
+    from tailbeat.learn.world import PERIOD
+
+    if not 0 < arc <= 180 or count < 1:
+        raise BadInput(f"--arc {arc:g}, --targets {count}: allowed are 0 to 180, 1 and more.")
+    policy, described = load_policy(path), load_fish(fish)
+    check_fits(policy.contract, described.name, digest(described), described.band, PERIOD)
+    share = 0.0 if exact else 1.0
+    stage = Stage("trial", 3, share, share, float(np.radians(arc)))
+    settings = replace(settings_of(stage), actions=policy.contract.actions)
+    swims = assess(partial(decide, policy), described, settings, count, seed)
+    rows = _sectors(np.degrees(swims.bearing), swims.reached)
+    return {"policy": str(path), "arc_deg": arc, **swims.summary(), "sectors": rows}
+
+
+def _sectors(bearing: Any, reached: Any) -> list[dict[str, Any]]:
+    """Share reached by 30 degrees of bearing, both sides together."""
+    away = np.abs((bearing + 180) % 360 - 180)
+    return [
+        {
+            "bearing [deg]": f"{low}-{low + 30}",
+            "targets": int(inside.sum()),
+            "reached": float(reached[inside].mean()),
+        }
+        for low in range(0, 180, 30)
+        if (inside := (away >= low) & (away <= low + 30)).any()
+    ]
