@@ -86,6 +86,30 @@ def test_the_reward_is_the_paper_s_and_arrival_ends_an_episode():
     assert done.reached.tolist() == [False, True] and done.terminated.tolist() == [False, True]
 
 
+def test_out_of_range_is_a_truncation_not_an_escape():
+    near = replace(STILL, task=Task(nearest=0.1, farthest=0.15, limit=0.16))
+    env = FishVectorEnv(FISH, 1, near, seed=0)
+    env.reset(seed=0)
+    for _ in range(300):
+        *_, reward, terminated, truncated, info = env.step(np.array([[0.0, 0.0, 0.0, 1, 0, 0]]))
+        if terminated[0] or truncated[0]:
+            break
+    assert truncated[0] and not terminated[0] and "final_obs" in info and reward[0] < 0
+
+
+def test_a_held_action_is_its_control_steps_in_one():
+    held = FishVecEnv(FISH, 2, STILL, seed=0, hold=5, reward_scale=0.01)
+    plain = FishVecEnv(FISH, 2, STILL, seed=0)
+    held.seed(1), plain.seed(1)
+    held.reset(), plain.reset()
+    for action in random_actions(8, 2):
+        seen, reward, *_ = held.step(action)
+        single = [plain.step(action) for _ in range(5)]
+        assert np.array_equal(seen, single[-1][0])
+        assert reward == pytest.approx(0.01 * sum(one[1] for one in single), rel=1e-5)
+    assert held.last.track.shape == (2, 5, 2) and np.isfinite(held.last.track).all()
+
+
 def test_targets_lie_where_the_task_says():
     task = Task(nearest=0.8, farthest=1.5, arc=0.5)
     world = World(FISH, replace(STILL, task=task), list(range(200)))
@@ -216,6 +240,14 @@ def test_a_picture_shows_fish_and_target():
     assert empty is not None and moved is not None
     assert moved.shape == (480, 480, 3) and moved.dtype == np.uint8
     assert (moved != empty).any(axis=2).sum() > 100
+
+
+def test_a_picture_from_beside_shows_the_looks():
+    env = FishEnv(FISH, STILL, seed=0, render_mode="rgb_array", view="beside")
+    env.reset(seed=0)
+    image = env.render()
+    assert image is not None and image.shape[2] == 3
+    assert image.std() > 5  # something other than water
 
 
 def test_sb3_sees_last_sights_and_timeouts():

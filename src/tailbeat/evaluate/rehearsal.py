@@ -13,10 +13,11 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, swim
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.identify.shaft import mean_held
+from tailbeat.learn.sensors import SensorModel
 from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]
-COUNT = 2 * np.pi / 4096  # rad, a Dynamixel's encoder
+COUNT = SensorModel().encoder_count  # rad
 STEP = 5e-4  # s, of the engine
 
 

@@ -6,7 +6,7 @@ after an end, and where the last observation goes.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -82,7 +82,11 @@ class FishVectorEnv(VectorEnv):
 
 
 class FishEnv(gymnasium.Env):
-    """One fish: a world of one. `render_mode` "rgb_array" draws it from above."""
+    """One fish: a world of one.
+
+    `render_mode` "rgb_array" draws fish, path and target from above; with `view` "beside" it is the
+    engine's three-dimensional picture instead (drawn from above where no GL library works).
+    """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012 (gymnasium's)
 
@@ -92,7 +96,9 @@ class FishEnv(gymnasium.Env):
         settings: Settings | None = None,
         seed: int | None = None,
         render_mode: str | None = None,
+        view: Literal["above", "beside"] = "above",
     ) -> None:
+        self.view = view
         self.world = World(fish, settings or Settings(), seeds_from(seed, 1), threads=1)
         self.observation_space = observation_space()
         self.action_space = action_space(act.size(self.world.space))
@@ -124,9 +130,11 @@ class FishEnv(gymnasium.Env):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The fish, its path and its target from above; None without a render mode."""
+        """The fish from above with path and target, or from beside; None without a render mode."""
         if self.render_mode is None:
             return None
+        if self.view == "beside":
+            return view.from_beside(self.world, 0)
         return view.from_above(self.world, 0, np.array(self.path))
 
 

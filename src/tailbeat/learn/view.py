@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from tailbeat.files import new_file
 from tailbeat.fish.description import Fish
+from tailbeat.fish.render import frames
+from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.learn.world import PERIOD, Settings, World
 
 Array = NDArray[np.float64]
@@ -48,6 +50,13 @@ def from_above(world: World, fish: int, path: Array, pixels: int = 480) -> NDArr
     axes.grid(alpha=0.3)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def from_beside(world: World, fish: int) -> NDArray[np.uint8]:
+    """One fish as the engine renders it, looks and all, by a camera that follows it."""
+    twin = compile_twin(world.fish, Options(looks=True))
+    images, _ = frames(twin, world.qpos[fish : fish + 1].copy())
+    return next(images)
 
 
 def film(

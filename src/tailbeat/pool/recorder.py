@@ -9,8 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.learn.sensors import SensorModel
+
 Array = NDArray[np.float64]
-COUNT = 2 * np.pi / 4096  # rad, a Dynamixel's encoder
+COUNT = SensorModel().encoder_count  # rad
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,7 @@ class Sensors:
     bench_rate: float = 200.0  # Hz, angle and torque sampled together
     loop_rate: float = 100.0  # Hz, of a loop that writes the goal and reads the encoder
     jitter: float = 0.1  # of a period, uniform
-    frame_rate: float = 60.0  # Hz, of the camera
+    frame_rate: float = SensorModel().frame_rate  # Hz, of the camera
     position_noise: float = 0.0015  # m: tag corners at 3 m, 0.1-0.5 px, with refraction left over
     yaw_noise: float = 0.004  # rad: 0.2 degrees of a 4 px module tag
     stamp_noise: float = 0.001  # s, of a frame's time after its latency was taken off

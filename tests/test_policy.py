@@ -1,0 +1,165 @@
+"""A policy and its contract: what it says is what runs; what does not hold is refused by name."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
+
+import onnx
+from stable_baselines3 import SAC
+
+from tailbeat.control import actions as act
+from tailbeat.control.actions import Direct, Generator
+from tailbeat.control.policy import Policy, check_fits, decide, differences, load_policy
+from tailbeat.files import BadInput
+from tailbeat.fish.store import digest, load_fish
+from tailbeat.learn.env import FishEnv, FishVecEnv
+from tailbeat.learn.export import act as act_of_sb3
+from tailbeat.learn.export import export
+from tailbeat.learn.world import PERIOD, Settings
+
+FISH = load_fish("pulley-fish-pool")
+LOW, HIGH = FISH.motor.range or (-1.0, 1.0)
+
+
+def untrained(actions: act.ActionSpace, seed: int = 0) -> SAC:
+    env = FishVecEnv(FISH, 1, Settings(actions=actions), seed=0)
+    return SAC("MlpPolicy", env, policy_kwargs={"net_arch": [32, 32]}, seed=seed, device="cpu")
+
+
+def sights(count: int) -> np.ndarray:
+    """Observations of real swims under random actions."""
+    env = FishVecEnv(FISH, 8, seed=3)
+    rng, found = np.random.default_rng(0), [np.asarray(env.reset())]
+    while len(found) * 8 < count:
+        found.append(np.asarray(env.step(rng.uniform(-1, 1, (8, 6)))[0]))
+    return np.concatenate(found)[:count]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SAC, Policy]:
+    space = Generator(LOW, HIGH)
+    model, path = untrained(space), tmp_path_factory.mktemp("policy") / "policy.onnx"
+    training = {"stage": "exact", "seed": 0}
+    return path, model, export(model, FISH, space, sights(400), training, path)
+
+
+def changed(path: Path, to: Path, **fields: object) -> Path:
+    """A copy of a policy with other contract fields, digests left alone."""
+    model = onnx.load(str(path))
+    held = json.loads(model.metadata_props[0].value)
+    held["contract"].update(fields)
+    model.metadata_props[0].value = json.dumps(held)
+    onnx.save(model, str(to))
+    return to
+
+
+def test_the_network_in_the_file_is_sb3_s(written):
+    _, model, policy = written
+    seen = sights(1000)
+    assert np.abs(decide(policy, seen) - act_of_sb3(model, seen)).max() <= 1e-6
+
+
+def test_a_thousand_recorded_steps_replay_to_the_bit(written):
+    """What the env did is what a loop that knows nothing but the file would have done."""
+    path, *_ = written
+    env = FishEnv(FISH, seed=5)
+    policy, seen = load_policy(path), env.reset(seed=5)[0]
+    record = []
+    for _ in range(1000):
+        action = decide(policy, seen[None])
+        record.append((seen, action, env.world.ctrl))
+        seen, _, over, cut, _ = env.step(action[0])
+        record[-1] = (*record[-1][:2], env.world.ctrl[0, 0].copy())
+        if over or cut:
+            break
+    alone = load_policy(path)
+    space = alone.contract.actions
+    state = act.reset(space, 1)
+    for seen, action, sent in record:
+        again = decide(alone, seen[None])
+        assert np.array_equal(again, action)
+        state = act.step(space, state, again.astype(float), alone.contract.period)
+        assert act.setpoint(space, state)[0] == sent
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("period", 0.01),
+        ("fish", "herring"),
+        ("band", [0.5, 9.0]),
+        ("actions", {**vars(Generator(LOW, HIGH)), "first": 5.3}),
+        ("training", {"stage": "arc 180"}),
+    ],
+)
+def test_a_tampered_field_is_named(written, tmp_path, field, value):
+    with pytest.raises(BadInput, match=f"{field} changed after"):
+        load_policy(changed(written[0], tmp_path / "p.onnx", **{field: value}))
+
+
+def test_unknown_versions_and_strangers_are_refused(written, tmp_path):
+    with pytest.raises(BadInput, match="contract version 7"):
+        load_policy(changed(written[0], tmp_path / "p.onnx", version=7))
+    (tmp_path / "text.onnx").write_text("not a network")
+    with pytest.raises(BadInput, match="not a readable ONNX"):
+        load_policy(tmp_path / "text.onnx")
+    bare = onnx.load(str(written[0]))
+    del bare.metadata_props[:]
+    onnx.save(bare, str(tmp_path / "bare.onnx"))
+    with pytest.raises(BadInput, match="without a contract"):
+        load_policy(tmp_path / "bare.onnx")
+    with pytest.raises(BadInput, match="no such file"):
+        load_policy(tmp_path / "none.onnx")
+
+
+def test_other_weights_fail_the_golden_pairs(written, tmp_path):
+    model = onnx.load(str(written[0]))
+    weights = onnx.numpy_helper.to_array(model.graph.initializer[0]).copy()
+    weights[0, 0] += 0.5
+    model.graph.initializer[0].CopyFrom(onnx.numpy_helper.from_array(weights, "w0"))
+    onnx.save(model, str(tmp_path / "p.onnx"))
+    with pytest.raises(BadInput, match="golden actions are off"):
+        load_policy(tmp_path / "p.onnx")
+
+
+def test_a_policy_for_another_fish_band_or_period_is_refused(written):
+    contract = written[2].contract
+    check_fits(contract, FISH.name, digest(FISH), FISH.band, PERIOD)
+    with pytest.raises(BadInput, match="fish is pulley-fish-pool, here crank-fish"):
+        check_fits(contract, "crank-fish", "", FISH.band, PERIOD)
+    with pytest.raises(BadInput, match="description has changed"):
+        check_fits(contract, FISH.name, "0", FISH.band, PERIOD)
+    with pytest.raises(BadInput, match=r"band is 1-4 Hz, here 1-9 Hz; period is 20 ms, here 10 ms"):
+        check_fits(contract, FISH.name, digest(FISH), (1.0, 9.0), 0.01)
+
+
+def test_a_fish_is_known_by_its_physics(written):
+    heavier = FISH.model_copy(update={"band": (1.0, 3.0)})
+    assert digest(heavier) != digest(FISH)
+    assert digest(FISH.model_copy(update={"summary": "words"})) == digest(FISH)
+
+
+def test_differences_name_every_leaf(written):
+    one = written[2].contract
+    other = replace(one, period=0.01, actions=Direct(LOW, HIGH))
+    named = {row["field"] for row in differences(one, other)}
+    assert {"period", "actions.kind", "actions.tau"} <= named
+    assert differences(one, one) == []
+
+
+def test_inference_needs_neither_torch_nor_the_engine(written):
+    code = (
+        "import sys, numpy as np; from pathlib import Path\n"
+        "from tailbeat.control.policy import decide, load_policy\n"
+        "found = decide(load_policy(Path(sys.argv[1])), np.zeros((1, 24), np.float32))\n"
+        "assert found.shape == (1, 6)\n"
+        "assert not {'torch', 'mujoco', 'scipy', 'gymnasium'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code, str(written[0])], check=True)

@@ -1,0 +1,342 @@
+"""Training: the same losses as SB3's, stages as data, whole checkpoints, and refusals."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
+
+import torch
+
+from tailbeat.control.actions import Direct, Generator
+from tailbeat.control.observation import TABLE
+from tailbeat.control.policy import load_policy
+from tailbeat.files import BadInput
+from tailbeat.fish.store import load_fish
+from tailbeat.learn import checkpoint, randomize
+from tailbeat.learn import plan as planned
+from tailbeat.learn.buffer import FIRST, MIRRORED, RelabelBuffer, _seen
+from tailbeat.learn.curriculum import FALL, STAGES, learning_rate, settings_of
+from tailbeat.learn.env import FishVecEnv
+from tailbeat.learn.plan import Plan, action_space
+from tailbeat.learn.recipe import paper, quick, recipe_of, smoke
+from tailbeat.learn.sac import QuickSAC
+from tailbeat.learn.sensors import quiet
+from tailbeat.learn.train import train
+from tailbeat.learn.world import Settings, Task, World
+
+FISH = load_fish("pulley-fish-pool")
+STILL = Settings(sensors=quiet(), physics=randomize.none())
+HOLD = 5
+
+
+# ---- the buffer ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def filled() -> tuple[RelabelBuffer, np.ndarray]:
+    """A buffer of short episodes, some of which arrive, and the target of every transition."""
+    task = Task(seconds=2.0, nearest=0.1, farthest=0.6, arrival=0.08)
+    env = FishVecEnv(FISH, 8, Settings(task=task), seed=0, hold=HOLD, reward_scale=0.01)
+    spaces = env.observation_space, env.action_space
+    buffer = RelabelBuffer(8 * 150, *spaces, "cpu", n_envs=8, source=env)
+    seen, rng, targets = env.reset(), np.random.default_rng(0), []
+    for _ in range(150):
+        targets.append(env.world.target.copy())
+        action = rng.uniform(-1, 1, (8, 6)).astype(np.float32)
+        after, reward, done, infos = env.step(action)
+        last = after.copy()
+        for fish in np.flatnonzero(done):
+            last[fish] = infos[fish]["terminal_observation"]
+        buffer.add(seen, last, action, reward, done, infos)
+        seen = after
+    return buffer, np.array(targets)
+
+
+def everything(buffer: RelabelBuffer) -> tuple[Any, dict[str, Any]]:
+    at = tuple(index.ravel() for index in np.indices(buffer.dones.shape))
+    ended = buffer.dones[at] * (1 - buffer.timeouts[at])
+    parts = {"seen": buffer.observations, "next": buffer.next_observations}
+    parts |= {"action": buffer.actions, "reward": buffer.rewards}
+    return at, {name: one[at].copy() for name, one in parts.items()} | {"ended": ended}
+
+
+def test_the_same_target_gives_the_same_sight_reward_and_end(filled, monkeypatch):
+    buffer, targets = filled
+    at, parts = everything(buffer)
+    before = {name: one.copy() for name, one in parts.items()}
+    monkeypatch.setattr(buffer, "later", 1.0)
+    monkeypatch.setattr(buffer, "_later", lambda _: targets[at])
+    buffer._retarget(at, parts)
+    assert before["ended"].sum() >= 1 and buffer.timeouts.sum() > 10
+    for name, one in parts.items():
+        assert one == pytest.approx(before[name], abs=1e-6), name
+
+
+def test_a_later_place_as_target_is_arrived_at(filled, monkeypatch):
+    buffer, _ = filled
+    at, parts = everything(buffer)
+    monkeypatch.setattr(buffer, "later", 1.0)
+    monkeypatch.setattr("tailbeat.learn.buffer.AHEAD", 1)  # the end of the same decision
+    buffer._retarget(at, parts)
+    assert parts["ended"].all()
+    assert (parts["reward"] > 9.0).all()
+
+
+def test_targets_elsewhere_are_seen_where_they_are(filled):
+    buffer, _ = filled
+    at, _ = everything(buffer)
+    place = buffer._anywhere(at)
+    seen = _seen(buffer.frames[at], place)
+    x, y, yaw = buffer.frames[at][:, 0, :3].T
+    ahead = np.cos(yaw) * (place[:, 0] - x) + np.sin(yaw) * (place[:, 1] - y)
+    column = [entry.name for entry in TABLE].index("frame 0 (newest): target ahead") - FIRST
+    assert seen[:, column] * 2.0 == pytest.approx(ahead, abs=1e-5)
+
+
+def test_the_mirrored_fish_sees_the_mirrored_observation():
+    """What lets a batch be mirrored: the twin itself, under mirrored actions, does so exactly."""
+    worlds = [World(FISH, STILL, [3]) for _ in range(2)]
+    for world in worlds:
+        world.reset()
+    worlds[1].target = worlds[1].target * [1, -1]
+    worlds[1].seen.frames[..., 4] *= -1
+    flip = np.where(np.arange(6) == 0, 1.0, -1.0)
+    for action in np.random.default_rng(0).uniform(-1, 1, (60, 1, 6)):
+        a, b = (worlds[0].step(action), worlds[1].step(action * flip))
+    signs = np.where(MIRRORED, -1, 1)
+    assert b.observation == pytest.approx(a.observation * signs, abs=1e-5)
+    assert MIRRORED.sum() == 3 + 3 + 3
+
+
+# ---- the update ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def learner() -> QuickSAC:
+    env = FishVecEnv(FISH, 8, STILL, seed=0, hold=HOLD, reward_scale=0.01)
+    model = QuickSAC(
+        "MlpPolicy", env, learning_starts=64, batch_size=32, train_freq=1, seed=0, device="cpu"
+    )
+    return model.learn(400)
+
+
+def test_squashed_actions_have_sb3_s_probability(learner):
+    seen = torch.as_tensor(learner.replay_buffer.observations[:20, 0])
+    action, log_prob = learner._act(seen, torch.randn(20, 6))
+    mean, log_std, _ = learner.actor.get_action_dist_params(seen)
+    theirs = learner.actor.action_dist.proba_distribution(mean, log_std).log_prob(action)
+    assert log_prob[:, 0].detach().numpy() == pytest.approx(theirs.detach().numpy(), abs=2e-3)
+
+
+def test_the_critics_gradient_is_that_of_sb3_s_loss(learner):
+    data, noise = learner.replay_buffer.sample(32), torch.randn(32, 6)
+    entropy = torch.tensor([0.1])
+    _, gradient = learner._critic_gradient(data, noise, entropy)
+    with torch.no_grad():
+        action, log_prob = learner._act(data.next_observations, noise)
+        both = torch.cat(learner.critic_target(data.next_observations, action), dim=1)
+        value = both.min(dim=1, keepdim=True)[0] - entropy * log_prob
+        goal = data.rewards + (1 - data.dones) * learner.gamma * value
+    learner.critic.optimizer.zero_grad()
+    found = learner.critic(data.observations, data.actions)
+    (0.5 * sum(torch.nn.functional.mse_loss(q, goal) for q in found)).backward()
+    for slope, parameter in zip(gradient, learner.critic.parameters(), strict=True):
+        assert torch.allclose(slope, parameter.grad, atol=1e-6)
+
+
+def test_a_seed_gives_one_run():
+    def trained() -> Any:
+        env = FishVecEnv(FISH, 4, STILL, seed=1, hold=HOLD)
+        model = QuickSAC("MlpPolicy", env, learning_starts=32, batch_size=16, seed=7, device="cpu")
+        return model.learn(200).policy.state_dict()
+
+    one, two = trained(), trained()
+    assert all(torch.equal(one[name], two[name]) for name in one)
+
+
+# ---- stages and plans ---------------------------------------------------------------------------
+
+
+def test_ten_stages_raise_one_difficulty_at_a_time():
+    assert len(STAGES) == 10
+    for before, after in pairwise(STAGES):
+        risen = [getattr(after, n) > getattr(before, n) for n in ("noise", "physics", "arc")]
+        assert sum(risen) == 1 and after.phase - before.phase in (0, 1)
+    rates = [learning_rate(STAGES, i, 1.0) for i in range(10)]
+    assert rates == pytest.approx([1, FALL, FALL**2] * 2 + [1, FALL, FALL**2, FALL**3])
+
+
+def test_a_stage_scales_noise_and_physics():
+    half = settings_of(STAGES[1])
+    assert half.sensors.latency == 0.5 * Settings().sensors.latency
+    assert half.sensors.frame_rate == 60.0
+    assert settings_of(STAGES[0]) == replace(
+        STILL, task=replace(STILL.task, arc=float(STAGES[0].arc))
+    )
+    last = settings_of(STAGES[-1])
+    assert (last.sensors, last.physics) == (Settings().sensors, Settings().physics)
+
+
+def planned_for(out: Path, **changes: Any) -> Plan:
+    few = replace(
+        smoke(), fish=4, updates=1, batch=16, starts=40, buffer=4_000, window=4,
+        stages=STAGES[:3],
+    )  # fmt: skip
+    plan = Plan(FISH, action_space("generator", FISH), few, 0, out, hours=0.002)
+    return replace(plan, **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"hours": 0.0}, "--hours 0"),
+        ({"actions": Generator(-9.0, 9.0)}, "motor allows"),
+        ({"actions": Generator(-1.0, 1.0, ceiling=6.0)}, "band ends at 4 Hz"),
+        ({"recipe": replace(smoke(), buffer=10**12)}, "GB of memory"),
+    ],
+)
+def test_plans_that_cannot_be_are_refused_before_anything_is_written(tmp_path, changes, complaint):
+    plan = planned_for(tmp_path / "run", **changes)
+    with pytest.raises(BadInput, match=complaint):
+        train(plan, False, print)
+    assert not (tmp_path / "run").exists()
+
+
+def test_unknown_names_are_refused():
+    with pytest.raises(BadInput, match="--recipe soup"):
+        recipe_of("soup")
+    with pytest.raises(BadInput, match="--actions soup"):
+        action_space("soup", FISH)
+    assert recipe_of("paper") == paper() and not paper().relabel and paper().hold == 1
+
+
+# ---- a run, its end and its resumption ----------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("train") / "run"
+    rows: list[dict[str, Any]] = []
+    course = train(planned_for(out), False, rows.append)
+    assert not course.finished and course.seconds > 5
+    return out
+
+
+def test_a_run_leaves_policy_curve_and_one_checkpoint(run):
+    policy = load_policy(run / "policy.onnx")
+    assert policy.contract.training["stage"] == "exact"
+    assert policy.contract.fish == FISH.name
+    assert sorted(path.name for path in run.iterdir() if path.is_dir()) == [
+        "checkpoint", "tensorboard",
+    ]  # fmt: skip
+    curve = json.loads((run / "curve.json").read_text())
+    assert curve["history"] and list((run / "tensorboard").iterdir())
+
+
+def test_a_resumed_run_goes_on_where_it_was(run):
+    before = checkpoint.read_state(run / "checkpoint")
+    course = train(planned_for(run, hours=0.001), True, print)
+    after = checkpoint.read_state(run / "checkpoint")
+    assert after["updates"] > before["updates"] and after["decisions"] > before["decisions"]
+    assert course.seconds > before["seconds"]
+    assert course.history[: len(before["history"])] == before["history"]
+    ends = np.load(run / "checkpoint" / "buffer.npz")["episode"]
+    assert (np.diff(ends, axis=0) >= 0).all()  # no episode spans the interruption
+
+
+def test_a_checkpoint_is_whole(run):
+    """Everything that learning depends on comes back: networks, optimisers, buffer, randomness."""
+    from tailbeat.learn.train import _environment, _model
+
+    plan = planned_for(run)
+    models = []
+    for _ in range(2):
+        env = _environment(plan)
+        model = _model(plan, env)
+        checkpoint.load(run / "checkpoint", model, env.world)
+        noise = torch.randn(2), np.random.random_sample(), env.world.rngs[3].random()  # noqa: NPY002
+        models.append((model, noise))
+    (one, noise), (two, again) = models
+    assert torch.equal(noise[0], again[0]) and noise[1:] == again[1:]
+    assert one.replay_buffer.pos == two.replay_buffer.pos > 40
+    for a, b in ((one.actor, two.actor), (one.critic, two.critic)):
+        moments = [o.optimizer.state_dict()["state"][0]["exp_avg"] for o in (a, b)]
+        assert torch.equal(*moments) and moments[0].abs().sum() > 0
+    entropies = [model.log_ent_coef.item() for model in (one, two)]
+    assert entropies[0] == entropies[1] != float(np.log(0.02))
+
+
+def test_other_settings_are_named_and_full_folders_refused(run):
+    with pytest.raises(BadInput, match="holds another run"):
+        train(planned_for(run), False, print)
+    other = planned_for(run, seed=3, actions=Direct(*FISH.motor.range))
+    with pytest.raises(BadInput, match=r"actions.ceiling was 4.0, now None.*seed was 0, now 3"):
+        train(other, True, print)
+    with pytest.raises(BadInput, match="no run to resume"):
+        train(planned_for(run.parent / "nothing"), True, print)
+
+
+def test_a_full_disk_is_told_and_the_last_checkpoint_kept(run, monkeypatch):
+    from tailbeat.learn.train import _environment, _model
+
+    plan = planned_for(run)
+    env = _environment(plan)
+    kept = checkpoint.read_state(run / "checkpoint")
+    monkeypatch.setattr(checkpoint, "SPARE", 1e18)  # no disk has so much to spare
+    with pytest.raises(BadInput, match="MB free, a checkpoint needs"):
+        checkpoint.save(run, _model(plan, env), env.world, {})
+    assert checkpoint.read_state(run / "checkpoint") == kept
+
+
+def started(out: Path) -> subprocess.Popen[bytes]:
+    code = (
+        "import sys; sys.path.insert(0, 'tests'); from pathlib import Path\n"
+        "from test_train import planned_for; from tailbeat.learn.train import train\n"
+        f"plan = planned_for(Path({str(out)!r}), hours=1.0, checkpoint_minutes=0.02)\n"
+        "train(plan, False, lambda row: None)"
+    )
+    return subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parents[1])
+
+
+def until(what: Callable[[], bool], seconds: float = 120.0) -> None:
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end, "nothing happened"
+        time.sleep(0.05)
+
+
+def test_a_killed_run_loses_a_checkpoint_interval_at_most(tmp_path):
+    out = tmp_path / "run"
+    process = started(out)
+    state = out / "checkpoint" / "random.json"
+    until(state.exists)
+    time.sleep(2.5)
+    process.kill()
+    process.wait()
+    kept = checkpoint.read_state(checkpoint.find(out))
+    course = train(planned_for(out, hours=0.0005), True, print)
+    assert course.seconds > kept["seconds"] > 0
+    assert load_policy(out / "policy.onnx").contract.training["updates"] >= kept["updates"]
+
+
+def test_ctrl_c_leaves_a_checkpoint_and_a_policy(tmp_path):
+    out = tmp_path / "run"
+    process = started(out)
+    until((out / "checkpoint" / "random.json").exists)
+    os.kill(process.pid, signal.SIGINT)
+    assert process.wait(60) == 0
+    assert load_policy(out / "policy.onnx").contract.training["recipe"] == "smoke"
+    assert quick().stages == STAGES
+    assert planned.ACTIONS == ("generator", "direct", "filtered")
