@@ -105,7 +105,7 @@ def test_a_held_action_is_its_control_steps_in_one():
     for action in random_actions(8, 2):
         seen, reward, *_ = held.step(action)
         single = [plain.step(action) for _ in range(5)]
-        assert np.array_equal(seen, single[-1][0])
+        assert np.array_equal(np.asarray(seen), np.asarray(single[-1][0]))
         assert reward == pytest.approx(0.01 * sum(one[1] for one in single), rel=1e-5)
     assert held.last.track.shape == (2, 5, 2) and np.isfinite(held.last.track).all()
 

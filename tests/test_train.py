@@ -51,13 +51,15 @@ def filled() -> tuple[RelabelBuffer, np.ndarray]:
     env = FishVecEnv(FISH, 8, Settings(task=task), seed=0, hold=HOLD, reward_scale=0.01)
     spaces = env.observation_space, env.action_space
     buffer = RelabelBuffer(8 * 150, *spaces, "cpu", n_envs=8, source=env)
-    seen, rng, targets = env.reset(), np.random.default_rng(0), []
+    seen: Any = env.reset()
+    rng, targets = np.random.default_rng(0), []
     for _ in range(150):
         targets.append(env.world.target.copy())
         action = rng.uniform(-1, 1, (8, 6)).astype(np.float32)
+        after: Any
         after, reward, done, infos = env.step(action)
         last = after.copy()
-        for fish in np.flatnonzero(done):
+        for fish in np.flatnonzero(done).tolist():
             last[fish] = infos[fish]["terminal_observation"]
         buffer.add(seen, last, action, reward, done, infos)
         seen = after
@@ -151,7 +153,8 @@ def test_the_critics_gradient_is_that_of_sb3_s_loss(learner):
         goal = data.rewards + (1 - data.dones) * learner.gamma * value
     learner.critic.optimizer.zero_grad()
     found = learner.critic(data.observations, data.actions)
-    (0.5 * sum(torch.nn.functional.mse_loss(q, goal) for q in found)).backward()
+    losses = [torch.nn.functional.mse_loss(q, goal) for q in found]
+    (0.5 * torch.stack(losses).sum()).backward()
     for slope, parameter in zip(gradient, learner.critic.parameters(), strict=True):
         assert torch.allclose(slope, parameter.grad, atol=1e-6)
 
@@ -261,7 +264,7 @@ def test_a_checkpoint_is_whole(run):
     from tailbeat.learn.train import _environment, _model
 
     plan = planned_for(run)
-    models = []
+    models: list[Any] = []
     for _ in range(2):
         env = _environment(plan)
         model = _model(plan, env)
@@ -281,7 +284,8 @@ def test_a_checkpoint_is_whole(run):
 def test_other_settings_are_named_and_full_folders_refused(run):
     with pytest.raises(BadInput, match="holds another run"):
         train(planned_for(run), False, print)
-    other = planned_for(run, seed=3, actions=Direct(*FISH.motor.range))
+    low, high = FISH.motor.range or (-1.0, 1.0)
+    other = planned_for(run, seed=3, actions=Direct(low, high))
     with pytest.raises(BadInput, match=r"actions.ceiling was 4.0, now None.*seed was 0, now 3"):
         train(other, True, print)
     with pytest.raises(BadInput, match="no run to resume"):

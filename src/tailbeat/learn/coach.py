@@ -83,8 +83,7 @@ class Coach(BaseCallback):
     def _enter(self) -> None:
         """Put the world and the learning rate into the course's stage."""
         recipe = self.plan.recipe
-        stage = recipe.stages[self.course.stage]
-        self.env.world.change(curriculum.settings_of(stage, self.plan.actions))
+        self.env.world.change(self.plan.settings(self.course.stage))
         rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rate)
         self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
         self.counted[:] = False  # fish on their way began in the stage before
@@ -115,7 +114,12 @@ class Coach(BaseCallback):
         course.promotions.append(row)
         self.write_policy()
         name = f"stage-{course.stage + 1:02d}.mp4"
-        view.film(self._decide, self.plan.fish, self._settings(), self.plan.out / name)
+        view.film(
+            self._decide,
+            self.plan.fish,
+            self.plan.settings(self.course.stage),
+            self.plan.out / name,
+        )
         if course.stage + 1 == len(stages):
             course.finished = True
             return
@@ -126,15 +130,14 @@ class Coach(BaseCallback):
 
     # ---- what is told and kept ------------------------------------------------------------------
 
-    def _settings(self) -> Any:
-        return curriculum.settings_of(self.plan.recipe.stages[self.course.stage], self.plan.actions)
-
     def _decide(self, seen: Any) -> Any:
         return act(self.model, seen)
 
     def _examine(self) -> Swims:
         """Greedy swims to fixed targets of this stage."""
-        swims = assess(self._decide, self.plan.fish, self._settings(), EXAM, EXAM_SEED)
+        swims = assess(
+            self._decide, self.plan.fish, self.plan.settings(self.course.stage), EXAM, EXAM_SEED
+        )
         self.seen = swims.seen
         self.logger.record("greedy/reached", float(swims.reached.mean()))
         self.due["exam"] = time.monotonic() + EXAM_SECONDS

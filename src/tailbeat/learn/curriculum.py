@@ -47,11 +47,11 @@ STAGES = (
 )
 
 
-def settings_of(stage: Stage, actions: ActionSpace | None = None) -> Settings:
-    """The environment's settings in a stage."""
+def settings_of(stage: Stage, actions: ActionSpace | None = None, task: Task = Task()) -> Settings:
+    """The environment's settings in a stage of a task."""
     return Settings(
         actions=actions,
-        task=Task(arc=float(stage.arc)),
+        task=replace(task, arc=float(stage.arc)),
         sensors=scaled(SensorModel(), stage.noise),
         physics=scaled(Randomisation(), stage.physics),
     )
@@ -68,8 +68,3 @@ def learning_rate(stages: tuple[Stage, ...], index: int, first: float) -> float:
     phase = stages[index].phase
     before = sum(stage.phase == phase for stage in stages[:index])
     return first * FALL**before
-
-
-def smoke_stages() -> tuple[Stage, ...]:
-    """One stage that a minute improves on: targets ahead, nothing disturbed."""
-    return (Stage("ahead", 1, 0.0, 0.0, CONE),)

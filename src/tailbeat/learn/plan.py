@@ -1,7 +1,7 @@
 """What a training run was asked to do, and whether it can: checked before anything is built."""
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest
 from tailbeat.learn.curriculum import settings_of
 from tailbeat.learn.recipe import Recipe
-from tailbeat.learn.world import check_settings
+from tailbeat.learn.world import Settings, check_settings
 
 ACTIONS = ("generator", "direct", "filtered")
 WORKING_SET = 1.5e9  # bytes that torch, engine and 64 fish take beside the buffer (measured: 1.1e9)
@@ -31,6 +31,10 @@ class Plan:
     hours: float
     device: str = "cpu"
     checkpoint_minutes: float = 5.0
+
+    def settings(self, stage: int) -> Settings:
+        """The environment's settings in a stage."""
+        return settings_of(self.recipe.stages[stage], self.actions, self.recipe.task)
 
     def record(self) -> dict[str, Any]:
         """What must be the same when a run is resumed."""
@@ -57,8 +61,7 @@ def check(plan: Plan, resume: bool) -> None:
     """Raises BadInput for a folder, a fish, a device or a memory that will not do."""
     if not plan.hours > 0:
         raise BadInput(f"--hours {plan.hours:g}: give a time above 0.")
-    settings = settings_of(plan.recipe.stages[0], plan.actions)
-    check_settings(plan.fish, replace(settings, actions=plan.actions))
+    check_settings(plan.fish, plan.settings(0))
     _check_memory(plan.recipe)
     if resume:
         _check_same(plan)

@@ -1,9 +1,10 @@
 """How a policy is trained: the paper's way, ours, and a minute's for a smoke test. Data."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from tailbeat.files import BadInput
-from tailbeat.learn.curriculum import STAGES, Stage, smoke_stages
+from tailbeat.learn.curriculum import STAGES, Stage
+from tailbeat.learn.world import Task
 
 WIDTH, DEPTH = 286, 3  # of actor and critics (paper)
 BYTES_PER_TRANSITION = 4 * (
@@ -38,6 +39,7 @@ class Recipe:
     window: int
     budget_hours: float
     stages: tuple[Stage, ...] = STAGES
+    task: Task = field(default_factory=Task)
 
     @property
     def buffer_bytes(self) -> int:
@@ -88,10 +90,11 @@ def paper() -> Recipe:
 
 
 def smoke() -> Recipe:
-    """One minute to see that everything works: near targets, few updates, one stage or two."""
+    """One minute to see that everything works: the first stage with near and large targets."""
+    near = Task(nearest=0.3, farthest=0.7, arrival=0.12, seconds=10.0)
     return replace(
-        quick(), name="smoke", fish=16, updates=4, starts=1_000, buffer=50_000, window=40,
-        stages=smoke_stages(),
+        quick(), name="smoke", fish=32, updates=4, batch=128, starts=1_000, buffer=50_000,
+        window=60, stages=STAGES[:1], task=near,
     )  # fmt: skip
 
 

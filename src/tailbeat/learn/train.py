@@ -15,7 +15,6 @@ from tailbeat.learn import checkpoint
 from tailbeat.learn import plan as planned
 from tailbeat.learn.buffer import RelabelBuffer
 from tailbeat.learn.coach import Coach, Course, Report
-from tailbeat.learn.curriculum import settings_of
 from tailbeat.learn.env import FishVecEnv
 from tailbeat.learn.plan import Plan
 from tailbeat.learn.recipe import DEPTH, WIDTH
@@ -57,7 +56,7 @@ def _environment(plan: Plan) -> FishVecEnv:
     return FishVecEnv(
         plan.fish,
         recipe.fish,
-        settings_of(recipe.stages[0], plan.actions),
+        plan.settings(0),
         seed=plan.seed,
         hold=recipe.hold,
         reward_scale=recipe.reward_scale,
