@@ -47,7 +47,12 @@ STAGES = (
 )
 
 
-def settings_of(stage: Stage, actions: ActionSpace | None = None, task: Task = Task()) -> Settings:
+OPEN_WATER = Task()  # the paper's targets
+
+
+def settings_of(
+    stage: Stage, actions: ActionSpace | None = None, task: Task = OPEN_WATER
+) -> Settings:
     """The environment's settings in a stage of a task."""
     return Settings(
         actions=actions,
