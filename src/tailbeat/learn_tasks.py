@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tailbeat.control.policy import check_fits, decide, differences, load_policy
+from tailbeat.evaluate.learning_figures import courses
 from tailbeat.files import BadInput
 from tailbeat.fish.store import digest, load_fish
 
@@ -31,14 +32,15 @@ def train(
     """Train a policy into a folder; what came of it."""
     _need_extra()
     from tailbeat.learn.plan import Plan, action_space  # needs the extra
-    from tailbeat.learn.recipe import recipe_of
+    from tailbeat.learn.recipe import adapted, recipe_of
     from tailbeat.learn.train import train as run
 
-    described, chosen = load_fish(fish), recipe_of(recipe)
+    described, chosen = load_fish(fish), adapted(recipe_of(recipe), actions)
     space = action_space(actions, described)
     plan = Plan(described, space, chosen, seed, out, hours, device)
     note(f"replay buffer: {chosen.buffer_bytes / 1e6:.0f} MB of memory and of every checkpoint")
     course = run(plan, resume, report)
+    courses({f"{actions}, seed {seed}": vars(course)}, out / "curve.png")
     return {
         "folder": str(out),
         "policy": str(out / "policy.onnx"),

@@ -98,6 +98,14 @@ def smoke() -> Recipe:
     )  # fmt: skip
 
 
+def adapted(recipe: Recipe, actions: str) -> Recipe:
+    """A recipe for an action space: without a generator the beat itself is made of decisions, so
+    they come 25 times a second (where they were held at all), with the same horizon in seconds."""
+    if actions == "generator" or recipe.hold == 1:
+        return recipe
+    return replace(recipe, hold=2, discount=recipe.discount ** (2 / recipe.hold))
+
+
 RECIPES = {"quick": quick, "paper": paper, "smoke": smoke}
 
 
