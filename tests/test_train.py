@@ -50,7 +50,7 @@ def filled() -> tuple[RelabelBuffer, np.ndarray]:
     task = Task(seconds=2.0, nearest=0.1, farthest=0.6, arrival=0.08)
     env = FishVecEnv(FISH, 8, Settings(task=task), seed=0, hold=HOLD, reward_scale=0.01)
     spaces = env.observation_space, env.action_space
-    buffer = RelabelBuffer(8 * 150, *spaces, "cpu", n_envs=8, source=env)
+    buffer = RelabelBuffer(8 * 150, *spaces, "cpu", n_envs=8, source=env, discount=0.99)
     seen: Any = env.reset()
     rng, targets = np.random.default_rng(0), []
     for _ in range(150):
@@ -90,7 +90,7 @@ def test_a_later_place_as_target_is_arrived_at(filled, monkeypatch):
     buffer, _ = filled
     at, parts = everything(buffer)
     monkeypatch.setattr(buffer, "later", 1.0)
-    monkeypatch.setattr("tailbeat.learn.buffer.AHEAD", 1)  # the end of the same decision
+    monkeypatch.setattr("tailbeat.learn.buffer.AHEAD", HOLD)  # the end of the same decision
     buffer._retarget(at, parts)
     assert parts["ended"].all()
     assert (parts["reward"] > 9.0).all()
@@ -194,7 +194,7 @@ def test_a_stage_scales_noise_and_physics():
 
 def planned_for(out: Path, **changes: Any) -> Plan:
     few = replace(
-        smoke(), fish=4, updates=1, batch=16, starts=40, buffer=4_000, window=4,
+        smoke(), fish=4, updates=0.2, batch=16, starts=40, buffer=4_000, window=4,
         stages=STAGES[:3],
     )  # fmt: skip
     plan = Plan(FISH, action_space("generator", FISH), few, 0, out, hours=0.002)
@@ -222,7 +222,7 @@ def test_unknown_names_are_refused():
         recipe_of("soup")
     with pytest.raises(BadInput, match="--actions soup"):
         action_space("soup", FISH)
-    assert recipe_of("paper") == paper() and not paper().relabel and paper().hold == 1
+    assert recipe_of("paper") == paper() and not paper().relabel and paper().hold(0) == 1
 
 
 # ---- a run, its end and its resumption ----------------------------------------------------------
@@ -344,3 +344,21 @@ def test_ctrl_c_leaves_a_checkpoint_and_a_policy(tmp_path):
     assert load_policy(out / "policy.onnx").contract.training["recipe"] == "smoke"
     assert quick().stages == STAGES
     assert planned.ACTIONS == ("generator", "direct", "filtered")
+
+
+def test_a_minute_of_the_smoke_recipe_visibly_improves(tmp_path):
+    """Greedy swims to the same sixty targets, before and after."""
+    from functools import partial
+
+    from tailbeat.control.policy import decide
+    from tailbeat.learn.assess import assess
+
+    plan = Plan(FISH, action_space("generator", FISH), smoke(), 0, tmp_path / "run", hours=1 / 60)
+    arrivals = []
+    for hours in (1e-6, 1 / 60):
+        once = replace(plan, hours=hours, out=tmp_path / f"{hours}")
+        train(once, False, lambda row: None)
+        policy = load_policy(once.out / "policy.onnx")
+        swims = assess(partial(decide, policy), FISH, plan.settings(0), 60, seed=1)
+        arrivals.append(swims.reached.mean())
+    assert arrivals[1] > arrivals[0] + 0.2, arrivals

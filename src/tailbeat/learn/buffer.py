@@ -18,23 +18,33 @@ from tailbeat.learn.env import FishVecEnv
 
 Single = NDArray[np.float32]
 FIRST = 12  # observed numbers that depend on the target begin here
-AHEAD = 60  # decisions within which a later place becomes the target (chosen)
+AHEAD = 300  # control steps within which a later place becomes the target (chosen)
 LEFT_RIGHT = ("sin motor angle", "motor velocity", "yaw rate", "centre", "target left")
 EXTRA = ("frames", "next_frames", "track", "effort", "episode")
 
 
 class RelabelBuffer(ReplayBuffer):
-    """SB3's buffer with `later` and `anywhere`, shares of a batch that get another target."""
+    """SB3's buffer with `later` and `anywhere`, shares of a batch that get another target.
+
+    `discount` is per control step: decisions may hold their actions for different times.
+    """
 
     def __init__(
-        self, *args: Any, source: FishVecEnv, later: float = 0.4, anywhere: float = 0.2, **rest: Any
+        self,
+        *args: Any,
+        source: FishVecEnv,
+        discount: float,
+        later: float = 0.4,
+        anywhere: float = 0.2,
+        **rest: Any,
     ) -> None:
         super().__init__(*args, **rest)
-        self.source, self.later, self.anywhere = source, later, anywhere
+        self.source, self.discount = source, discount
+        self.later, self.anywhere = later, anywhere
         shape = (self.buffer_size, self.n_envs)
         self.frames = np.zeros((*shape, 3, 4), np.float32)
         self.next_frames = np.zeros((*shape, 3, 4), np.float32)
-        self.track = np.zeros((*shape, source.hold, 2), np.float32)
+        self.track = np.zeros((*shape, source.longest, 2), np.float32)
         self.effort = np.zeros(shape, np.float32)
         self.episode = np.full(shape, -1, np.int32)
         self.begin_after(-1)
@@ -65,9 +75,12 @@ class RelabelBuffer(ReplayBuffer):
         }
         self._retarget(at, parts)
         self._mirror(parts)
-        order = (parts["seen"], parts["action"], parts["next"], parts["ended"][:, None])
+        steps = np.isfinite(self.track[at][..., 0]).sum(axis=1)
+        discounts = (self.discount**steps).astype(np.float32)
+        order = parts["seen"], parts["action"], parts["next"]
+        columns = parts["ended"], parts["reward"], discounts
         return ReplayBufferSamples(
-            *(self.to_torch(one) for one in (*order, parts["reward"][:, None]))
+            *(self.to_torch(one) for one in (*order, *(column[:, None] for column in columns)))
         )
 
     def _retarget(self, at: Any, parts: dict[str, Any]) -> None:
@@ -91,7 +104,8 @@ class RelabelBuffer(ReplayBuffer):
 
     def _later(self, at: Any) -> Single:
         """Where each fish was some decisions later in the same episode, else at this one's end."""
-        ahead = np.random.randint(0, AHEAD, size=len(at[0]))  # noqa: NPY002
+        furthest = max(AHEAD // self.source.hold, 1)
+        ahead = np.random.randint(0, furthest, size=len(at[0]))  # noqa: NPY002
         then = (at[0] + ahead) % self.buffer_size
         same = self.episode[then, at[1]] == self.episode[at]
         place = self.track[np.where(same, then, at[0]), at[1]]

@@ -32,6 +32,7 @@ class Course:
 
     stage: int = 0
     seconds: float = 0.0  # of training, in all sessions
+    control_steps: int = 0  # of all fish
     stage_began: float = 0.0  # in those seconds
     episodes: int = 0
     recent: list[bool] = field(default_factory=list)  # arrivals in this stage, newest last
@@ -63,10 +64,11 @@ class Coach(BaseCallback):
             "exam": now + EXAM_SECONDS,
             "keep": now + 60 * self.plan.checkpoint_minutes,
         }
-        self.last = now, self.model.num_timesteps, self.model._n_updates
+        self.last = now, self.course.control_steps, self.model._n_updates
         self._enter()
 
     def _on_step(self) -> bool:
+        self.course.control_steps += self.env.num_envs * self.env.hold
         for fish, info in enumerate(self.locals["infos"]):
             if "episode" in info:
                 self._count(fish, info)
@@ -81,8 +83,10 @@ class Coach(BaseCallback):
     # ---- stages ---------------------------------------------------------------------------------
 
     def _enter(self) -> None:
-        """Put the world and the learning rate into the course's stage."""
+        """Put world, hold, updates and learning rate into the course's stage."""
         recipe = self.plan.recipe
+        self.env.hold = recipe.hold(self.course.stage)
+        self.model.gradient_steps = recipe.updates_per_decision(self.course.stage)
         self.env.world.change(self.plan.settings(self.course.stage))
         rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rate)
         self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
@@ -154,15 +158,11 @@ class Coach(BaseCallback):
             "seed": self.plan.seed,
             "recipe": self.plan.recipe.name,
             "updates": self.model._n_updates,
-            "control_steps": self.control_steps(),
+            "control_steps": self.course.control_steps,
             "hours": round(self.course.seconds / 3600, 3),
         }
         plan = self.plan
         export(self.model, plan.fish, plan.actions, self.seen, training, plan.out / "policy.onnx")
-
-    def control_steps(self) -> int:
-        """Of all fish so far."""
-        return int(self.model.num_timesteps) * self.plan.recipe.hold
 
     def keep(self) -> None:
         """A checkpoint, now."""
@@ -175,7 +175,7 @@ class Coach(BaseCallback):
 
     def _tell(self) -> Row:
         """One row of the history: reported, logged, kept."""
-        now, steps, updates = time.monotonic(), self.model.num_timesteps, self.model._n_updates
+        now, steps, updates = time.monotonic(), self.course.control_steps, self.model._n_updates
         span = max(now - self.last[0], 1e-9)
         row: Row = {
             "seconds": self.course.seconds,
@@ -183,9 +183,9 @@ class Coach(BaseCallback):
             "name": self.plan.recipe.stages[self.course.stage].name,
             "success": self.share(),
             "episodes": self.course.episodes,
-            "control_steps": self.control_steps(),
+            "control_steps": steps,
             "updates": updates,
-            "steps_per_s": (steps - self.last[1]) * self.plan.recipe.hold / span,
+            "steps_per_s": (steps - self.last[1]) / span,
             "updates_per_s": (updates - self.last[2]) / span,
             **{name: _mean(self.terms, name) for name in TERMS},
             "episode_seconds": _mean(self.terms, "seconds"),
@@ -196,7 +196,7 @@ class Coach(BaseCallback):
         for name, value in row.items():
             if isinstance(value, float | int):
                 self.logger.record(f"course/{name}", value)
-        self.logger.dump(self.control_steps())
+        self.logger.dump(steps)
         self.report(row | {"promotion_in": self._promotion_in()})
         return row
 

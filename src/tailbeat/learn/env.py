@@ -141,7 +141,7 @@ class FishEnv(gymnasium.Env):
 @dataclass(frozen=True, eq=False)
 class Decision:
     """What lay behind one decision of n fish: frames before and after (n, 3, 4) x, y, yaw,
-    staleness; the tag's way (n, hold, 2), NaN after an end; effort earned (n,)."""
+    staleness; the tag's way (n, longest hold, 2), NaN after its end; effort earned (n,)."""
 
     frames: Array
     next_frames: Array
@@ -169,7 +169,8 @@ class FishVecEnv(VecEnv):
     ) -> None:
         self.world = World(fish, settings or Settings(), seeds_from(seed, count), threads)
         self.render_mode = "rgb_array"
-        self.hold, self.reward_scale = hold, reward_scale
+        self.hold = self.longest = hold  # `hold` may be made shorter later
+        self.reward_scale = reward_scale
         self.returns, self.lengths = np.zeros(count), np.zeros(count, dtype=int)
         self.sums = {name: np.zeros(count) for name in TERMS}
         self.actions: Array = np.zeros((count, act.size(self.world.space)))
@@ -211,7 +212,7 @@ class FishVecEnv(VecEnv):
     def _held(self) -> tuple[Outcome, Array]:
         """The action held: of every fish what it was when it ended, else at the last step; sums of
         rewards and of their terms until then; the tag's way."""
-        track = np.full((self.num_envs, self.hold, 2), np.nan)
+        track = np.full((self.num_envs, self.longest, 2), np.nan)
         done = self._counted(self.world.step(self.actions), np.ones(self.num_envs, bool))
         track[:, 0] = self.world.pose[:, :2]
         for step in range(1, self.hold):
