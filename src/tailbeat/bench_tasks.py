@@ -1,14 +1,12 @@
 """What do the bench verbs do? Tail, servo, protocol and the logs they read."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tailbeat import importers
 from tailbeat.evaluate import bench_figures
 from tailbeat.files import BadInput, refuse_existing, write_json
-from tailbeat.fish.store import fish_path, load_fish, write_identified
+from tailbeat.fish.store import Done, fish_path, load_fish, new_fish_files, write_identified
 from tailbeat.identify import job, motor_job, motor_report, protocol, tail_report
 from tailbeat.identify.decay import ring_down, static_loop
 from tailbeat.identify.motor import as_bench
@@ -17,24 +15,6 @@ from tailbeat.recording import Recording, read_recording, write_recording
 
 Progress = Callable[[int, str, float, float], None]
 PROTOCOLS = ("tail", "motor", "fluid")
-
-
-@dataclass(frozen=True)
-class Done:
-    """What an identification wrote."""
-
-    report: dict[str, Any]
-    files: tuple[Path, ...]
-
-
-def _targets(out: Path, json: Path | None) -> tuple[Path, Path, Path]:
-    """Fish, report and figure; none may exist."""
-    if out.suffix != ".toml":
-        raise BadInput(f"--out {out}: a fish is a TOML file; give a name that ends in .toml.")
-    files = (out, json or out.with_suffix(".json"), out.with_suffix(".png"))
-    for path in files:
-        refuse_existing(path)
-    return files
 
 
 def identify_tail(
@@ -46,7 +26,7 @@ def identify_tail(
     json: Path | None,
 ) -> Done:
     """Fit the tail, spread it over the hinges, write fish, report and figure."""
-    files = _targets(out, json)
+    files = new_fish_files(out, json)
     described = load_fish(fish)
     recordings = [read_recording(path) for path in sweeps]
     pull = None if static is None else read_recording(static)
@@ -82,7 +62,7 @@ def identify_motor(
     progress: Progress,
 ) -> Done:
     """Fit the servo, write fish, report and figure; nothing is written if anything fails."""
-    files = _targets(out, json)
+    files = new_fish_files(out, json)
     described = load_fish(fish)
     fitted, held_out = (
         [as_bench(read_recording(path), described, load) for path in paths]

@@ -4,6 +4,7 @@ import hashlib
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from json import loads as from_json
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from tailbeat import bench_tasks, tasks
 from tailbeat.evaluate import figures
 from tailbeat.evaluate.flutter import flutter as speeds_of
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
-from tailbeat.fish.store import fish_path, load_fish
+from tailbeat.fish.store import check_fish_name, fish_path, load_fish
 from tailbeat.identify import job
 from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
 from tailbeat.recording import Recording, read_recording, write_recording
@@ -112,8 +113,7 @@ def identify_all(
 
 
 def _targets(out: Path, json: Path | None) -> dict[str, Path]:
-    if out.suffix != ".toml":
-        raise BadInput(f"--out {out}: a fish is a TOML file; give a name that ends in .toml.")
+    check_fish_name(out)
     stem = out.with_suffix("")
     targets = {
         "fish": out,
@@ -174,9 +174,7 @@ def _fluid(
 
 
 def _read_json(path: Path) -> Any:
-    import json
-
-    return json.loads(path.read_text(encoding="utf-8"))
+    return from_json(path.read_text(encoding="utf-8"))
 
 
 def _publish(

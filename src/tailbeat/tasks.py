@@ -15,7 +15,15 @@ from tailbeat.evaluate import figures, first_swim
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
 from tailbeat.fish.render import save_picture
 from tailbeat.fish.show import tables
-from tailbeat.fish.store import fish_path, load_fish, with_values, write_identified
+from tailbeat.fish.store import (
+    Done,
+    check_fish_name,
+    fish_path,
+    load_fish,
+    new_fish_files,
+    with_values,
+    write_identified,
+)
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.identify import job
 from tailbeat.identify.predict import as_json
@@ -36,18 +44,9 @@ class Shown:
     how: str
 
 
-@dataclass(frozen=True)
-class Done:
-    """What an identification wrote."""
-
-    report: dict[str, Any]
-    files: tuple[Path, ...]
-
-
 def new_fish(path: Path) -> None:
     """Write the commented template. Raises BadInput if `path` exists."""
-    if path.suffix != ".toml":
-        raise BadInput(f"{path}: a fish is a TOML file; give a name that ends in .toml.")
+    check_fish_name(path)
     text = (resources.files("tailbeat.fish") / "models" / "template.txt").read_text("utf-8")
     with new_file(path) as beside:
         beside.write_text(text.replace("my-fish", path.stem), encoding="utf-8")
@@ -113,9 +112,7 @@ def identify_fluid(
     progress: Progress,
 ) -> Done:
     """Fit, then write fish, report and figure; nothing is written if anything fails."""
-    files = (out, json or out.with_suffix(".json"), out.with_suffix(".png"))
-    for path in files:
-        refuse_existing(path)
+    files = new_fish_files(out, json)
     described = load_fish(fish)
     if plan.added_inertia is not None:
         described = with_values(described, {"added_inertia": plan.added_inertia})

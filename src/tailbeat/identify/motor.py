@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
-from tailbeat.fish.store import with_values
 from tailbeat.identify.hinges import tail_inertia
 from tailbeat.identify.search import Fit, Parameter, sensitivity
 from tailbeat.identify.shaft import Bench, Load, free_run
@@ -24,6 +23,7 @@ from tailbeat.recording import Recording, require
 Array = NDArray[np.float64]
 GRAVITY = 9.80665  # m/s^2
 DEVIATION = np.radians(0.1)  # of an angle: about an encoder count (0.088 deg)
+COMPARED = 400  # samples of a recording, about
 COUNTED = 100  # independent samples that a recording counts for, chosen: a stroke has about ten
 WIDE = 2 * np.pi  # rad: the range check of angles; nobody turns a position servo further here
 BLOCK = 0.5  # s over which residuals hang together, chosen: the time of a slip or a stroke
@@ -186,11 +186,16 @@ def described_servo(servo: Servo) -> dict[str, Array]:
     return {**found, "damping_off": found["damping"], **{g: np.zeros(1) for g in GEARS}}
 
 
+def _thinning(bench: Bench) -> int:
+    """Every how many-th sample is compared."""
+    return max(bench.time.size // COMPARED, 1)
+
+
 def residual_function(
     benches: Sequence[Bench], space: tuple[Parameter, ...]
 ) -> Callable[[Array], Array]:
     """Batched residuals for `search`: candidates (n, p) in z -> (n, r)."""
-    thin = [max(bench.time.size // 400, 1) for bench in benches]
+    thin = [_thinning(bench) for bench in benches]
     weights = [
         np.sqrt(COUNTED / len(bench.time[::step])) / DEVIATION
         for bench, step in zip(benches, thin, strict=True)
@@ -212,7 +217,7 @@ def blocks(benches: Sequence[Bench]) -> NDArray[np.int_]:
     found: list[Array] = []
     first = 0
     for bench in benches:
-        time = bench.time[:: max(bench.time.size // 400, 1)]
+        time = bench.time[:: _thinning(bench)]
         own = (time / BLOCK).astype(int)
         found.append(first + own)
         first += int(own[-1]) + 1
@@ -245,10 +250,3 @@ def load_doubt(space: tuple[Parameter, ...], z: Array, benches: Sequence[Bench])
             if p.path in IN_PROPORTION:
                 shift[i] = 1.0 / p.spread if p.log else p.from_z(float(z[i])) / p.spread
     return LOAD_DOUBT**2 * np.outer(shift, shift)
-
-
-def with_servo(fish: Fish, servo: dict[str, float]) -> Fish:
-    """The fish driven by an identified servo."""
-    described = Servo(**servo)
-    servos = {**fish.servos, "identified": described}
-    return with_values(fish.model_copy(update={"servos": servos, "servo": "identified"}), {})

@@ -104,6 +104,7 @@ def randomize(physics: Physics, ranges: Randomisation, fish: int, rng: np.random
     physics.fields["opt.wind"][fish] = [*flow, 0.0]
 
 
+NO_FORWARD = int(mujoco.mjtStage.mjSTAGE_NONE)  # a reset needs no forward pass
 AXIS = np.array([1.0, 0.0, 0.0])
 
 
@@ -143,8 +144,3 @@ def _servo(physics: Physics, ranges: Randomisation, fish: int, rng: np.random.Ge
 def refresh(physics: Physics, fish: NDArray[np.int64]) -> None:
     """What the engine derives from masses, for the fish that were drawn."""
     physics.pool.set_const(fish)
-
-
-def stage() -> int:
-    """Engine stage that needs no forward pass after a reset."""
-    return int(mujoco.mjtStage.mjSTAGE_NONE)

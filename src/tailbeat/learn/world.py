@@ -170,7 +170,7 @@ class World:
         """Begin new episodes for the fish in `which` (all by default); observation (n, 24)."""
         chosen = np.flatnonzero(np.ones(self.count, bool) if which is None else which)
         if chosen.size:
-            self.pool.reset(chosen, stage=randomize.stage())
+            self.pool.reset(chosen, stage=randomize.NO_FORWARD)
             self.age[chosen] = 0
             for fish in chosen:
                 self._begin(int(fish), self.rngs[fish])
