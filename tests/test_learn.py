@@ -97,19 +97,6 @@ def test_out_of_range_is_a_truncation_not_an_escape():
     assert truncated[0] and not terminated[0] and "final_obs" in info and reward[0] < 0
 
 
-def test_a_held_action_is_its_control_steps_in_one():
-    held = FishVecEnv(FISH, 2, STILL, seed=0, hold=5, reward_scale=0.01)
-    plain = FishVecEnv(FISH, 2, STILL, seed=0)
-    held.seed(1), plain.seed(1)
-    held.reset(), plain.reset()
-    for action in random_actions(8, 2):
-        seen, reward, *_ = held.step(action)
-        single = [plain.step(action) for _ in range(5)]
-        assert np.array_equal(np.asarray(seen), np.asarray(single[-1][0]))
-        assert reward == pytest.approx(0.01 * sum(one[1] for one in single), rel=1e-5)
-    assert held.last.track.shape == (2, 5, 2) and np.isfinite(held.last.track).all()
-
-
 def test_targets_lie_where_the_task_says():
     task = Task(nearest=0.8, farthest=1.5, arc=0.5)
     world = World(FISH, replace(STILL, task=task), list(range(200)))

@@ -38,7 +38,7 @@ from tailbeat.learn.world import Settings, Task, World
 
 FISH = load_fish("pulley-fish-pool")
 STILL = Settings(sensors=quiet(), physics=randomize.none())
-HOLD = 5
+RETURNS = 5
 
 
 # ---- the buffer ---------------------------------------------------------------------------------
@@ -48,12 +48,14 @@ HOLD = 5
 def filled() -> tuple[RelabelBuffer, np.ndarray]:
     """A buffer of short episodes, some of which arrive, and the target of every transition."""
     task = Task(seconds=2.0, nearest=0.1, farthest=0.6, arrival=0.08)
-    env = FishVecEnv(FISH, 8, Settings(task=task), seed=0, hold=HOLD, reward_scale=0.01)
+    env = FishVecEnv(FISH, 8, Settings(task=task), seed=0, reward_scale=0.01)
     spaces = env.observation_space, env.action_space
-    buffer = RelabelBuffer(8 * 150, *spaces, "cpu", n_envs=8, source=env, discount=0.99)
+    buffer = RelabelBuffer(
+        8 * 400, *spaces, "cpu", n_envs=8, source=env, discount=0.99, returns=RETURNS
+    )
     seen: Any = env.reset()
     rng, targets = np.random.default_rng(0), []
-    for _ in range(150):
+    for _ in range(400):
         targets.append(env.world.target.copy())
         action = rng.uniform(-1, 1, (8, 6)).astype(np.float32)
         after: Any
@@ -68,30 +70,39 @@ def filled() -> tuple[RelabelBuffer, np.ndarray]:
 
 def everything(buffer: RelabelBuffer) -> tuple[Any, dict[str, Any]]:
     at = tuple(index.ravel() for index in np.indices(buffer.dones.shape))
-    ended = buffer.dones[at] * (1 - buffer.timeouts[at])
-    parts = {"seen": buffer.observations, "next": buffer.next_observations}
-    parts |= {"action": buffer.actions, "reward": buffer.rewards}
-    return at, {name: one[at].copy() for name, one in parts.items()} | {"ended": ended}
+    return at, buffer._gather(at)
 
 
-def test_the_same_target_gives_the_same_sight_reward_and_end(filled, monkeypatch):
+def test_steps_in_a_row_are_summed_up_to_an_end(filled):
+    buffer, _ = filled
+    at, parts = everything(buffer)
+    for first in (0, 77, 1500, 3100):
+        row, fish = at[0][first], at[1][first]
+        total, last = 0.0, row
+        for last in range(row, min(row + RETURNS, 400)):
+            total += buffer.rewards[last, fish]
+            if buffer.dones[last, fish]:
+                break
+        assert parts["reward"][first] == pytest.approx(total, rel=1e-5)
+        assert np.array_equal(parts["next"][first], buffer.next_observations[last, fish])
+    lengths = np.isfinite(parts["way"][..., 0]).sum(axis=1)
+    assert set(lengths) == set(range(1, RETURNS + 1))
+
+
+def test_the_same_target_gives_the_same_sight_reward_and_end(filled):
     buffer, targets = filled
     at, parts = everything(buffer)
     before = {name: one.copy() for name, one in parts.items()}
-    monkeypatch.setattr(buffer, "later", 1.0)
-    monkeypatch.setattr(buffer, "_later", lambda _: targets[at])
-    buffer._retarget(at, parts)
+    buffer._retarget(parts, targets[at])
     assert before["ended"].sum() >= 1 and buffer.timeouts.sum() > 10
-    for name, one in parts.items():
-        assert one == pytest.approx(before[name], abs=1e-6), name
+    for name in ("seen", "next", "reward", "ended"):
+        assert parts[name] == pytest.approx(before[name], abs=1e-5), name
 
 
-def test_a_later_place_as_target_is_arrived_at(filled, monkeypatch):
+def test_a_place_on_the_way_as_target_is_arrived_at(filled):
     buffer, _ = filled
     at, parts = everything(buffer)
-    monkeypatch.setattr(buffer, "later", 1.0)
-    monkeypatch.setattr("tailbeat.learn.buffer.AHEAD", HOLD)  # the end of the same decision
-    buffer._retarget(at, parts)
+    buffer._retarget(parts, buffer.place[at])
     assert parts["ended"].all()
     assert (parts["reward"] > 9.0).all()
 
@@ -127,7 +138,7 @@ def test_the_mirrored_fish_sees_the_mirrored_observation():
 
 @pytest.fixture(scope="module")
 def learner() -> QuickSAC:
-    env = FishVecEnv(FISH, 8, STILL, seed=0, hold=HOLD, reward_scale=0.01)
+    env = FishVecEnv(FISH, 8, STILL, seed=0, reward_scale=0.01)
     model = QuickSAC(
         "MlpPolicy", env, learning_starts=64, batch_size=32, train_freq=1, seed=0, device="cpu"
     )
@@ -161,7 +172,7 @@ def test_the_critics_gradient_is_that_of_sb3_s_loss(learner):
 
 def test_a_seed_gives_one_run():
     def trained() -> Any:
-        env = FishVecEnv(FISH, 4, STILL, seed=1, hold=HOLD)
+        env = FishVecEnv(FISH, 4, STILL, seed=1)
         model = QuickSAC("MlpPolicy", env, learning_starts=32, batch_size=16, seed=7, device="cpu")
         return model.learn(200).policy.state_dict()
 
@@ -194,7 +205,7 @@ def test_a_stage_scales_noise_and_physics():
 
 def planned_for(out: Path, **changes: Any) -> Plan:
     few = replace(
-        smoke(), fish=4, updates=0.2, batch=16, starts=40, buffer=4_000, window=4,
+        smoke(), fish=4, updates=1, batch=16, starts=40, buffer=4_000, window=4,
         stages=STAGES[:3],
     )  # fmt: skip
     plan = Plan(FISH, action_space("generator", FISH), few, 0, out, hours=0.002)
@@ -222,7 +233,7 @@ def test_unknown_names_are_refused():
         recipe_of("soup")
     with pytest.raises(BadInput, match="--actions soup"):
         action_space("soup", FISH)
-    assert recipe_of("paper") == paper() and not paper().relabel and paper().hold(0) == 1
+    assert recipe_of("paper") == paper() and not paper().relabel
 
 
 # ---- a run, its end and its resumption ----------------------------------------------------------

@@ -32,10 +32,10 @@ def train(
     """Train a policy into a folder; what came of it."""
     _need_extra()
     from tailbeat.learn.plan import Plan, action_space  # needs the extra
-    from tailbeat.learn.recipe import adapted, recipe_of
+    from tailbeat.learn.recipe import recipe_of
     from tailbeat.learn.train import train as run
 
-    described, chosen = load_fish(fish), adapted(recipe_of(recipe), actions)
+    described, chosen = load_fish(fish), recipe_of(recipe)
     space = action_space(actions, described)
     plan = Plan(described, space, chosen, seed, out, hours, device)
     note(f"replay buffer: {chosen.buffer_bytes / 1e6:.0f} MB of memory and of every checkpoint")

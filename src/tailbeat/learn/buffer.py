@@ -18,15 +18,15 @@ from tailbeat.learn.env import FishVecEnv
 
 Single = NDArray[np.float32]
 FIRST = 12  # observed numbers that depend on the target begin here
-AHEAD = 300  # control steps within which a later place becomes the target (chosen)
+AHEAD = 300  # steps within which a later place becomes the target (chosen)
 LEFT_RIGHT = ("sin motor angle", "motor velocity", "yaw rate", "centre", "target left")
-EXTRA = ("frames", "next_frames", "track", "effort", "episode")
+EXTRA = ("frames", "next_frames", "place", "effort", "episode")
 
 
 class RelabelBuffer(ReplayBuffer):
     """SB3's buffer with `later` and `anywhere`, shares of a batch that get another target.
 
-    `discount` is per control step: decisions may hold their actions for different times.
+    `returns` steps in a row count as one (n-step returns); `discount` is per step.
     """
 
     def __init__(
@@ -34,17 +34,18 @@ class RelabelBuffer(ReplayBuffer):
         *args: Any,
         source: FishVecEnv,
         discount: float,
+        returns: int = 1,
         later: float = 0.4,
         anywhere: float = 0.2,
         **rest: Any,
     ) -> None:
         super().__init__(*args, **rest)
-        self.source, self.discount = source, discount
+        self.source, self.discount, self.returns = source, discount, returns
         self.later, self.anywhere = later, anywhere
         shape = (self.buffer_size, self.n_envs)
         self.frames = np.zeros((*shape, 3, 4), np.float32)
         self.next_frames = np.zeros((*shape, 3, 4), np.float32)
-        self.track = np.zeros((*shape, source.longest, 2), np.float32)
+        self.place = np.zeros((*shape, 2), np.float32)
         self.effort = np.zeros(shape, np.float32)
         self.episode = np.full(shape, -1, np.int32)
         self.begin_after(-1)
@@ -54,63 +55,81 @@ class RelabelBuffer(ReplayBuffer):
         self.begun = episode + 1 + np.arange(self.n_envs, dtype=np.int32)
 
     def add(self, obs: Any, next_obs: Any, action: Any, reward: Any, done: Any, infos: Any) -> None:
-        """One decision of every fish; what lies behind the observations comes from the source."""
-        last, place = self.source.last, self.pos
-        self.frames[place], self.next_frames[place] = last.frames, last.next_frames
-        self.track[place], self.effort[place] = last.track, last.effort
-        self.episode[place] = self.begun
+        """One step of every fish; what lies behind the observations comes from the source."""
+        behind, row = self.source.last, self.pos
+        self.frames[row], self.next_frames[row] = behind.frames, behind.next_frames
+        self.place[row], self.effort[row] = behind.place, behind.effort
+        self.episode[row] = self.begun
         self.begun = self.begun + self.n_envs * np.asarray(done, np.int32)
         super().add(obs, next_obs, action, reward, done, infos)
 
     def _get_samples(self, batch_inds: Any, env: Any = None) -> ReplayBufferSamples:
         fish = np.random.randint(0, self.n_envs, size=len(batch_inds))  # noqa: NPY002 (as SB3)
         at = batch_inds, fish
-        ended = self.dones[at] * (1 - self.timeouts[at])
-        parts = {
-            "seen": self.observations[at],
-            "next": self.next_observations[at],
-            "action": self.actions[at],
-            "reward": self.rewards[at],
-            "ended": ended,
-        }
-        self._retarget(at, parts)
+        parts = self._gather(at)
+        self._retarget(parts, self._other_targets(at))
         self._mirror(parts)
-        steps = np.isfinite(self.track[at][..., 0]).sum(axis=1)
-        discounts = (self.discount**steps).astype(np.float32)
+        steps = np.isfinite(parts["way"][..., 0]).sum(axis=1)
+        columns = parts["ended"], parts["reward"], (self.discount**steps).astype(np.float32)
         order = parts["seen"], parts["action"], parts["next"]
-        columns = parts["ended"], parts["reward"], discounts
         return ReplayBufferSamples(
             *(self.to_torch(one) for one in (*order, *(column[:, None] for column in columns)))
         )
 
-    def _retarget(self, at: Any, parts: dict[str, Any]) -> None:
-        """Give a share of the batch other targets, in place."""
-        draw = np.random.random_sample(len(at[0]))  # noqa: NPY002
+    def _gather(self, at: Any) -> dict[str, Any]:
+        """`returns` steps in a row as one, or fewer where an episode or the buffer ends: the
+        first sight and action, the sum of rewards, the last sight."""
+        rows = (at[0][:, None] + np.arange(self.returns)) % self.buffer_size
+        fish = at[1][:, None]
+        same = self.episode[rows, fish] == self.episode[at][:, None]
+        follows = rows - at[0][:, None] == np.arange(self.returns)  # not round the ring
+        valid = np.logical_and.accumulate(same & follows & self._written(rows), axis=1)
+        last = rows[np.arange(len(rows)), valid.sum(axis=1) - 1], at[1]
+        way = np.where(valid[..., None], self.place[rows, fish], np.nan)
+        return {
+            "seen": self.observations[at],
+            "next": self.next_observations[last],
+            "action": self.actions[at],
+            "reward": (self.rewards[rows, fish] * valid).sum(axis=1),
+            "effort": (self.effort[rows, fish] * valid).sum(axis=1),
+            "ended": self.dones[last] * (1 - self.timeouts[last]),
+            "way": way,
+            "frames": self.frames[at],
+            "next_frames": self.next_frames[last],
+        }
+
+    def _written(self, rows: Any) -> Any:
+        return rows < (self.buffer_size if self.full else self.pos)
+
+    def _other_targets(self, at: Any) -> Single:
+        """Another target (n, 2) for a share of the batch, NaN for the rest."""
+        draw = np.random.random_sample(len(at[0]))[:, None]  # noqa: NPY002
+        anywhere = np.where(draw < self.later + self.anywhere, self._anywhere(at), np.nan)
+        return np.where(draw < self.later, self._later(at), anywhere)
+
+    def _retarget(self, parts: dict[str, Any], targets: Single) -> None:
+        """Give those with a finite target that one instead, in place."""
         lost = (parts["ended"] > 0) & (parts["reward"] < 0)
-        chosen = (draw < self.later + self.anywhere) & ~lost
-        target = np.where((draw < self.later)[:, None], self._later(at), self._anywhere(at))[chosen]
-        some = at[0][chosen], at[1][chosen]
-        parts["seen"][chosen, FIRST:] = _seen(self.frames[some], target)
-        parts["next"][chosen, FIRST:] = _seen(self.next_frames[some], target)
+        chosen = np.isfinite(targets[:, 0]) & ~lost
+        target, way = targets[chosen], parts["way"][chosen]
+        parts["seen"][chosen, FIRST:] = _seen(parts["frames"][chosen], target)
+        parts["next"][chosen, FIRST:] = _seen(parts["next_frames"][chosen], target)
         world = self.source.world
-        away = np.linalg.norm(self.track[some] - target[:, None], axis=2)
+        away = np.linalg.norm(way - target[:, None], axis=2)
         hit = away < world.task.arrival  # NaN after an end: no hit
         before = np.cumsum(hit, axis=1) - hit == 0
         weights = world.settings.reward
-        earned = -weights.distance * np.nansum(away * before, axis=1) + self.effort[some]
+        earned = -weights.distance * np.nansum(away * before, axis=1) + parts["effort"][chosen]
         earned += weights.bonus * hit.any(axis=1)
         parts["reward"][chosen] = self.source.reward_scale * earned
         parts["ended"][chosen] = hit.any(axis=1)
 
     def _later(self, at: Any) -> Single:
-        """Where each fish was some decisions later in the same episode, else at this one's end."""
-        furthest = max(AHEAD // self.source.hold, 1)
-        ahead = np.random.randint(0, furthest, size=len(at[0]))  # noqa: NPY002
+        """Where each fish was some time later in the same episode, else at this step's end."""
+        ahead = np.random.randint(0, AHEAD, size=len(at[0]))  # noqa: NPY002
         then = (at[0] + ahead) % self.buffer_size
         same = self.episode[then, at[1]] == self.episode[at]
-        place = self.track[np.where(same, then, at[0]), at[1]]
-        last = np.sum(np.isfinite(place[..., 0]), axis=1) - 1
-        return place[np.arange(len(last)), last]
+        return self.place[np.where(same, then, at[0]), at[1]]
 
     def _anywhere(self, at: Any) -> Single:
         """Places about the fish, by range and bearing."""
@@ -118,7 +137,7 @@ class RelabelBuffer(ReplayBuffer):
         distance = task.farthest * np.random.random_sample(count)  # noqa: NPY002
         bearing = 2 * np.pi * np.random.random_sample(count)  # noqa: NPY002
         offset = distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-        return np.asarray(self.track[at][:, 0] + offset, dtype=np.float32)
+        return np.asarray(self.place[at] + offset, dtype=np.float32)
 
     def _mirror(self, parts: dict[str, Any]) -> None:
         space = self.source.world.space

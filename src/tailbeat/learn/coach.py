@@ -20,6 +20,7 @@ from tailbeat.learn.world import PERIOD, TERMS
 REPORT_SECONDS = 5.0
 EXAM_SECONDS = 300.0  # between greedy evaluations
 EXAM, EXAM_SEED = 64, 9_000  # targets of one, always the same
+KEPT = 5  # windows of episodes that are remembered
 RECENT = 24  # rows of the history from which the time to promotion is reckoned
 
 Row = dict[str, Any]
@@ -35,7 +36,8 @@ class Course:
     control_steps: int = 0  # of all fish
     stage_began: float = 0.0  # in those seconds
     episodes: int = 0
-    recent: list[bool] = field(default_factory=list)  # arrivals in this stage, newest last
+    # of this stage's episodes: when they began, in control steps, and whether the fish arrived
+    recent: list[tuple[int, bool]] = field(default_factory=list)
     history: list[Row] = field(default_factory=list)
     promotions: list[Row] = field(default_factory=list)
     finished: bool = False
@@ -52,7 +54,7 @@ class Coach(BaseCallback):
         self.plan, self.course, self.env, self.report = plan, course, env, report
         self.stop = False
         self.terms: deque[Row] = deque(maxlen=plan.recipe.window)
-        self.counted = np.zeros(env.num_envs, dtype=bool)
+        self.starts: list[int | None] = [None] * env.num_envs  # of episodes begun in this stage
 
     # ---- SB3 calls these ------------------------------------------------------------------------
 
@@ -68,12 +70,13 @@ class Coach(BaseCallback):
         self._enter()
 
     def _on_step(self) -> bool:
-        self.course.control_steps += self.env.num_envs * self.env.hold
+        self.course.control_steps += self.env.num_envs
         for fish, info in enumerate(self.locals["infos"]):
             if "episode" in info:
                 self._count(fish, info)
         self.course.seconds = self.before + time.monotonic() - self.began
-        self._judge_stage()
+        if self.locals["dones"].any():
+            self._judge_stage()
         for name, work in (("report", self._tell), ("exam", self._examine), ("keep", self.keep)):
             if time.monotonic() >= self.due[name]:
                 work()
@@ -83,30 +86,42 @@ class Coach(BaseCallback):
     # ---- stages ---------------------------------------------------------------------------------
 
     def _enter(self) -> None:
-        """Put world, hold, updates and learning rate into the course's stage."""
+        """Put the world and the learning rate into the course's stage."""
         recipe = self.plan.recipe
-        self.env.hold = recipe.hold(self.course.stage)
-        self.model.gradient_steps = recipe.updates_per_decision(self.course.stage)
         self.env.world.change(self.plan.settings(self.course.stage))
         rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rate)
         self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
-        self.counted[:] = False  # fish on their way began in the stage before
+        self.starts = [None] * self.env.num_envs  # fish on their way began in the stage before
 
     def _count(self, fish: int, info: Row) -> None:
         self.course.episodes += 1
-        if self.counted[fish]:
-            self.course.recent.append(bool(info["reached"]))
-            del self.course.recent[: -self.plan.recipe.window]
+        begun = self.starts[fish]
+        if begun is not None:
+            self.course.recent.append((begun, bool(info["reached"])))
+            del self.course.recent[: -KEPT * self.plan.recipe.window]
             self.terms.append({**info["reward_terms"], "seconds": PERIOD * info["episode"]["l"]})
-        self.counted[fish] = True
+        self.starts[fish] = self._clock()
+
+    def _clock(self) -> int:
+        """Control steps that each fish has made."""
+        return self.course.control_steps // self.env.num_envs
+
+    def _judged(self) -> list[bool]:
+        """Arrivals of the last episodes whose time is over, by their beginnings. An arrival ends
+        an episode early, so the latest to end are mostly arrivals: those tell nothing yet."""
+        over = self._clock() - self.env.world.steps_per_episode
+        order = sorted(row for row in self.course.recent if row[0] <= over)
+        return [arrived for _, arrived in order[-self.plan.recipe.window :]]
 
     def share(self) -> float:
         """Rolling share of targets acquired in this stage."""
-        return float(np.mean(self.course.recent)) if self.course.recent else 0.0
+        judged = self._judged()
+        return float(np.mean(judged)) if judged else 0.0
 
     def _judge_stage(self) -> None:
-        full = len(self.course.recent) == self.plan.recipe.window
-        if full and self.share() > curriculum.PROMOTED:
+        window = self.plan.recipe.window
+        enough = len(self.course.recent) >= window and len(self._judged()) == window
+        if enough and self.share() > curriculum.PROMOTED:
             self._promote()
         elif self.course.seconds - self.course.stage_began > 3600 * self.plan.recipe.budget_hours:
             self.course.stalled = True

@@ -139,23 +139,19 @@ class FishEnv(gymnasium.Env):
 
 
 @dataclass(frozen=True, eq=False)
-class Decision:
-    """What lay behind one decision of n fish: frames before and after (n, 3, 4) x, y, yaw,
-    staleness; the tag's way (n, longest hold, 2), NaN after its end; effort earned (n,)."""
+class Behind:
+    """What lay behind one step of n fish: frames before and after (n, 3, 4) x, y, yaw, staleness;
+    the tag's true place after it (n, 2); effort earned (n,)."""
 
     frames: Array
     next_frames: Array
-    track: Array
+    place: Array
     effort: Array
 
 
 class FishVecEnv(VecEnv):
-    """SB3's face: the same world, no copies, no processes.
-
-    `hold` control steps share one action, in training alone: the observation between them is not
-    handed out, their rewards are summed and multiplied by `reward_scale`; a fish that ends among
-    them waits for the others.
-    """
+    """SB3's face: the same world, no copies, no processes. Rewards are times `reward_scale`;
+    `last` is what lay behind the last step."""
 
     def __init__(
         self,
@@ -164,12 +160,10 @@ class FishVecEnv(VecEnv):
         settings: Settings | None = None,
         seed: int | None = None,
         threads: int = 0,
-        hold: int = 1,
         reward_scale: float = 1.0,
     ) -> None:
         self.world = World(fish, settings or Settings(), seeds_from(seed, count), threads)
         self.render_mode = "rgb_array"
-        self.hold = self.longest = hold  # `hold` may be made shorter later
         self.reward_scale = reward_scale
         self.returns, self.lengths = np.zeros(count), np.zeros(count, dtype=int)
         self.sums = {name: np.zeros(count) for name in TERMS}
@@ -191,9 +185,11 @@ class FishVecEnv(VecEnv):
     def step_wait(self) -> Any:
         """SB3's four; an ended fish's last sight, return and length in its info."""
         before = self.world.frames[..., POSE]
-        done, track = self._held()
+        done = self.world.step(self.actions)
+        self._count(done)
         ended = done.terminated | done.truncated
-        self.last = Decision(before, done.frames[..., POSE], track, done.terms["effort"])
+        place = self.world.pose[:, :2].copy()
+        self.last = Behind(before, done.frames[..., POSE], place, done.terms["effort"])
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         seen = done.observation
         for fish in np.flatnonzero(ended):
@@ -209,25 +205,11 @@ class FishVecEnv(VecEnv):
             seen = np.where(ended[:, None], self.world.reset(ended), seen)
         return seen, (self.reward_scale * done.reward).astype(np.float32), ended, infos
 
-    def _held(self) -> tuple[Outcome, Array]:
-        """The action held: of every fish what it was when it ended, else at the last step; sums of
-        rewards and of their terms until then; the tag's way."""
-        track = np.full((self.num_envs, self.longest, 2), np.nan)
-        done = self._counted(self.world.step(self.actions), np.ones(self.num_envs, bool))
-        track[:, 0] = self.world.pose[:, :2]
-        for step in range(1, self.hold):
-            going = ~(done.terminated | done.truncated)
-            after = self._counted(self.world.step(self.actions), going)
-            track[going, step] = self.world.pose[going, :2]
-            done = _joined(done, after, going)
-        return done, track
-
-    def _counted(self, done: Outcome, going: Flags) -> Outcome:
-        self.returns += np.where(going, done.reward, 0.0)
-        self.lengths += going
+    def _count(self, done: Outcome) -> None:
+        self.returns += done.reward
+        self.lengths += 1
         for name, values in done.terms.items():
-            self.sums[name] += np.where(going, values, 0.0)
-        return done
+            self.sums[name] += values
 
     def _forget(self, which: Flags) -> None:
         """Begin new sums."""
@@ -260,16 +242,3 @@ class FishVecEnv(VecEnv):
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """The first fish from above."""
         return [view.from_above(self.world, 0, self.world.pose[:1])]
-
-
-def _joined(before: Outcome, after: Outcome, going: Flags) -> Outcome:
-    """Two control steps as one, for the fish that go on; the others stay as they ended."""
-    return Outcome(
-        np.where(going[:, None], after.observation, before.observation),
-        np.where(going[:, None, None], after.frames, before.frames),
-        before.reward + np.where(going, after.reward, 0.0),
-        {n: before.terms[n] + np.where(going, v, 0.0) for n, v in after.terms.items()},
-        np.where(going, after.terminated, before.terminated),
-        np.where(going, after.truncated, before.truncated),
-        np.where(going, after.reached, before.reached),
-    )

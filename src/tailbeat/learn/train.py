@@ -58,7 +58,6 @@ def _environment(plan: Plan) -> FishVecEnv:
         recipe.fish,
         plan.settings(0),
         seed=plan.seed,
-        hold=max(recipe.holds),
         reward_scale=recipe.reward_scale,
     )
 
@@ -67,7 +66,7 @@ def _model(plan: Plan, env: FishVecEnv) -> SAC:
     recipe = plan.recipe
     more: dict[str, Any] = {}
     if recipe.relabel:
-        kwargs = {"source": env, "discount": recipe.discount}
+        kwargs = {"source": env, "discount": recipe.discount, "returns": recipe.returns}
         more = {"replay_buffer_class": RelabelBuffer, "replay_buffer_kwargs": kwargs}
     kind = QuickSAC if recipe.quick else SAC
     shape: dict[str, Any] = {"net_arch": [WIDTH] * DEPTH}
@@ -83,7 +82,7 @@ def _model(plan: Plan, env: FishVecEnv) -> SAC:
         batch_size=recipe.batch,
         learning_starts=recipe.starts,
         train_freq=1,
-        gradient_steps=recipe.updates_per_decision(0),
+        gradient_steps=recipe.updates,
         ent_coef=recipe.entropy,
         policy_kwargs=shape,
         device=plan.device,
