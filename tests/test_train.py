@@ -216,6 +216,7 @@ def planned_for(out: Path, **changes: Any) -> Plan:
     ("changes", "complaint"),
     [
         ({"hours": 0.0}, "--hours 0"),
+        ({"device": "tpu"}, "--device tpu"),
         ({"actions": Generator(-9.0, 9.0)}, "motor allows"),
         ({"actions": Generator(-1.0, 1.0, ceiling=6.0)}, "band ends at 4 Hz"),
         ({"recipe": replace(smoke(), buffer=10**12)}, "GB of memory"),

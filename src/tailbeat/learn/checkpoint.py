@@ -81,12 +81,12 @@ def load(place: Path, model: SAC, world: World) -> dict[str, Any]:
     if isinstance(buffer, RelabelBuffer):
         buffer.begin_after(int(buffer.episode.max()))
     buffer.pos, buffer.full = state["buffer"]
-    learned = torch.load(place / "networks.pt", weights_only=True)
+    learned = torch.load(place / "networks.pt", map_location="cpu", weights_only=True)
     model.policy.load_state_dict(learned["policy"])
     for name, optimizer in _optimizers(model).items():
         optimizer.load_state_dict(learned[name])
     if model.log_ent_coef is not None:
-        model.log_ent_coef.data = learned["log_ent_coef"]
+        model.log_ent_coef.data = learned["log_ent_coef"].to(model.device)
     torch.set_rng_state(learned["torch"])
     _restore(json.loads((place / "random.json").read_text(encoding="utf-8")), world)
     return state

@@ -60,7 +60,8 @@ def versions() -> dict[str, str]:
 def act(model: SAC, seen: Single) -> Single:
     """Deterministic actions of SB3's actor, unscaled, as the exported network gives them."""
     with torch.no_grad():
-        found: Single = model.actor(torch.as_tensor(seen), deterministic=True).numpy()
+        there = torch.as_tensor(seen, device=model.device)
+        found: Single = model.actor(there, deterministic=True).cpu().numpy()
     return found
 
 
@@ -72,7 +73,7 @@ def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
     nodes, weights, name = [], [], "observation"
     for index, layer in enumerate(layers):
         for kind, tensor in (("w", layer.weight), ("b", layer.bias)):
-            weights.append(numpy_helper.from_array(tensor.detach().numpy(), f"{kind}{index}"))
+            weights.append(numpy_helper.from_array(tensor.detach().cpu().numpy(), f"{kind}{index}"))
         nodes.append(
             helper.make_node("Gemm", [name, f"w{index}", f"b{index}"], [f"z{index}"], transB=1)
         )

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+from torch import cuda
 
 from tailbeat.control.actions import ActionSpace, Direct, Filtered, Generator
 from tailbeat.files import BadInput, leaves, write_json
@@ -61,6 +62,8 @@ def check(plan: Plan, resume: bool) -> None:
     """Raises BadInput for a folder, a fish, a device or a memory that will not do."""
     if not plan.hours > 0:
         raise BadInput(f"--hours {plan.hours:g}: give a time above 0.")
+    if plan.device not in ("cpu", "cuda") or (plan.device == "cuda" and not cuda.is_available()):
+        raise BadInput(f"--device {plan.device}: allowed are cpu, and cuda where there is one.")
     check_settings(plan.fish, plan.settings(0))
     _check_memory(plan.recipe)
     if resume:
