@@ -163,3 +163,43 @@ def test_inference_needs_neither_torch_nor_the_engine(written):
         "assert not {'torch', 'mujoco', 'scipy', 'gymnasium'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code, str(written[0])], check=True)
+
+
+# ---- the verbs ----------------------------------------------------------------------------------
+
+
+def tailbeat(*words: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "tailbeat", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_show_diff_and_try_from_the_command_line(written, tmp_path):
+    shown = tailbeat("policy", "show", written[0], "--json", tmp_path / "show.json")
+    assert shown.returncode == 0 and "16 golden pairs agree" in shown.stdout
+    assert json.loads((tmp_path / "show.json").read_text())["fish"] == FISH.name
+    same = tailbeat("policy", "diff", written[0], written[0])
+    assert same.returncode == 0 and "equal" in same.stdout
+    space = Direct(LOW, HIGH)
+    export(untrained(space), FISH, space, sights(64), {"stage": "x"}, tmp_path / "direct.onnx")
+    other = tailbeat("policy", "diff", written[0], tmp_path / "direct.onnx")
+    assert other.returncode == 1 and "actions.kind" in other.stdout
+    args = ("--targets", 8, "--exact", "--json", tmp_path / "try.json")
+    tried = tailbeat("policy", "try", written[0], "--fish", FISH.name, *args)
+    assert tried.returncode == 0, tried.stderr
+    found = json.loads((tmp_path / "try.json").read_text())
+    assert found["targets"] == 8 and 0 <= found["reached"] <= 1
+
+
+def test_bad_input_is_one_sentence_and_exit_code_2(written, tmp_path):
+    for words, complaint in (
+        (("policy", "show", tmp_path / "none.onnx"), "no such file"),
+        (("policy", "try", written[0], "--fish", "crank-fish"), "here crank-fish"),
+        (("policy", "try", written[0], "--fish", FISH.name, "--arc", 999), "--arc 999"),
+        (("train", "--fish", FISH.name, "--out", tmp_path, "--recipe", "soup"), "--recipe soup"),
+        (("train", "--fish", FISH.name, "--out", tmp_path, "--actions", "fins"), "--actions fins"),
+        (("train", "--fish", FISH.name, "--out", tmp_path / "a", "--resume"), "no run to resume"),
+    ):
+        done = tailbeat(*words)
+        assert done.returncode == 2 and complaint in done.stderr, (words, done.stderr)
+        assert "Traceback" not in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "a").exists()

@@ -97,6 +97,7 @@ def _restored(place: Any, model: SAC, env: FishVecEnv) -> Course:
     model.num_timesteps, model._n_updates = state["decisions"], state["updates"]
     names = {one.name for one in fields(Course)}
     course = Course(**{name: value for name, value in state.items() if name in names})
+    course.recent = [(int(begun), bool(arrived)) for begun, arrived in course.recent]
     course.stalled = False  # it may have another budget's time
     course.stage_began = course.seconds if state["stalled"] else course.stage_began
     if course.finished:
