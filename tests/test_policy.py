@@ -74,9 +74,9 @@ def test_a_thousand_recorded_steps_replay_to_the_bit(written):
     record = []
     for _ in range(1000):
         action = decide(policy, seen[None])
-        record.append((seen, action, env.world.ctrl))
+        record.append((seen, action, env.world.body.ctrl))
         seen, _, over, cut, _ = env.step(action[0])
-        record[-1] = (*record[-1][:2], env.world.ctrl[0, 0].copy())
+        record[-1] = (*record[-1][:2], env.world.body.ctrl[0, 0].copy())
         if over or cut:
             break
     alone = load_policy(path)

@@ -24,8 +24,8 @@ FILM_RATE, SPEED = 12.5, 8.0  # frames per second, seconds swum per second shown
 def outline(world: World, fish: int) -> Array:
     """Places (k, 2) [m] of head, hinges and fin, from nose to tail."""
     links = world.fish.tail.links
-    x, y, yaw = world.qpos[fish, :3]
-    angles = yaw - np.concatenate([[0.0], np.cumsum(world.qpos[fish, world.twin.motor + 1 :])])
+    x, y, yaw = world.body.qpos[fish, :3]
+    angles = yaw - np.concatenate([[0.0], np.cumsum(world.body.qpos[fish, world.body.motor + 1 :])])
     head = [p.position[0] + p.size[0] / 2 for p in world.fish.head.parts]
     fin = min(p.position[0] - p.size[0] / 2 for p in links[-1].parts)
     ends = np.diff([0.0, *(link.hinge for link in links), fin])
@@ -55,7 +55,7 @@ def from_above(world: World, fish: int, path: Array, pixels: int = 480) -> NDArr
 def from_beside(world: World, fish: int) -> NDArray[np.uint8]:
     """One fish as the engine renders it, looks and all, by a camera that follows it."""
     twin = compile_twin(world.fish, Options(looks=True))
-    images, _ = frames(twin, world.qpos[fish : fish + 1].copy())
+    images, _ = frames(twin, world.body.qpos[fish : fish + 1].copy())
     return next(images)
 
 

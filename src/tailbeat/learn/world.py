@@ -5,9 +5,9 @@ number of threads. The faces for gymnasium and SB3 are in `env.py`.
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from mujoco import batch
 from numba import njit
 from numpy.typing import NDArray
 
@@ -16,16 +16,13 @@ from tailbeat.control.actions import ActionSpace, Generator
 from tailbeat.control.observation import COMMANDS, Samples, observe
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
-from tailbeat.fish.rollout import quiet_engine
-from tailbeat.fish.twin import compile_twin
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.learn import randomize, sensors
+from tailbeat.learn.body import PERIOD, Body, Flags, TwinBody
 from tailbeat.learn.randomize import Randomisation
 from tailbeat.learn.sensors import SensorModel
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-PERIOD = 0.02  # s
 TERMS = ("distance", "effort", "bonus")  # of the reward
 PUSH_STEPS = 10  # control steps that a pulse lasts
 
@@ -122,22 +119,19 @@ def _check_task(task: Task) -> None:
 class World:
     """The batch and what lies between two steps. `reset` some fish, `step` all."""
 
-    def __init__(self, fish: Fish, settings: Settings, seeds: list[int], threads: int = 0) -> None:
+    def __init__(
+        self,
+        fish: Fish,
+        settings: Settings,
+        seeds: list[int],
+        threads: int = 0,
+        body: Body | None = None,
+    ) -> None:
         self.fish, self.settings = fish, settings
         self.space = check_settings(fish, settings)
         self.count, self.task = len(seeds), settings.task
         self.steps_per_episode = round(settings.task.seconds / PERIOD)
-        self.twin = compile_twin(fish)
-        step = self.twin.model.opt.timestep
-        self.substeps = round(PERIOD / step)
-        if abs(self.substeps * step - PERIOD) > 1e-9:
-            raise BadInput(f"{fish.name}: step {1e3 * step:g} ms does not divide 20 ms.")
-        self.pool = batch.Batch(self.twin.model, self.count, nthread=threads, persistent=True)
-        self.physics = randomize.expand(self.twin, self.pool)
-        self.qpos, self.qvel, self.ctrl, self.force = (
-            self.pool.bind(name) for name in ("qpos", "qvel", "ctrl", "xfrc_applied")
-        )
-        self.head = int(self.twin.model.body("head").id)
+        self.body: Any = body or TwinBody(fish, self.count, threads)
         self.rngs = [np.random.default_rng(seed) for seed in seeds]
         self.seen = sensors.empty(self.count, self.steps_per_episode)
         self.pushes = np.zeros((self.count, self.steps_per_episode, 2), dtype=np.float32)
@@ -146,7 +140,6 @@ class World:
         self.pose = np.zeros((self.count, 3))
         self.state = act.reset(self.space, self.count)
         self.commands = np.zeros((self.count, COMMANDS, 2))
-        self.warned = np.zeros(self.count)
         self.every = np.arange(self.count)
         self.frames = np.zeros((self.count, 3, 6))
         self.walls = np.array(settings.task.walls or (np.inf, np.inf)) / 2
@@ -170,18 +163,18 @@ class World:
         """Begin new episodes for the fish in `which` (all by default); observation (n, 24)."""
         chosen = np.flatnonzero(np.ones(self.count, bool) if which is None else which)
         if chosen.size:
-            self.pool.reset(chosen, stage=randomize.NO_FORWARD)
+            self.body.rest(chosen)
             self.age[chosen] = 0
             for fish in chosen:
                 self._begin(int(fish), self.rngs[fish])
-            randomize.refresh(self.physics, chosen)
+            self.body.ready(chosen)
             self._clear(chosen)
         return self._observe(self._first_readings())
 
     def _begin(self, fish: int, rng: np.random.Generator) -> None:
         """Draw one fish's episode: physics, target, pushes, sensor noise."""
         settings = self.settings
-        randomize.randomize(self.physics, settings.physics, fish, rng)
+        self.body.draw(fish, settings.physics, rng)
         self.pose[fish] = tracked_pose(self.fish, np.zeros(3))
         self.target[fish] = self._draw_target(rng)
         direction = rng.uniform(0, 2 * np.pi)
@@ -207,13 +200,13 @@ class World:
         u[chosen], phase[chosen] = fresh.u[chosen], fresh.phase[chosen]
         self.state = act.ActionState(u, phase)
         self.commands[chosen] = act.command(self.space, fresh)[chosen][:, None]
-        self.force[chosen] = 0.0
 
     def _first_readings(self) -> sensors.Readings:
         """Readings without a step: the motor as it is, the frames that have arrived."""
-        motor = self.qpos[:, self.twin.motor].copy(), self.qvel[:, self.twin.motor].copy()
+        body = self.body
+        motor = body.qpos[:, body.motor].copy(), body.qvel[:, body.motor].copy()
         frames = sensors.newest(self.seen, np.asarray(self.age * PERIOD, dtype=np.float64))
-        return sensors.Readings(*motor, self.qvel[:, 2].copy(), frames)
+        return sensors.Readings(*motor, body.qvel[:, 2].copy(), frames)
 
     # ---- stepping -------------------------------------------------------------------------------
 
@@ -221,32 +214,19 @@ class World:
         """One control step of every fish under actions (n, size). Ended fish want a `reset`."""
         before, action = self.pose, np.asarray(action, float)
         self.state = act.step(self.space, self.state, action, PERIOD)
-        self.ctrl[:, 0] = act.setpoint(self.space, self.state)
-        age = np.minimum(self.age, self.steps_per_episode - 1)
-        self.force[:, self.head, :2] = self.pushes[self.every, age]
-        with quiet_engine():  # a divergence ends the fish's episode and is counted there
-            self.pool.step(nstep=self.substeps)
-        lost = self._lost()
-        self.pose = tracked_pose(self.fish, self.qpos[:, :3])
+        age, body = np.minimum(self.age, self.steps_per_episode - 1), self.body
+        lost = body.advance(act.setpoint(self.space, self.state), self.pushes[self.every, age])
+        self.pose = tracked_pose(self.fish, body.qpos[:, :3])
         self.target = self.target + self.drift
         self.commands[:, 1:] = self.commands[:, :-1]
         self.commands[:, 0] = act.command(self.space, self.state)
-        motor = self.twin.motor
+        motor = body.motor
         readings = sensors.sense(
             self.settings.sensors, self.seen, age, PERIOD, before, self.pose, self.target,
-            self.qpos[:, motor], self.qvel[:, motor], self.qvel[:, 2],
+            body.qpos[:, motor], body.qvel[:, motor], body.qvel[:, 2],
         )  # fmt: skip
         self.age = self.age + 1
         return self._judge(action, self._observe(readings), lost)
-
-    def _lost(self) -> Flags:
-        """Fish that the engine warned about in this step."""
-        warning = self.pool.warning
-        if int(warning.sum()) == self.warned.sum():
-            return np.zeros(self.count, dtype=bool)
-        total = warning.reshape(self.count, -1).sum(axis=1)
-        lost, self.warned = total > self.warned, total
-        return np.asarray(lost)
 
     def _observe(self, readings: sensors.Readings) -> NDArray[np.float32]:
         self.frames = readings.frames

@@ -1,0 +1,66 @@
+"""The plant behind the world's seam: the same motion as the plant alone, batch equals single."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("gymnasium", reason="the train extra is not installed")
+
+from tailbeat.control import actions as act
+from tailbeat.fish.store import load_fish
+from tailbeat.learn import randomize
+from tailbeat.learn.sensors import quiet
+from tailbeat.learn.world import PERIOD, Settings, World
+from tailbeat.pool.body import PoolBody
+from tailbeat.pool.plant import at_rest, build_plant, step_plant
+from tailbeat.pool.water import Water, ensemble
+
+FISH = load_fish("pulley-fish")
+STILL = Settings(sensors=quiet(), physics=randomize.none())
+
+
+def swum(waters: list[Water], seeds: list[int], actions: np.ndarray) -> np.ndarray:
+    """Poses and joints (steps, n, nv) in a pool."""
+    world = World(FISH, STILL, seeds, body=PoolBody(FISH, waters))
+    world.reset()
+    found = []
+    for action in actions:
+        world.step(action)
+        found.append(world.body.qpos.copy())
+    return np.array(found)
+
+
+def test_the_world_in_the_pool_is_the_plant():
+    actions = np.random.default_rng(0).uniform(-1, 1, (50, 1, 6))
+    inside = swum([Water()], [1], actions)
+    plant = build_plant(FISH, [Water()])
+    low, high = FISH.motor.range or (-1.0, 1.0)
+    space = act.Generator(low, high)
+    state, sent = act.reset(space, 1), []
+    for action in actions:
+        state = act.step(space, state, action, PERIOD)
+        sent.append(act.setpoint(space, state)[0])
+    commands = np.repeat(sent, round(PERIOD / plant.dt))[None]
+    alone = step_plant(plant, at_rest(plant), commands, round(PERIOD / plant.dt))
+    assert np.array_equal(inside[:, 0], alone.q[0, 1:])
+
+
+def test_a_fish_in_a_batch_of_pools_swims_as_it_would_alone():
+    waters, seeds = ensemble(3, seed=4), [1, 2, 3]
+    actions = np.random.default_rng(1).uniform(-1, 1, (40, 3, 6))
+    together = swum(waters, seeds, actions)
+    for i in range(3):
+        alone = swum(waters[i : i + 1], seeds[i : i + 1], actions[:, i : i + 1])
+        assert np.array_equal(alone[:, 0], together[:, i])
+    assert np.ptp(together[-1, :, 0]) > 1e-4  # the waters differ
+
+
+def test_a_new_episode_begins_at_rest_and_forgets():
+    world = World(FISH, STILL, [5], body=PoolBody(FISH, [Water()]))
+    actions = np.random.default_rng(2).uniform(-1, 1, (30, 1, 6))
+    paths = []
+    for _ in range(2):
+        world.reseed([5])
+        world.reset()
+        paths.append(np.array([world.step(a).observation[0] for a in actions]))
+    assert np.array_equal(paths[0], paths[1])
+    assert world.body.energy[0] > 0
