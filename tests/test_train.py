@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,11 +22,12 @@ import torch
 
 from tailbeat.control.actions import Direct, Generator
 from tailbeat.control.observation import TABLE
-from tailbeat.control.policy import load_policy
+from tailbeat.control.policy import decide, load_policy
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.learn import checkpoint, randomize
 from tailbeat.learn import plan as planned
+from tailbeat.learn.assess import assess
 from tailbeat.learn.buffer import FIRST, MIRRORED, RelabelBuffer, _seen
 from tailbeat.learn.curriculum import FALL, STAGES, learning_rate, settings_of
 from tailbeat.learn.env import FishVecEnv
@@ -358,19 +360,35 @@ def test_ctrl_c_leaves_a_checkpoint_and_a_policy(tmp_path):
     assert planned.ACTIONS == ("generator", "direct", "filtered")
 
 
-def test_a_minute_of_the_smoke_recipe_visibly_improves(tmp_path):
-    """Greedy swims to the same sixty targets, before and after."""
-    from functools import partial
+def test_networks_that_leave_the_finite_end_the_run_and_keep_the_checkpoint(run):
+    from tailbeat.learn.coach import Coach, Course
+    from tailbeat.learn.train import _environment, _model
 
-    from tailbeat.control.policy import decide
-    from tailbeat.learn.assess import assess
+    plan = planned_for(run)
+    env = _environment(plan)
+    model = _model(plan, env)
+    coach = Coach(plan, Course(), env, print)
+    coach.init_callback(model)
+    coach._check_finite()
+    with torch.no_grad():
+        next(model.policy.parameters())[0] = float("nan")
+    with pytest.raises(BadInput, match="diverged before update 0"):
+        coach._check_finite()
 
+
+def test_a_minute_of_the_smoke_recipe_visibly_improves_and_resumes_without_a_drop(tmp_path):
+    """Greedy swims to the same sixty targets: untrained, after a minute, and a little later."""
     plan = Plan(FISH, action_space("generator", FISH), smoke(), 0, tmp_path / "run", hours=1 / 60)
-    arrivals = []
-    for hours in (1e-6, 1 / 60):
-        once = replace(plan, hours=hours, out=tmp_path / f"{hours}")
-        train(once, False, lambda row: None)
-        policy = load_policy(once.out / "policy.onnx")
+
+    def arrivals() -> float:
+        policy = load_policy(plan.out / "policy.onnx")
         swims = assess(partial(decide, policy), FISH, plan.settings(0), 60, seed=1)
-        arrivals.append(swims.reached.mean())
-    assert arrivals[1] > arrivals[0] + 0.2, arrivals
+        return float(swims.reached.mean())
+
+    train(replace(plan, hours=1e-6), False, lambda row: None)
+    untrained = arrivals()
+    train(plan, True, lambda row: None)
+    trained = arrivals()
+    assert trained > untrained + 0.2, (untrained, trained)
+    train(replace(plan, hours=1 / 180), True, lambda row: None)
+    assert arrivals() > trained - 0.2

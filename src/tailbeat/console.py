@@ -260,6 +260,7 @@ def _cells(row: dict[str, Any]) -> dict[str, str]:
         "reward": " ".join(f"{name} {row[name]:.0f}" for name in ("distance", "effort", "bonus")),
         "control steps": f"{row['control_steps']:,} ({row['steps_per_s']:.0f}/s)",
         "updates": f"{row['updates']:,} ({row['updates_per_s']:.0f}/s)",
+        "fish lost": str(row["lost"]),
     }
 
 

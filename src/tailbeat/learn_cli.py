@@ -9,7 +9,7 @@ from tailbeat import console, learn_tasks
 from tailbeat.files import refuse_existing, write_json
 
 policy = typer.Typer(help="Look at policies, compare and try them.", no_args_is_help=True)
-PolicyFile = Annotated[Path, typer.Argument(help="A policy, .onnx.")]
+PolicyFile = Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
@@ -52,7 +52,7 @@ def show(file: PolicyFile, json: JsonOption = None) -> None:
 @policy.command("diff")
 def diff(
     first: PolicyFile,
-    second: Annotated[Path, typer.Argument(help="Another.")],
+    second: Annotated[str, typer.Argument(help="Another.")],
     json: JsonOption = None,
 ) -> None:
     """Every field in which two policies' contracts differ; exit code 1 if any does."""

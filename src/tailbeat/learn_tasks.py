@@ -60,18 +60,18 @@ def _need_extra() -> None:
             raise BadInput(f"training needs {module}: pip install 'tailbeat[train]'.")
 
 
-def show_policy(path: Path) -> dict[str, Any]:
+def show_policy(path: str) -> dict[str, Any]:
     """The contract of a policy, golden pairs checked."""
     return asdict(load_policy(path).contract)
 
 
-def diff_policies(a: Path, b: Path) -> list[dict[str, Any]]:
+def diff_policies(a: str, b: str) -> list[dict[str, Any]]:
     """Every field in which two contracts differ."""
     return differences(load_policy(a).contract, load_policy(b).contract)
 
 
 def try_policy(
-    path: Path, fish: str, arc: float, count: int, seed: int, exact: bool
+    path: str, fish: str, arc: float, count: int, seed: int, exact: bool
 ) -> dict[str, Any]:
     """Swim a policy to seeded targets in the twin; with `exact`, undisturbed."""
     _need_extra()

@@ -9,6 +9,7 @@ numpy and onnxruntime alone.
 import hashlib
 import json
 from dataclasses import asdict, dataclass, fields
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -77,10 +78,19 @@ def _digests(content: dict[str, Any]) -> dict[str, str]:
     return {name: digest(value) for name, value in content.items()}
 
 
-def load_policy(path: Path) -> Policy:
-    """Read a policy and hold it to its contract; raises BadInput that names what is wrong."""
+def shipped() -> dict[str, Path]:
+    """The policies that come with the package, by name."""
+    folder = Path(str(resources.files("tailbeat.control") / "policies"))
+    return {path.stem: path for path in sorted(folder.glob("*.onnx"))}
+
+
+def load_policy(name_or_path: str | Path) -> Policy:
+    """Read a policy, shipped or from a file, and hold it to its contract; raises BadInput that
+    names what is wrong."""
+    path = shipped().get(str(name_or_path), Path(name_or_path))
     if not path.is_file():
-        raise BadInput(f"{path}: no such file; give a policy, an .onnx file.")
+        names = ", ".join(shipped())
+        raise BadInput(f"{path}: no such file; give a policy, an .onnx file or one of {names}.")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # what goes wrong is said below

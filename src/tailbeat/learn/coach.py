@@ -7,9 +7,11 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
+import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 
+from tailbeat.files import BadInput
 from tailbeat.learn import checkpoint, curriculum, view
 from tailbeat.learn.assess import Swims, assess
 from tailbeat.learn.env import FishVecEnv
@@ -190,6 +192,7 @@ class Coach(BaseCallback):
 
     def _tell(self) -> Row:
         """One row of the history: reported, logged, kept."""
+        self._check_finite()
         now, steps, updates = time.monotonic(), self.course.control_steps, self.model._n_updates
         span = max(now - self.last[0], 1e-9)
         row: Row = {
@@ -204,6 +207,7 @@ class Coach(BaseCallback):
             "updates_per_s": (updates - self.last[2]) / span,
             **{name: _mean(self.terms, name) for name in TERMS},
             "episode_seconds": _mean(self.terms, "seconds"),
+            "lost": int(self.env.world.body.warned.sum()),
         }
         self.last = now, steps, updates
         self.course.history.append(row)
@@ -214,6 +218,14 @@ class Coach(BaseCallback):
         self.logger.dump(steps)
         self.report(row | {"promotion_in": self._promotion_in()})
         return row
+
+    def _check_finite(self) -> None:
+        """End a run whose networks left the finite, before they reach a checkpoint."""
+        if not all(torch.isfinite(p).all() for p in self.model.policy.parameters()):
+            raise BadInput(
+                f"{self.plan.out}: the training diverged before update {self.model._n_updates}: a"
+                f" network is not finite; the last checkpoint is whole: go on with --resume."
+            )
 
     def _promotion_in(self) -> float | None:
         """Seconds until the rolling share passes the mark, by the slope of late; None if it does
