@@ -382,7 +382,9 @@ def test_a_minute_of_the_smoke_recipe_visibly_improves_and_resumes_without_a_dro
 
     def arrivals() -> float:
         policy = load_policy(plan.out / "policy.onnx")
-        swims = assess(partial(decide, policy), FISH, plan.settings(0), 60, seed=1)
+        swims = assess(
+            partial(decide, policy), lambda seeds: World(FISH, plan.settings(0), seeds), 60, seed=1
+        )
         return float(swims.reached.mean())
 
     train(replace(plan, hours=1e-6), False, lambda row: None)

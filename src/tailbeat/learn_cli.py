@@ -71,12 +71,18 @@ def try_(
     arc: Annotated[float, typer.Option(help="Half angle of the targets' bearings [deg].")] = 120.0,
     targets: Annotated[int, typer.Option(help="How many.")] = 1000,
     exact: Annotated[bool, typer.Option(help="Without noise and randomisation.")] = False,
+    pools: Annotated[
+        int, typer.Option(help="Swim in so many waters of the virtual pool; give the pool's fish.")
+    ] = 0,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Swim a policy to seeded targets in its twin, with all noise and randomisation."""
-    done = learn_tasks.try_policy(file, fish, arc, targets, seed, exact)
-    console.tables({"by bearing": done["sectors"]})
-    console.tables({"in the twin": [{k: v for k, v in done.items() if k != "sectors"}]})
+    """Swim a policy to seeded targets in its twin, all noise and randomisation on, or in pools."""
+    if json is not None:
+        refuse_existing(json)
+    done = learn_tasks.try_policy(file, fish, arc, targets, seed, exact, pools)
+    where = "in the virtual pool" if pools else "in the twin"
+    console.tables({f"{where}, by bearing": done["sectors"]})
+    console.tables({where: [{k: v for k, v in done.items() if k != "sectors"}]})
     if json is not None:
         write_json(json, done)

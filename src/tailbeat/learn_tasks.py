@@ -1,15 +1,14 @@
 """What do the learning verbs do? Train, show a policy, compare two, try one in the twin."""
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
-from functools import partial
+from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tailbeat.control.policy import check_fits, decide, differences, load_policy
+from tailbeat.control.policy import check_fits, differences, load_policy
 from tailbeat.evaluate.learning_figures import courses
 from tailbeat.files import BadInput
 from tailbeat.fish.store import digest, load_fish
@@ -71,35 +70,28 @@ def diff_policies(a: str, b: str) -> list[dict[str, Any]]:
 
 
 def try_policy(
-    path: str, fish: str, arc: float, count: int, seed: int, exact: bool
+    path: str, fish: str, arc: float, count: int, seed: int, exact: bool, pools: int
 ) -> dict[str, Any]:
-    """Swim a policy to seeded targets in the twin; with `exact`, undisturbed."""
+    """Swim a policy to seeded targets: in the twin with all noise and randomisation (`exact`:
+    undisturbed), or in `pools` waters of the virtual pool's ensemble."""
     _need_extra()
-    from tailbeat.learn.assess import assess
+    from tailbeat.evaluate.reach import in_pool, in_twin, reach
     from tailbeat.learn.curriculum import Stage, settings_of
     from tailbeat.learn.world import PERIOD
+    from tailbeat.pool.water import ensemble
 
-    if not 0 < arc <= 180 or count < 1:
-        raise BadInput(f"--arc {arc:g}, --targets {count}: allowed are 0 to 180, 1 and more.")
+    if not 0 < arc <= 180 or count < 1 or pools < 0:
+        raise BadInput(
+            f"--arc {arc:g}, --targets {count}, --pools {pools}: allowed are 0 to 180, 1 and more,"
+            f" 0 and more."
+        )
     policy, described = load_policy(path), load_fish(fish)
-    check_fits(policy.contract, described.name, digest(described), described.band, PERIOD)
+    held = policy.contract
+    who = (held.fish, held.fish_digest) if pools else (described.name, digest(described))
+    check_fits(held, *who, described.band, PERIOD)
     share = 0.0 if exact else 1.0
     stage = Stage("trial", 3, share, share, float(np.radians(arc)))
-    settings = replace(settings_of(stage), actions=policy.contract.actions)
-    swims = assess(partial(decide, policy), described, settings, count, seed)
-    rows = _sectors(np.degrees(swims.bearing), swims.reached)
-    return {"policy": str(path), "arc_deg": arc, **swims.summary(), "sectors": rows}
-
-
-def _sectors(bearing: Any, reached: Any) -> list[dict[str, Any]]:
-    """Share reached by 30 degrees of bearing, both sides together."""
-    away = np.abs((bearing + 180) % 360 - 180)
-    return [
-        {
-            "bearing [deg]": f"{low}-{low + 30}",
-            "targets": int(inside.sum()),
-            "reached": float(reached[inside].mean()),
-        }
-        for low in range(0, 180, 30)
-        if (inside := (away >= low) & (away <= low + 30)).any()
-    ]
+    settings = settings_of(stage, held.actions)
+    waters = ensemble(pools, seed) if pools else []
+    build = in_pool(described, settings, waters) if pools else in_twin(described, settings)
+    return {"policy": path, "arc_deg": arc, "pools": pools, **reach(policy, build, count, seed)}

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.fish.description import Fish
 from tailbeat.learn.env import seeds_from
-from tailbeat.learn.world import PERIOD, Settings, World
+from tailbeat.learn.world import PERIOD, World
 
 Array = NDArray[np.float64]
 Decide = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+Build = Callable[[list[int]], World]
 AT_ONCE = 250  # fish in one batch
 
 
@@ -35,17 +35,17 @@ class Swims:
         return {
             "targets": int(hits.size),
             "reached": float(hits.mean()),
-            "within_20cm": float((self.nearest < 0.2).mean()),
             "median_seconds": float(np.median(self.seconds[hits])) if hits.any() else float("nan"),
             "median_path_ratio": float(np.median(ratio)) if hits.any() else float("nan"),
         }
 
 
-def assess(decide: Decide, fish: Fish, settings: Settings, count: int, seed: int) -> Swims:
-    """Swim to `count` targets, each fish once; the same seed draws the same targets and water."""
+def assess(decide: Decide, build: Build, count: int, seed: int) -> Swims:
+    """Swim to `count` targets, each fish once, in worlds built from seeds; the same seed draws the
+    same targets, noise and physics."""
     seeds = seeds_from(seed, count)
     parts = [
-        _together(decide, World(fish, settings, seeds[first : first + AT_ONCE]))
+        _together(decide, build(seeds[first : first + AT_ONCE]))
         for first in range(0, count, AT_ONCE)
     ]
     names = [name for name in Swims.__annotations__ if name != "seen"]

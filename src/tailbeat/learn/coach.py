@@ -17,7 +17,7 @@ from tailbeat.learn.assess import Swims, assess
 from tailbeat.learn.env import FishVecEnv
 from tailbeat.learn.export import act, export
 from tailbeat.learn.plan import Plan
-from tailbeat.learn.world import PERIOD, TERMS
+from tailbeat.learn.world import PERIOD, TERMS, World
 
 REPORT_SECONDS = 5.0
 EXAM_SECONDS = 300.0  # between greedy evaluations
@@ -156,9 +156,8 @@ class Coach(BaseCallback):
 
     def _examine(self) -> Swims:
         """Greedy swims to fixed targets of this stage."""
-        swims = assess(
-            self._decide, self.plan.fish, self.plan.settings(self.course.stage), EXAM, EXAM_SEED
-        )
+        fish, settings = self.plan.fish, self.plan.settings(self.course.stage)
+        swims = assess(self._decide, lambda seeds: World(fish, settings, seeds), EXAM, EXAM_SEED)
         self.seen = swims.seen
         self.logger.record("greedy/reached", float(swims.reached.mean()))
         self.due["exam"] = time.monotonic() + EXAM_SECONDS
