@@ -93,10 +93,10 @@ def check_fish_name(path: Path) -> None:
 
 def new_fish_files(out: Path, json: Path | None) -> tuple[Path, Path, Path]:
     """Fish, report and figure of an identification; refused if one exists."""
-    check_fish_name(out)
     files = (out, json or out.with_suffix(".json"), out.with_suffix(".png"))
     for path in files:
         refuse_existing(path)
+    check_fish_name(out)
     return files
 
 
