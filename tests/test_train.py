@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -22,12 +21,11 @@ import torch
 
 from tailbeat.control.actions import Direct, Generator
 from tailbeat.control.observation import TABLE
-from tailbeat.control.policy import decide, load_policy
+from tailbeat.control.policy import load_policy
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.learn import checkpoint, randomize
 from tailbeat.learn import plan as planned
-from tailbeat.learn.assess import assess
 from tailbeat.learn.buffer import FIRST, MIRRORED, RelabelBuffer, _seen
 from tailbeat.learn.curriculum import FALL, STAGES, learning_rate, settings_of
 from tailbeat.learn.env import FishVecEnv
@@ -374,23 +372,3 @@ def test_networks_that_leave_the_finite_end_the_run_and_keep_the_checkpoint(run)
         next(model.policy.parameters())[0] = float("nan")
     with pytest.raises(BadInput, match="diverged before update 0"):
         coach._check_finite()
-
-
-def test_a_minute_of_the_smoke_recipe_visibly_improves_and_resumes_without_a_drop(tmp_path):
-    """Greedy swims to the same sixty targets: untrained, after a minute, and a little later."""
-    plan = Plan(FISH, action_space("generator", FISH), smoke(), 0, tmp_path / "run", hours=1 / 60)
-
-    def arrivals() -> float:
-        policy = load_policy(plan.out / "policy.onnx")
-        swims = assess(
-            partial(decide, policy), lambda seeds: World(FISH, plan.settings(0), seeds), 60, seed=1
-        )
-        return float(swims.reached.mean())
-
-    train(replace(plan, hours=1e-6), False, lambda row: None)
-    untrained = arrivals()
-    train(plan, True, lambda row: None)
-    trained = arrivals()
-    assert trained > untrained + 0.2, (untrained, trained)
-    train(replace(plan, hours=1 / 180), True, lambda row: None)
-    assert arrivals() > trained - 0.2
