@@ -89,8 +89,8 @@ def paper() -> Recipe:
 
 
 def smoke() -> Recipe:
-    """To see that everything works: the first stage with near and large targets. A minute of it does
-    not yet show in the greedy policy (measured: none of 60 targets before, none after)."""
+    """To see that everything works: the first stage, with near and large targets. A minute of it
+    does not show in the greedy policy yet (measured: 0 of 60 targets before, 0 after)."""
     near = Task(nearest=0.3, farthest=0.7, arrival=0.12, seconds=10.0)
     return replace(
         quick(), name="smoke", fish=32, updates=1, batch=128, starts=1_000, buffer=50_000,
