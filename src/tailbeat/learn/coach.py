@@ -89,11 +89,15 @@ class Coach(BaseCallback):
 
     def _enter(self) -> None:
         """Put the world and the learning rate into the course's stage."""
-        recipe = self.plan.recipe
         self.env.world.change(self.plan.settings(self.course.stage))
-        rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rate)
-        self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
+        self._set_rate()
         self.starts = [None] * self.env.num_envs  # fish on their way began in the stage before
+
+    def _set_rate(self) -> None:
+        recipe = self.plan.recipe
+        share = self.share() if recipe.quick else 0.0
+        rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rate, share)
+        self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
 
     def _count(self, fish: int, info: Row) -> None:
         self.course.episodes += 1
@@ -127,6 +131,7 @@ class Coach(BaseCallback):
             self._promote()
         elif self.course.seconds - self.course.stage_began > 3600 * self.plan.recipe.budget_hours:
             self.course.stalled = True
+        self._set_rate()
 
     def _promote(self) -> None:
         """Examine, write the policy and a film, then go on to the next stage."""

@@ -17,6 +17,7 @@ from tailbeat.learn.world import Settings, Task
 CONE = np.radians(30)  # half angle of the "narrow forward cone" (chosen)
 FALL = 0.3  # of the learning rate, per stage within a phase (paper)
 PROMOTED = 0.95  # rolling share of targets acquired (paper)
+EASED = 0.7  # share from which the rate begins to fall towards the next stage's (chosen)
 Figures = TypeVar("Figures", SensorModel, Randomisation)
 RATES = ("frame_rate",)  # figures of a sensor model that are no errors
 
@@ -68,8 +69,11 @@ def scaled(figures: Figures, share: float) -> Figures:
     return replace(figures, **small)
 
 
-def learning_rate(stages: tuple[Stage, ...], index: int, first: float) -> float:
-    """`first` at the start of each phase, times `FALL` with every stage in it (paper)."""
+def learning_rate(stages: tuple[Stage, ...], index: int, first: float, share: float = 0.0) -> float:
+    """`first` at the start of each phase, times `FALL` with every stage in it (paper). The fall
+    comes gradually, as the `share` of targets acquired nears the mark of promotion (ours: at the
+    first rate of a phase the policy hovers below the mark)."""
     phase = stages[index].phase
     before = sum(stage.phase == phase for stage in stages[:index])
-    return first * FALL**before
+    near = min(max((share - EASED) / (PROMOTED - EASED), 0.0), 1.0)
+    return float(first * FALL ** (before + near))

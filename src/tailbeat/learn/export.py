@@ -19,6 +19,7 @@ from tailbeat.control.policy import KEY, VERSION, Contract, Policy, as_text, loa
 from tailbeat.files import new_file
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest
+from tailbeat.learn.sac import greedy_actor
 from tailbeat.learn.world import PERIOD
 
 Single = NDArray[np.float32]
@@ -58,18 +59,17 @@ def versions() -> dict[str, str]:
 
 
 def act(model: SAC, seen: Single) -> Single:
-    """Deterministic actions of SB3's actor, unscaled, as the exported network gives them."""
+    """Deterministic actions of the greedy actor, unscaled, as the exported network gives them."""
     with torch.no_grad():
         there = torch.as_tensor(seen, device=model.device)
-        found: Single = model.actor(there, deterministic=True).cpu().numpy()
+        found: Single = greedy_actor(model)(there, deterministic=True).cpu().numpy()
     return found
 
 
 def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
     """Layers of the actor's mean, ReLU between them, tanh at the end."""
-    layers: list[Any] = [m for m in model.actor.latent_pi if isinstance(m, torch.nn.Linear)] + [
-        model.actor.mu
-    ]
+    actor = greedy_actor(model)
+    layers: list[Any] = [m for m in actor.latent_pi if isinstance(m, torch.nn.Linear)] + [actor.mu]
     nodes, weights, name = [], [], "observation"
     for index, layer in enumerate(layers):
         for kind, tensor in (("w", layer.weight), ("b", layer.bias)):

@@ -2,10 +2,13 @@
 
 Critics and actor take their gradients at the same moment, each on a thread of its own, from the
 same parameters; SB3 lets the actor see the critics one step later. Samples, noise and steps are
-drawn in one thread, so a seed gives one run. Everything else is `stable_baselines3.SAC`.
+drawn in one thread, so a seed gives one run. A running mean of the actor's weights is kept beside:
+the deterministic policy is that mean, which does not follow every update's jitter. Everything else
+is `stable_baselines3.SAC`.
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -17,10 +20,16 @@ from torch.nn import functional
 Tensor = torch.Tensor
 LOG_TWO_PI = float(np.log(2 * np.pi))
 SMALL = 1e-6  # keeps the squash's log finite, as in SB3
+STEADY = 1e-3  # of the actor's weights, per update, into their running mean (chosen)
 
 
 class QuickSAC(SAC):
-    """SAC with critics and actor updated side by side. Takes SAC's arguments."""
+    """SAC with critics and actor updated side by side. Takes SAC's arguments; `steady` is the mean
+    actor."""
+
+    def _setup_model(self) -> None:
+        super()._setup_model()
+        self.steady = deepcopy(self.actor)
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """`gradient_steps` updates; called by `learn`."""
@@ -50,6 +59,7 @@ class QuickSAC(SAC):
         missing = (log_prob + self.target_entropy).mean()
         _step(self.ent_coef_optimizer, [self.log_ent_coef], [-missing.reshape(1)])
         polyak_update(self.critic.parameters(), self.critic_target.parameters(), self.tau)
+        polyak_update(self.actor.parameters(), self.steady.parameters(), STEADY)
         return float(critic_loss), float(actor_loss), float(entropy)
 
     def _critic_gradient(self, data: Any, noise: Tensor, entropy: Tensor) -> tuple[Tensor, Any]:
@@ -82,6 +92,11 @@ class QuickSAC(SAC):
         names = ("critic_loss", "actor_loss", "ent_coef")
         for name, value in zip(names, means, strict=True):
             self.logger.record(f"train/{name}", float(value))
+
+
+def greedy_actor(model: SAC) -> Any:
+    """The actor that decides when nothing is explored: the mean one, where it is kept."""
+    return model.steady if isinstance(model, QuickSAC) else model.actor
 
 
 def _step(optimizer: Any, parameters: list[Any], gradient: Any) -> None:
