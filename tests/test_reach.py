@@ -8,7 +8,6 @@ pytest.importorskip("stable_baselines3", reason="the train extra is not installe
 from tailbeat.control.policy import check_fits, load_policy, shipped
 from tailbeat.evaluate.reach import by_sector, in_pool, in_twin, reach, wilson
 from tailbeat.fish.store import digest, load_fish
-from tailbeat.learn.assess import Swims
 from tailbeat.learn.curriculum import Stage, settings_of
 from tailbeat.learn.world import PERIOD
 from tailbeat.pool.water import ensemble
@@ -27,9 +26,7 @@ def test_wilson_s_interval_is_the_published_one():
 def test_sectors_take_both_sides_and_every_target_once():
     bearing = np.radians([-179.9, 180.0, 10.0, -10.0, 95.0, 30.0])
     reached = np.array([True, False, True, True, False, True])
-    zero = np.zeros(6)
-    nearest = np.where(reached, 0.04, 0.1)
-    rows = by_sector(Swims(reached, zero, zero, zero + 1, bearing, nearest, np.zeros((1, 24), "f")))
+    rows = by_sector(bearing, reached, np.where(reached, 0.04, 0.1))
     assert {row["bearing [deg]"]: row["targets"] for row in rows} == {
         "0-30": 2, "30-60": 1, "90-120": 1, "150-180": 2,
     }  # fmt: skip

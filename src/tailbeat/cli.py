@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tailbeat import bench_tasks, chain_tasks, console, learn_cli, tasks
+from tailbeat import bench_tasks, chain_tasks, console, learn_cli, swim_cli, tasks
 from tailbeat.files import BadInput, write_json
 
 app = typer.Typer(
@@ -22,8 +22,16 @@ app.add_typer(identify, name="identify")
 app.add_typer(importing, name="import")
 app.add_typer(learn_cli.policy, name="policy")
 app.command("train")(learn_cli.train)
+for verb in (swim_cli.swim, swim_cli.evaluate, swim_cli.compare, swim_cli.report):
+    app.command(verb.__name__)(verb)
 
-LISTS = ("--fit", "--validate", "--commands", "--servo")  # options that take any number of values
+LISTS = (
+    "--fit",
+    "--validate",
+    "--commands",
+    "--servo",
+    "--tasks",
+)  # options that take any number of values
 FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
@@ -227,23 +235,6 @@ def predict(fish: FishOption, recordings: Recordings, json: JsonOption = None) -
     console.predicted(result)
     if not all(run["settled"] for run in result["runs"]):
         raise typer.Exit(1)
-
-
-@app.command()
-def swim(
-    fish: Annotated[str | None, typer.Option("--fish", help="Swim this fish open-loop.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for pictures, film and summary.")] = Path(
-        "runs"
-    ),
-    seeds: Annotated[int, typer.Option(help="Searches, where a fish is identified.")] = 2,
-    json: JsonOption = None,
-) -> None:
-    """The main job: identify the crank fish on real recordings, or swim a fish open-loop."""
-    with console.search_progress() as progress:
-        done = tasks.swim(fish, out, seeds, progress)
-    console.summary(done)
-    if json is not None:
-        write_json(json, done)
 
 
 @app.command()

@@ -296,3 +296,56 @@ def differences(rows: list[dict[str, Any]]) -> None:
     )
     if not rows:
         say("the contracts are equal")
+
+
+# ---- trials -------------------------------------------------------------------------------------
+
+
+@contextmanager
+def counting() -> Iterator[Callable[[str, int, int], None]]:
+    """A bar over all swims, with the arm at hand, elapsed time and ETA."""
+    columns = [
+        TextColumn("{task.description:<28}"),
+        BarColumn(),
+        TextColumn("{task.completed}/{task.total}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    ]
+    with Progress(*columns, console=ERRORS) as progress:
+        bar = progress.add_task("")
+        yield lambda name, done, total: progress.update(
+            bar, description=name, completed=done, total=total
+        )
+
+
+def evaluated(done: dict[str, Any]) -> None:
+    """Shares per arm, tracks, velocity power."""
+    rows = [
+        {"arm": name, **_shares(row), "median time [s]": row["median_seconds"]}
+        for name, row in done["reach"].items()
+    ]
+    rows += [
+        {"arm": row["arm"], **_shares(row), "median time [s]": None}
+        for task in ("disturb", "beyond")
+        for row in done.get(task, [])
+    ]
+    power = [{k: v for k, v in row.items() if k != "cumulative"} for row in done["spectrum"]]
+    tables({"targets": rows, "tracks": done.get("track", []), "velocity power": power})
+    if done["cut_short"]:
+        say(f"warning: cut short, read up to their ends: {', '.join(done['cut_short'])}")
+
+
+def _shares(row: dict[str, Any]) -> dict[str, Any]:
+    """Percentages with their intervals."""
+    found: dict[str, Any] = {"swims": row["swims"]}
+    for key in ("5cm", "20cm"):
+        low, high = row[f"interval_{key}"]
+        share = f"{100 * row[f'within_{key}']:.1f} ({100 * low:.1f} … {100 * high:.1f})"
+        found[f"within {key.removesuffix('cm')} cm [%]"] = share
+    return found
+
+
+def compared(done: dict[str, Any]) -> None:
+    """A row per kind of policy and arm of the pool."""
+    tables({"kinds": done["kinds"]})

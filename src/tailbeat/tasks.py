@@ -11,7 +11,8 @@ import numpy as np
 
 from tailbeat import importers
 from tailbeat.evaluate import bench as benchmark
-from tailbeat.evaluate import figures, first_swim
+from tailbeat.evaluate import figures
+from tailbeat.evaluate import open_loop as loop
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
 from tailbeat.fish.render import save_picture
 from tailbeat.fish.show import tables
@@ -153,27 +154,9 @@ def predict(fish: str, recordings: Sequence[Path], json: Path | None) -> dict[st
     return result
 
 
-def swim(fish: str | None, out: Path, seeds: int, progress: Progress) -> dict[str, Any]:
-    """The main job; see `evaluate/first_swim.py`."""
-    recordings = first_swim.real_recordings()
-    if fish is None and recordings:
-        return _identify_real(recordings, out, seeds, progress)
-    return first_swim.open_loop(load_fish(fish or "pulley-fish"), out)
-
-
-def _identify_real(
-    recordings: dict[str, Path], out: Path, seeds: int, progress: Progress
-) -> dict[str, Any]:
-    """Identify the crank fish on two of the recordings at hand and hold out the rest."""
-    fish = load_fish("crank-fish")
-    imported = {name: importers.import_fishsim(path) for name, path in recordings.items()}
-    runs = {name: as_run(recording, fish) for name, recording in imported.items()}
-    fitted = [runs.pop(name) for name in first_swim.FITTED]
-    plan = job.Plan(seeds=seeds, effort=Effort())
-    scratch = out / ".search"
-    found = job.identify_fluid(fish, fitted, list(runs.values()), plan, scratch, progress)
-    job.clear(scratch)
-    return first_swim.write_results(found, plan, out)
+def open_loop(fish: str, out: Path) -> dict[str, Any]:
+    """Swim a fish without a policy; see `evaluate/open_loop.py`."""
+    return loop.open_loop(load_fish(fish), out)
 
 
 def bench(env: bool = True) -> dict[str, Any]:

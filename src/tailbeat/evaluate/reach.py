@@ -8,15 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.policy import Policy, decide
+from tailbeat.evaluate.runs import NEAR, Runs
+from tailbeat.evaluate.scenes import grid, walled
+from tailbeat.evaluate.trial import Arm, Pool
 from tailbeat.fish.description import Fish
-from tailbeat.learn.assess import Build, Swims, assess
+from tailbeat.learn.assess import Build, assess
 from tailbeat.learn.world import Settings, World
 from tailbeat.pool.body import PoolBody
+from tailbeat.pool.plant import LENGTH, WIDTH, Surroundings
 from tailbeat.pool.water import Water
 
-Array = NDArray[np.float64]
 Z95 = 1.96
 SECTOR = 30  # degrees of bearing, both sides together
+NEAREST, FARTHEST = 0.5, 3.0  # m
+WALLS = (LENGTH, WIDTH)
+Flags = NDArray[np.bool_]
 
 
 def in_twin(fish: Fish, settings: Settings) -> Build:
@@ -38,30 +44,94 @@ def in_pool(fish: Fish, settings: Settings, waters: Sequence[Water]) -> Build:
 def reach(policy: Policy, build: Build, count: int, seed: int) -> dict[str, Any]:
     """Shares within 5 and 20 cm with 95 % Wilson intervals, in all and by sector of bearing."""
     swims = assess(partial(decide, policy), build, count, seed)
-    return {**swims.summary(), **_shares(swims, np.ones(count, bool)), "sectors": by_sector(swims)}
+    sectors = by_sector(swims.bearing, swims.reached, swims.nearest)
+    return {**swims.summary(), **shares(swims.reached, swims.nearest), "sectors": sectors}
 
 
-def by_sector(swims: Swims) -> list[dict[str, Any]]:
-    """The same by bearing of the target at the start."""
-    away = np.abs((np.degrees(swims.bearing) + 180) % 360 - 180)
-    found = []
-    for low in range(0, 180, SECTOR):
-        inside = (away >= low) & (away < low + SECTOR + (low + SECTOR == 180))
-        if inside.any():
-            row = {"bearing [deg]": f"{low}-{low + SECTOR}", "targets": int(inside.sum())}
-            found.append({**row, **_shares(swims, inside)})
-    return found
+# ---- the trial ----------------------------------------------------------------------------------
 
 
-def _shares(swims: Swims, inside: NDArray[np.bool_]) -> dict[str, Any]:
-    near = swims.nearest[inside] < 0.2
-    hits = swims.reached[inside]
+def arms(pool: Pool) -> list[Arm]:
+    """Bearings +-180 deg, 0.5-3 m: open water, inside the paper's walls, and the twin."""
+    around = (Surroundings(walls=WALLS),)
+    scene = grid(pool.fish, pool.count, pool.seed, NEAREST, FARTHEST, np.pi)
+    inside = walled(pool.fish, pool.count, pool.seed, NEAREST, FARTHEST, WALLS)
+    return [
+        pool.arm("reach open", scene),
+        pool.arm("reach walled", inside, around=around),
+        pool.in_twin("reach twin", scene),
+    ]
+
+
+def numbers(runs: Runs) -> dict[str, Any]:
+    """Shares in all, within the paper's trained range (+-120 deg, to 2.5 m), by bearing, range and
+    water; times and ways of those that arrived."""
+    hits = runs.reached
+    start = runs.distance[:, 0]
+    trained = (np.abs(runs.bearing) <= np.radians(120)) & (start <= 2.5)
+    step = np.hypot(*np.moveaxis(np.diff(runs.pose[..., :2], axis=1), 2, 0))
+    ratio = np.nansum(step, axis=1)[hits] / start[hits]
     return {
-        "within_5cm": float(hits.mean()),
-        "interval_5cm": wilson(int(hits.sum()), hits.size),
+        "swims": runs.count,
+        **shares(hits, runs.nearest),
+        "trained range": shares(hits[trained], runs.nearest[trained]) if trained.any() else None,
+        "median_seconds": float(np.median(runs.seconds[hits])) if hits.any() else None,
+        "median_path_ratio": float(np.median(ratio)) if hits.any() else None,
+        "lost": int(runs.lost.sum()),
+        "sectors": by_sector(runs.bearing, hits, runs.nearest),
+        "ranges": by_range(start, hits, runs.nearest),
+        "waters": by_water(runs),
+    }
+
+
+def by_sector(bearing: Any, reached: Flags, nearest: Any) -> list[dict[str, Any]]:
+    """Shares by bearing of the target at the start, both sides together."""
+    away = np.abs((np.degrees(bearing) + 180) % 360 - 180)
+    edges = [(low, low + SECTOR) for low in range(0, 180, SECTOR)]
+    rows = [(f"{a}-{b}", (away >= a) & (away < b + (b == 180))) for a, b in edges]
+    return _rows("bearing [deg]", rows, reached, nearest)
+
+
+def by_range(start: Any, reached: Flags, nearest: Any) -> list[dict[str, Any]]:
+    """Shares by distance of the target at the start, by half metres."""
+    edges = np.arange(NEAREST, FARTHEST, 0.5)
+    rows = [(f"{a:g}-{a + 0.5:g}", (start >= a - 1e-6) & (start < a + 0.5)) for a in edges]
+    return _rows("range [m]", rows, reached, nearest)
+
+
+def by_water(runs: Runs) -> list[dict[str, Any]]:
+    """Shares by which of the waters."""
+    rows = [(str(number), runs.water == number) for number in np.unique(runs.water)]
+    return _rows("water", rows, runs.reached, runs.nearest) if len(rows) > 1 else []
+
+
+def _rows(name: str, groups: Any, reached: Flags, nearest: Any) -> list[dict[str, Any]]:
+    return [
+        {name: label, "targets": int(inside.sum()), **shares(reached[inside], nearest[inside])}
+        for label, inside in groups
+        if inside.any()
+    ]
+
+
+def shares(reached: Flags, nearest: Any) -> dict[str, Any]:
+    """Shares within 5 and 20 cm with their 95 % intervals."""
+    near = nearest < NEAR
+    return {
+        "within_5cm": float(reached.mean()),
+        "interval_5cm": wilson(int(reached.sum()), reached.size),
         "within_20cm": float(near.mean()),
         "interval_20cm": wilson(int(near.sum()), near.size),
     }
+
+
+def paired(first: Flags, second: Flags) -> dict[str, Any]:
+    """Difference of two shares over the same targets, second less first, with its 95 % interval
+    (normal, from the pairs that differ)."""
+    n, gained = first.size, int((second & ~first).sum())
+    gone = int((first & ~second).sum())
+    gap = (gained - gone) / n
+    half = Z95 * np.sqrt(max(gained + gone - n * gap**2, 0.0)) / n
+    return {"difference": gap, "interval": [gap - float(half), gap + float(half)]}
 
 
 def wilson(hits: int, count: int) -> list[float]:

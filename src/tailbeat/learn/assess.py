@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.learn.env import seeds_from
-from tailbeat.learn.world import PERIOD, World
+from tailbeat.learn.world import PERIOD, World, seeds_from
 
 Array = NDArray[np.float64]
 Decide = Callable[[NDArray[np.float32]], NDArray[np.float32]]

@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from tailbeat.control import actions as act
 from tailbeat.fish.description import Fish
 from tailbeat.learn import view
-from tailbeat.learn.world import PERIOD, TERMS, Flags, Outcome, Settings, World
+from tailbeat.learn.world import PERIOD, TERMS, Flags, Outcome, Settings, World, seeds_from
 
 Array = NDArray[np.float64]
 OBSERVED = 24
@@ -34,11 +34,6 @@ def action_space(size: int, count: int | None = None) -> gymnasium.spaces.Box:
     """Actions in [-1, 1]."""
     shape = (size,) if count is None else (count, size)
     return gymnasium.spaces.Box(-1.0, 1.0, shape, np.float32)
-
-
-def seeds_from(seed: int | None, count: int) -> list[int]:
-    """One seed per fish, all from one."""
-    return [int(s) for s in np.random.SeedSequence(seed).generate_state(count, np.uint64)]
 
 
 class FishVectorEnv(VectorEnv):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tailbeat.files import new_file
 from tailbeat.fish.description import Fish
+from tailbeat.fish.outline import outline
 from tailbeat.fish.render import frames
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.learn.world import PERIOD, Settings, World
@@ -21,26 +22,12 @@ Array = NDArray[np.float64]
 FILM_RATE, SPEED = 12.5, 8.0  # frames per second, seconds swum per second shown
 
 
-def outline(world: World, fish: int) -> Array:
-    """Places (k, 2) [m] of head, hinges and fin, from nose to tail."""
-    links = world.fish.tail.links
-    x, y, yaw = world.body.qpos[fish, :3]
-    angles = yaw - np.concatenate([[0.0], np.cumsum(world.body.qpos[fish, world.body.motor + 1 :])])
-    head = [p.position[0] + p.size[0] / 2 for p in world.fish.head.parts]
-    fin = min(p.position[0] - p.size[0] / 2 for p in links[-1].parts)
-    ends = np.diff([0.0, *(link.hinge for link in links), fin])
-    direction = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    behind = np.array([x, y]) + np.cumsum(ends[:, None] * direction, axis=0)
-    nose = np.array([x, y]) + max(head) * direction[0]
-    return np.concatenate([[nose], behind])
-
-
 def from_above(world: World, fish: int, path: Array, pixels: int = 480) -> NDArray[np.uint8]:
     """One fish, its path (k, 3) and its target: an image (pixels, pixels, 3)."""
     figure = Figure(figsize=(4, 4), dpi=pixels / 4, layout="constrained")
     canvas, axes = FigureCanvasAgg(figure), figure.subplots()
     axes.plot(path[:, 0], path[:, 1], color="0.7", lw=1)
-    body = outline(world, fish)
+    body = outline(world.fish, world.body.qpos[fish])
     axes.plot(body[:, 0], body[:, 1], color="tab:blue", lw=2.5, solid_capstyle="round")
     place = world.target[fish]
     axes.add_patch(Circle((place[0], place[1]), world.task.arrival, color="tab:orange"))

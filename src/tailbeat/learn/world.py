@@ -47,6 +47,24 @@ class Task:
     target_speed: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Given beginnings and targets instead of drawn ones, for trials.
+
+    `start` (n, 3) x, y, yaw of the fish frame and `velocity` (n, 3) of it, in world axes; `target`
+    (n, k, 2): where each target is at the start and after every control step, the last one kept.
+    """
+
+    start: Array
+    velocity: Array
+    target: Array
+
+    def at(self, step: NDArray[np.int64]) -> Array:
+        """Places (n, 2) of the targets after `step` (n,) control steps."""
+        last = self.target.shape[1] - 1
+        return np.asarray(self.target[np.arange(len(step)), np.minimum(step, last)])
+
+
 @dataclass(frozen=True)
 class Reward:
     """r = -distance - effort ||a|| + bonus [distance < arrival] (paper)."""
@@ -116,6 +134,11 @@ def _check_task(task: Task) -> None:
         )
 
 
+def seeds_from(seed: int | None, count: int) -> list[int]:
+    """One seed per fish, all from one."""
+    return [int(s) for s in np.random.SeedSequence(seed).generate_state(count, np.uint64)]
+
+
 class World:
     """The batch and what lies between two steps. `reset` some fish, `step` all."""
 
@@ -126,8 +149,9 @@ class World:
         seeds: list[int],
         threads: int = 0,
         body: Body | None = None,
+        scene: Scene | None = None,
     ) -> None:
-        self.fish, self.settings = fish, settings
+        self.fish, self.settings, self.scene = fish, settings, scene
         self.space = check_settings(fish, settings)
         self.count, self.task = len(seeds), settings.task
         self.steps_per_episode = round(settings.task.seconds / PERIOD)
@@ -175,8 +199,13 @@ class World:
         """Draw one fish's episode: physics, target, pushes, sensor noise."""
         settings = self.settings
         self.body.draw(fish, settings.physics, rng)
-        self.pose[fish] = tracked_pose(self.fish, np.zeros(3))
+        start = np.zeros(3) if self.scene is None else self.scene.start[fish]
+        self.pose[fish] = tracked_pose(self.fish, start)
         self.target[fish] = self._draw_target(rng)
+        if self.scene is not None:
+            self.target[fish] = self.scene.target[fish, 0]
+            self.body.qpos[fish, :3] = start
+            self.body.qvel[fish, :3] = self.scene.velocity[fish]
         direction = rng.uniform(0, 2 * np.pi)
         speed = self.task.target_speed * PERIOD
         self.drift[fish] = speed * np.cos(direction), speed * np.sin(direction)
@@ -217,7 +246,8 @@ class World:
         age, body = np.minimum(self.age, self.steps_per_episode - 1), self.body
         lost = body.advance(act.setpoint(self.space, self.state), self.pushes[self.every, age])
         self.pose = tracked_pose(self.fish, body.qpos[:, :3])
-        self.target = self.target + self.drift
+        given = self.scene
+        self.target = self.target + self.drift if given is None else given.at(self.age + 1)
         self.commands[:, 1:] = self.commands[:, :-1]
         self.commands[:, 0] = act.command(self.space, self.state)
         motor = body.motor

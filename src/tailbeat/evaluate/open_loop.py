@@ -1,7 +1,5 @@
-"""The main job as it stands: a fish identified on real swims if they are at hand, else one that
-swims open-loop; a picture, a film and a summary are left behind."""
+"""A fish that swims open-loop, without a policy; picture, film and summary are left behind."""
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,38 +10,9 @@ from tailbeat.files import write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.render import save_film, save_picture
 from tailbeat.fish.rollout import Start, Swim, replay_command, swim
-from tailbeat.fish.store import write_identified
 from tailbeat.fish.twin import Options, Twin, compile_twin
-from tailbeat.identify import job
 
-FITTED = ("markers_f1_00", "markers_f1_75")  # as in the acceptance of this part; the rest held out
-DEFAULT_DATA = Path("../shared/data")
 SECONDS = 8.0
-
-
-def real_recordings() -> dict[str, Path]:
-    """Marker files of the crank fish by stem, if `TAILBEAT_DATA` or its default holds the two that
-    are fitted."""
-    folder = Path(os.environ.get("TAILBEAT_DATA", DEFAULT_DATA)) / "fishsim"
-    found = {path.stem: path for path in sorted(folder.glob("markers_*.csv"))}
-    return found if all(name in found for name in FITTED) else {}
-
-
-def write_results(found: job.Identified, plan: job.Plan, out: Path) -> dict[str, Any]:
-    """Fish, report, figures, picture and film of an identified fish under `out`."""
-    report = {"fish": "crank-fish", **job.as_report(found, plan)}
-    names = [p.run.name for p in found.fitted]
-    target = out / "crank-fish-identified.toml"
-    write_identified(
-        "crank-fish", target, job.toml_values(found, names), job.heading(found, plan), True
-    )
-    rows = [("fitted", found.fitted[-1]), *(("held out", p) for p in found.validated[-1:])]
-    figures.measured_against_twin(rows, out / "measured-against-twin.png", True)
-    figures.speeds(found.fitted, found.validated, out / "speeds.png", True)
-    done, twin = _beat(found.fish, 1.3)
-    report |= _film(twin, done, out)
-    write_json(out / "summary.json", report, overwrite=True)
-    return report
 
 
 def open_loop(fish: Fish, out: Path) -> dict[str, Any]:

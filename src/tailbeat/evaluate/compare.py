@@ -1,0 +1,213 @@
+"""The controlled comparison: policies of several kinds, one twin, one pool, piece by piece.
+
+Every policy swims the same targets in its twin and in every arm of the pool: the full water, the
+same without its lag, stall or added inertia, with another servo, and the ensemble.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tailbeat.control.band import velocity_spectrum
+from tailbeat.control.policy import Policy, decide
+from tailbeat.evaluate import runs as store
+from tailbeat.evaluate.evaluation import ENSEMBLE_SEED, POOLS, provenance
+from tailbeat.evaluate.reach import paired, shares
+from tailbeat.evaluate.runs import NEAR, Runs, surge
+from tailbeat.evaluate.scenes import grid
+from tailbeat.evaluate.spectrum import windows
+from tailbeat.evaluate.trial import CHUNK, Arm, part, pools, swim
+from tailbeat.files import BadInput, write_json
+from tailbeat.fish.description import Fish
+from tailbeat.learn.body import PERIOD, TwinBody
+from tailbeat.learn.world import seeds_from
+from tailbeat.pool.water import ablations, ensemble
+
+IDEAL = "idealised"  # the servo's name in a description
+Report = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Entrant:
+    """A policy by name, with the twin (and servo) that it was trained in."""
+
+    name: str
+    policy: Policy
+    twin: Fish
+
+
+@dataclass(frozen=True)
+class Field:
+    """Where they swim: the pool's fish, how many targets, drawn from which seed."""
+
+    fish: Fish
+    count: int
+    seed: int
+
+
+def pool_arms(entrant: Entrant, field: Field) -> list[Arm]:
+    """The pool, whole and without one piece at a time; the twin comes first."""
+    fish, n = field.fish, field.count
+    scene = grid(fish, n, field.seed, 0.5, 2.5, float(np.radians(120)))
+    space = entrant.policy.contract.actions
+    full = Arm("full", fish, scene, space, pools([ablations()["full"]], n))
+    own = fish.servos[fish.servo]
+    prompt = own.model_copy(update={"delay": 0.0})
+    arms = [Arm("twin", entrant.twin, scene, space, None), full]
+    arms += [
+        replace(full, name=name, water=pools([water], n))
+        for name, water in ablations().items()
+        if name != "full"
+    ]
+    arms.append(replace(full, name="no delay", servo=prompt))
+    if IDEAL in fish.servos:
+        arms.append(replace(full, name="ideal servo", servo=fish.servos[IDEAL]))
+    arms.append(replace(full, name="ensemble", water=pools(ensemble(POOLS, ENSEMBLE_SEED), n)))
+    return arms
+
+
+def run(
+    entrants: Sequence[Entrant], field: Field, out: Path, share: tuple[int, int], report: Report
+) -> None:
+    """Swim the cells that are missing; of `share` (i, n) only every n-th, from the i-th, so that n
+    processes do all. Each cell is a file."""
+    cells = [(one, arm) for one in entrants for arm in pool_arms(one, field)]
+    mine = cells[share[0] :: share[1]]
+    for done, (entrant, arm) in enumerate(mine):
+        path = cell_path(out, entrant.name, arm.name)
+        if not path.is_file():
+            write_json(path, cell(entrant, arm, field))
+        report(f"{entrant.name}, {arm.name}", done + 1, len(mine))
+
+
+def cell_path(out: Path, policy: str, arm: str) -> Path:
+    """Where one cell lies."""
+    return out / "cells" / f"{policy}.{arm.replace(' ', '-')}.json"
+
+
+def cell(entrant: Entrant, arm: Arm, field: Field) -> dict[str, Any]:
+    """One policy in one arm: what it reached, and how it swam."""
+    seeds = seeds_from(field.seed, arm.count)
+    choose = partial(decide, entrant.policy)
+    parts = [(part(arm, k), seeds[k * CHUNK :][:CHUNK]) for k in range(arm.chunks)]
+    found = store.joined([swim(choose, own, some) for own, some in parts])
+    contract = entrant.policy.contract
+    return {
+        "policy": entrant.name,
+        "actions": contract.actions.kind,
+        "servo": entrant.twin.servo,
+        "seed": contract.training.get("seed"),
+        "stage": contract.training.get("stage"),
+        "arm": arm.name,
+        "targets": arm.count,
+        "field": [field.fish.name, field.count, field.seed],
+        **shares(found.reached, found.nearest),
+        **manner(found, contract.band[1]),
+        "speed_in_twin": None if arm.name == "twin" else replayed(found, entrant.twin),
+        "hits_5cm": found.reached.tolist(),
+        "hits_20cm": (found.nearest < NEAR).tolist(),
+    }
+
+
+def manner(found: Runs, edge: float) -> dict[str, Any]:
+    """How the fish swam: speed [m/s], power of the actuator [W], turns of the gait per minute, and
+    the share of the motor's velocity power below `edge` [Hz]."""
+    speed, time = surge(found), PERIOD * found.steps
+    signs = [np.sign(np.where(np.abs(row) < 0.02, np.nan, row)) for row in speed]
+    turns = sum(int((np.diff(one[np.isfinite(one)]) != 0).sum()) for one in signs)
+    below, total = 0.0, 0.0
+    for clock, angle in windows(found, speed, None):
+        power = velocity_spectrum(clock, angle)
+        below += float(power.power[power.frequency <= edge].sum())
+        total += float(power.power.sum())
+    energy = np.asarray(found.energy, float)
+    return {
+        "speed": path_speed(found.pose),
+        "actuator_watts": float(np.nansum(energy) / time.sum())
+        if np.isfinite(energy).any()
+        else None,
+        "reversals_per_minute": 60 * turns / float(time.sum()),
+        "share_below": below / total if total else None,
+    }
+
+
+def path_speed(pose: Any) -> float:
+    """Mean speed over ground [m/s] along ways (n, k, 3), NaN behind their ends."""
+    step = np.diff(pose[..., :2], axis=1)
+    return float(np.nanmean(np.hypot(step[..., 0], step[..., 1])) / PERIOD)
+
+
+def replayed(found: Runs, twin: Fish) -> float:
+    """Mean speed [m/s] of the twin, undrawn, under the very setpoints of these swims."""
+    body = TwinBody(twin, found.count)
+    body.rest(np.arange(found.count))
+    body.ready(np.arange(found.count))
+    pose = np.full_like(found.pose, np.nan)
+    pose[:, 0], none = 0.0, np.zeros((found.count, 2))
+    for step in range(found.setpoint.shape[1]):
+        command = found.setpoint[:, step].astype(float)
+        going = np.isfinite(command)
+        lost = body.advance(np.where(going, command, 0.0), none)
+        going &= ~lost
+        pose[going, step + 1] = body.qpos[going, :3]
+    return path_speed(pose)
+
+
+# ---- reading ------------------------------------------------------------------------------------
+
+
+def has_rows(out: Path) -> bool:
+    """Whether a folder holds cells of a comparison."""
+    return any((out / "cells").glob("*.json"))
+
+
+def read(out: Path) -> dict[str, Any]:
+    """All cells: a row each with its gap to the twin, and a row per kind and arm over the seeds."""
+    cells = [json.loads(p.read_text("utf-8")) for p in sorted((out / "cells").glob("*.json"))]
+    if not cells:
+        raise BadInput(f"{out}: no cells of a comparison here; `tailbeat compare` makes them.")
+    if len({tuple(one["field"]) for one in cells}) > 1:
+        raise BadInput(f"{out}: cells of several comparisons; give every one a folder of its own.")
+    twins = {one["policy"]: one for one in cells if one["arm"] == "twin"}
+    rows = [_row(one, twins.get(one["policy"])) for one in cells]
+    pooled = [row for row in rows if row["arm"] != "twin"]
+    return {"rows": rows, "kinds": _kinds(pooled), "provenance": provenance()}
+
+
+def _row(one: dict[str, Any], twin: dict[str, Any] | None) -> dict[str, Any]:
+    kept = {k: v for k, v in one.items() if not k.startswith("hits") and k != "field"}
+    gaps = {f"gap_{k}": _gap(one, twin, k) if twin else None for k in ("5cm", "20cm")}
+    return kept | gaps
+
+
+def _gap(one: dict[str, Any], twin: dict[str, Any], key: str) -> dict[str, Any]:
+    """Twin less pool over the same targets."""
+    return paired(np.array(one[f"hits_{key}"]), np.array(twin[f"hits_{key}"]))
+
+
+def _kinds(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Mean over the seeds of a kind in an arm; the interval is that of the targets and seeds pooled
+    as if independent."""
+    groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["actions"], row["servo"], row["arm"]), []).append(row)
+    return [_kind(*key, own) for key, own in groups.items()]
+
+
+def _kind(actions: str, servo: str, arm: str, own: list[dict[str, Any]]) -> dict[str, Any]:
+    gaps = [row["gap_20cm"] for row in own if row["gap_20cm"]]
+    mean = float(np.mean([gap["difference"] for gap in gaps])) if gaps else float("nan")
+    halves = [gap["interval"][1] - gap["difference"] for gap in gaps]
+    half = float(np.sqrt(np.square(halves).sum()) / len(gaps)) if gaps else float("nan")
+    means = {
+        name: float(np.mean([row[name] for row in own if row[name] is not None] or [np.nan]))
+        for name in ("within_5cm", "within_20cm", "share_below", "actuator_watts",
+                     "reversals_per_minute", "speed", "speed_in_twin")
+    }  # fmt: skip
+    seeds = {"actions": actions, "servo": servo, "arm": arm, "policies": len(own)}
+    return {**seeds, **means, "gap_20cm": mean, "gap_interval_20cm": [mean - half, mean + half]}

@@ -1,0 +1,71 @@
+"""Disturbed swims beside undisturbed ones to the same targets, in the same waters."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from tailbeat.evaluate.reach import paired, shares
+from tailbeat.evaluate.runs import NEAR, Runs
+from tailbeat.evaluate.scenes import grid
+from tailbeat.evaluate.trial import Arm, Pool
+from tailbeat.learn.world import Scene
+from tailbeat.pool.plant import Surroundings, stirred
+
+# Sizes are chosen: about the fish's own speed and turning rate, pokes of a finger.
+BACKWARD = -0.2  # m/s
+SPIN = 2.0  # rad/s
+POKES, POKE, TWIST, POKED = 4, 1.0, 0.05, 0.2  # how many, N, N m, s
+STIRRED = 0.03  # m/s rms
+CALM = "disturb none"
+
+
+def arms(pool: Pool) -> list[Arm]:
+    """Targets within +-120 deg and 0.5-2.5 m: undisturbed, released moving, poked, stirred."""
+    scene = grid(pool.fish, pool.count, pool.seed + 1, 0.5, 2.5, float(np.radians(120)))
+    numbers = [[pool.seed, i] for i in range(pool.count)]
+    poked = tuple(_pokes(np.random.default_rng(number)) for number in numbers)
+    moved = tuple(stirred(1000 * pool.seed + i, STIRRED) for i in range(pool.count))
+    return [
+        pool.arm(CALM, scene),
+        pool.arm("disturb backward", _released(scene, BACKWARD, 0.0)),
+        pool.arm("disturb spinning", _released(scene, 0.0, SPIN)),
+        pool.arm("disturb poked", scene, around=poked),
+        pool.arm("disturb stirred", scene, around=moved),
+    ]
+
+
+def _released(scene: Scene, speed: float, spin: float) -> Scene:
+    """The fish let go while they move along their heading [m/s] and turn [rad/s], every second one
+    the other way round."""
+    heading = scene.start[:, 2]
+    side = np.where(np.arange(len(heading)) % 2, -1.0, 1.0)
+    velocity = np.stack([speed * np.cos(heading), speed * np.sin(heading), spin * side], axis=1)
+    return replace(scene, velocity=velocity)
+
+
+def _pokes(rng: np.random.Generator) -> Surroundings:
+    angle = rng.uniform(-np.pi, np.pi, POKES)
+    when, twist = rng.uniform(0.5, 8.0, POKES), TWIST * rng.choice([-1.0, 1.0], POKES)
+    rows = np.stack(
+        [when, np.full(POKES, POKED), POKE * np.cos(angle), POKE * np.sin(angle), twist], axis=1
+    )
+    return Surroundings(pokes=tuple(tuple(row) for row in rows.tolist()))
+
+
+def numbers(by_arm: dict[str, Runs]) -> list[dict[str, Any]]:
+    """Per arm: shares, and what the disturbance cost on the same targets."""
+    calm, rows = by_arm[CALM], []
+    for name, runs in by_arm.items():
+        both = min(calm.count, runs.count)
+        close, near = calm.reached[:both], calm.nearest[:both] < NEAR
+        rows.append(
+            {
+                "arm": name,
+                "swims": runs.count,
+                **shares(runs.reached, runs.nearest),
+                "cost_5cm": paired(close, runs.reached[:both]),
+                "cost_20cm": paired(near, runs.nearest[:both] < NEAR),
+            }
+        )
+    return rows

@@ -1,0 +1,159 @@
+"""A policy's evaluation in the pool: all trials swum into a folder, then read into numbers."""
+
+import hashlib
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from tailbeat import __version__
+from tailbeat.control.policy import Policy, as_text, decide
+from tailbeat.evaluate import beyond, disturb, reach, runs, spectrum, track
+from tailbeat.evaluate.runs import Runs
+from tailbeat.evaluate.trial import CHUNK, Arm, Pool, Progress, swim_all
+from tailbeat.files import BadInput, leaves, write_json
+from tailbeat.fish.description import Fish
+from tailbeat.fish.store import digest
+from tailbeat.pool.water import Water, ablations, ensemble, fingerprint
+
+TASKS: dict[str, Any] = {"reach": reach, "disturb": disturb, "track": track, "beyond": beyond}
+NAMES = (*TASKS, "spectrum")
+POOLS = 16  # waters of the ensemble
+ENSEMBLE_SEED = 0
+# What an identification may change of a description; all else is the fish's body.
+FITTED = ("name", "summary", "servo", "zones", "added_inertia", "simulation", "uncertain")
+FITTED_IN_TAIL = ("tail.damping_time", "tail.friction", "tail.k_eff", "tail.stiffness_scale")
+
+
+def waters_of(name: str) -> tuple[Water, ...]:
+    """The waters of `--pool`: "ensemble", or one of the ablations ("full" is the default one)."""
+    if name == "ensemble":
+        return tuple(ensemble(POOLS, ENSEMBLE_SEED))
+    if name not in ablations():
+        raise BadInput(f"--pool {name!r}: allowed are ensemble, {', '.join(ablations())}.")
+    return (ablations()[name],)
+
+
+def check_same_body(twin: Fish, fish: Fish) -> None:
+    """Raises BadInput where twin and pool's fish differ in what no identification changes."""
+    a, b = (leaves("", one.model_dump()) for one in (twin, fish))
+    wrong = [
+        f"{name} is {a.get(name)} in {twin.name}, {b.get(name)} in {fish.name}"
+        for name in sorted(set(a) | set(b))
+        if a.get(name) != b.get(name) and not _fitted(name)
+    ]
+    if wrong:
+        more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
+        raise BadInput(
+            f"the policy's fish is not the pool's: {'; '.join(wrong[:3])}{more}. Give the fish that"
+            f" it was identified from."
+        )
+
+
+def _fitted(name: str) -> bool:
+    top = name.split(".")[0].removesuffix("s")
+    stiffness = name.startswith("tail.links.") and name.endswith(".stiffness")
+    tops = {one.removesuffix("s") for one in FITTED}
+    return top in tops or name in FITTED_IN_TAIL or stiffness
+
+
+def arms_of(pool: Pool, tasks: Sequence[str]) -> list[Arm]:
+    """All arms of some tasks; the spectrum reads those of `reach`."""
+    return [arm for name in tasks if name in TASKS for arm in TASKS[name].arms(pool)]
+
+
+def evaluate(
+    policy: Policy, pool: Pool, tasks: Sequence[str], out: Path, progress: Progress
+) -> dict[str, Any]:
+    """Swim what is not there yet, then `read`; takes up where it was stopped."""
+    for name in tasks:
+        if name not in NAMES:
+            raise BadInput(f"--tasks {name}: allowed are {', '.join(NAMES)}.")
+    arms = arms_of(pool, ["reach"] if list(tasks) == ["spectrum"] else tasks)
+    runs.begin(out, plan_of(policy, pool))
+    swim_all(partial(decide, policy), arms, out, pool.seed, progress)
+    found = read(out)
+    if "spectrum" in tasks:
+        edge = policy.contract.band[1]
+        own = spectrum.identification(pool.fish, edge, pool.seed)
+        found["spectrum"] = [own, *found["spectrum"]]
+    write_json(out / "evaluation.json", found, overwrite=True)
+    return found
+
+
+def plan_of(policy: Policy, pool: Pool) -> dict[str, Any]:
+    """What an evaluation is made of; a folder holds one."""
+    contract = policy.contract
+    return {
+        "policy": hashlib.sha256(as_text(contract).encode()).hexdigest()[:16],
+        "actions": contract.actions.kind,
+        "band": list(contract.band),
+        "training": contract.training,
+        "twin": contract.fish,
+        "fish": pool.fish.name,
+        "fish_digest": digest(pool.fish),
+        "water": fingerprint(pool.waters),
+        "waters": len(pool.waters),
+        "seed": pool.seed,
+        "episodes": pool.count,
+        "arms": {arm.name: arm.count for arm in arms_of(pool, NAMES)},
+    }
+
+
+def read(out: Path) -> dict[str, Any]:
+    """Numbers of all that was swum in a folder; arms that were cut short are named."""
+    plan = runs.read_plan(out)
+    held = {name: runs.load(out, name, -(-n // CHUNK)) for name, n in present(out, plan).items()}
+    if not held:
+        raise BadInput(f"{out}: an empty folder of runs; evaluate into it first.")
+    by_arm = {name: one for name, (one, _) in held.items()}
+    found: dict[str, Any] = {"plan": plan, "provenance": provenance()}
+    found["cut_short"] = [name for name, (_, short) in held.items() if short]
+    swum = {task: _of(by_arm, task) for task in TASKS}
+    found["reach"] = {name: reach.numbers(one) for name, one in swum["reach"].items()}
+    for task in ("disturb", "track", "beyond"):
+        reference = {"disturb": disturb.CALM, "beyond": beyond.AS_TRAINED}.get(task)
+        if swum[task] and (reference is None or reference in swum[task]):
+            found[task] = TASKS[task].numbers(swum[task])
+    found["spectrum"] = spectrum.numbers(swum["reach"], plan["band"][1])
+    return found
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file of ours holds."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        raise BadInput(f"{path}: not readable JSON; evaluate again.") from None
+
+
+def present(out: Path, plan: dict[str, Any]) -> dict[str, int]:
+    """Arms of which at least one chunk was swum, and how many swims were asked for."""
+    return {
+        name: count
+        for name, count in plan["arms"].items()
+        if any(runs.chunk_path(out, name, k).is_file() for k in range(-(-count // CHUNK)))
+    }
+
+
+def _of(by_arm: dict[str, Runs], task: str) -> dict[str, Runs]:
+    return {name: one for name, one in by_arm.items() if name.startswith(task)}
+
+
+def provenance() -> dict[str, Any]:
+    """Which code, on which machine."""
+    asked = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short=12", "HEAD"]
+    try:
+        commit = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        commit = "not a checkout"
+    return {
+        "tailbeat": __version__,
+        "commit": commit,
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+    }

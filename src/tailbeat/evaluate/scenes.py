@@ -1,0 +1,133 @@
+"""Where trials begin and what they aim at: sampled grids and closed paths, from a seed."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
+from tailbeat.identify.runs import tracked_pose
+from tailbeat.learn.body import PERIOD
+from tailbeat.learn.world import Scene
+
+Array = NDArray[np.float64]
+CLEAR = 0.4  # m that a start, and half of it that a target, keeps from the walls
+TRIES = 2000
+HALF_EIGHT = (1.6, 0.6)  # m, along and across the pool; the paper prints no size, this fits its own
+BEHIND = 0.5  # m that a fish begins behind a moving target
+
+
+def grid(fish: Fish, count: int, seed: int, near: float, far: float, arc: float) -> Scene:
+    """Still targets over bearing within `arc` [rad] either side and range `near` to `far` [m] from
+    the tag, one in every stratum of both (a Latin square); fish at rest, headings drawn."""
+    draw = qmc.LatinHypercube(2, rng=np.random.default_rng(seed)).random(count)
+    heading = np.random.default_rng([seed, 1]).uniform(-np.pi, np.pi, count)
+    start = np.column_stack([np.zeros((count, 2)), heading])
+    bearing, distance = arc * (2 * draw[:, 0] - 1), near + (far - near) * draw[:, 1]
+    return still(start, aim(fish, start, bearing, distance))
+
+
+def aim(fish: Fish, start: Array, bearing: Array, distance: Array) -> Array:
+    """Places (n, 2) by bearing and range from the tags of fish that start (n, 3)."""
+    tag = tracked_pose(fish, start)
+    angle = tag[:, 2] + bearing
+    return np.asarray(
+        tag[:, :2] + distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    )
+
+
+def still(start: Array, target: Array, velocity: Array | None = None) -> Scene:
+    """Fish (n, 3) with targets (n, 2) that stay."""
+    return Scene(start, np.zeros_like(start) if velocity is None else velocity, target[:, None])
+
+
+def walled(
+    fish: Fish, count: int, seed: int, near: float, far: float, walls: tuple[float, float]
+) -> Scene:
+    """Starts anywhere inside walls (length, width) [m], targets all around them inside too; drawn
+    anew until both fit. Raises BadInput where none does."""
+    rng, half = np.random.default_rng(seed), np.array(walls) / 2
+    starts, targets = np.empty((count, 3)), np.empty((count, 2))
+    for i in range(count):
+        for _ in range(TRIES):
+            start = np.array([*rng.uniform(-1, 1, 2) * (half - CLEAR), rng.uniform(-np.pi, np.pi)])
+            bearing, distance = rng.uniform(-np.pi, np.pi, 1), rng.uniform(near, far, 1)
+            place = aim(fish, start[None], bearing, distance)[0]
+            if (half > CLEAR).all() and (np.abs(place) < half - CLEAR / 2).all():
+                break
+        else:
+            raise BadInput(
+                f"walls of {walls[0]:g} x {walls[1]:g} m: no free target {near:g} to {far:g} m"
+                f" away in {TRIES} draws; widen the pool or bring the targets nearer."
+            )
+        starts[i], targets[i] = start, place
+    return still(starts, targets)
+
+
+def moving(scene: Scene, speed: float, seconds: float, seed: int) -> Scene:
+    """The same fish, their targets on straight ways of a drawn direction at `speed` [m/s]."""
+    rng = np.random.default_rng([seed, 2])
+    angle = rng.uniform(-np.pi, np.pi, len(scene.start))
+    way = speed * PERIOD * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    steps = np.arange(round(seconds / PERIOD) + 1)
+    return Scene(
+        scene.start, scene.velocity, scene.target[:, :1] + steps[None, :, None] * way[:, None]
+    )
+
+
+# ---- closed paths -------------------------------------------------------------------------------
+
+
+def eight(phase: Array) -> Array:
+    """Figure eight (k, 2) [m], crossing itself at the origin at phases 0 and 1/2 of 0 to 1; begins
+    at the tip of a lobe with an offset of 1/4."""
+    angle = 2 * np.pi * (phase + 0.25)
+    along, across = HALF_EIGHT
+    return np.stack([along * np.sin(angle), across * np.sin(2 * angle)], axis=1)
+
+
+def circle(phase: Array) -> Array:
+    """A circle of 0.8 m radius."""
+    angle = 2 * np.pi * phase
+    return 0.8 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def square(phase: Array) -> Array:
+    """A square of 1.6 m with round corners (a superellipse of power 4)."""
+    angle = 2 * np.pi * phase
+    c, s = np.cos(angle), np.sin(angle)
+    return 0.8 * np.stack(
+        [np.sign(c) * np.sqrt(np.abs(c)), np.sign(s) * np.sqrt(np.abs(s))], axis=1
+    )
+
+
+PATHS: dict[str, Callable[[Array], Array]] = {"eight": eight, "circle": circle, "square": square}
+
+
+def even(path: Callable[[Array], Array], count: int) -> Array:
+    """`count` points (count, 2) at equal distances along one lap of a closed path."""
+    fine = path(np.linspace(0, 1, 4001))
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])
+    place = np.linspace(0, way[-1], count, endpoint=False)
+    return np.stack([np.interp(place, way, column) for column in fine.T], axis=1)
+
+
+def lap_length(path: Callable[[Array], Array]) -> float:
+    """Of one lap [m]."""
+    fine = path(np.linspace(0, 1, 4001))
+    return float(np.hypot(*np.diff(fine, axis=0).T).sum())
+
+
+def follow(
+    fish: Fish, path: Callable[[Array], Array], lap: float, seconds: float, count: int
+) -> Scene:
+    """Targets that go round a path in `lap` [s]; fish begin behind them, on the tangent."""
+    steps, per_lap = round(seconds / PERIOD) + 1, round(lap / PERIOD)
+    way = even(path, per_lap)[np.arange(steps) % per_lap]
+    ahead = way[1] - way[0]
+    heading = np.arctan2(ahead[1], ahead[0])
+    offset = tracked_pose(fish, np.zeros(3))[0] + BEHIND
+    start = np.array([*(way[0] - offset * ahead / np.hypot(*ahead)), heading])
+    return Scene(np.tile(start, (count, 1)), np.zeros((count, 3)), np.tile(way, (count, 1, 1)))

@@ -1,0 +1,110 @@
+"""Following a target that goes round a closed path inside the pool's walls."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.evaluate.reach import WALLS
+from tailbeat.evaluate.runs import Runs
+from tailbeat.evaluate.scenes import PATHS, even, follow, lap_length
+from tailbeat.evaluate.trial import Arm, Pool, pools
+from tailbeat.learn.body import PERIOD
+from tailbeat.learn.world import Scene
+from tailbeat.pool.plant import Surroundings
+
+SECONDS = 73.0  # the paper's figure-eight
+EIGHT = "eight 73 s"
+ROUND = [
+    (f"{path} {speed:g} m/s", path, lap_length(PATHS[path]) / speed)
+    for path in ("circle", "square")
+    for speed in (0.06, 0.12, 0.18)
+]
+LAPS = ((EIGHT, "eight", 73.0), ("eight 50 s", "eight", 50.0), *ROUND)
+SETTLING = 5.0  # s that are not judged
+KEPT = 0.6  # m: a fish farther than this from its target has lost it
+CROSSING, ALIGNED = 0.15, np.radians(45)  # m, rad: a clean pass through the eight's middle
+SWIMS = 10
+ARM = "track"
+
+
+def arms(pool: Pool) -> list[Arm]:
+    """Ten swims of 73 s per path and speed, each in a water and noise of its own; one arm."""
+    parts = [follow(pool.fish, PATHS[path], lap, SECONDS, SWIMS) for _, path, lap in LAPS]
+    whole = Scene(*(np.concatenate([getattr(one, n) for one in parts]) for n in vars(parts[0])))
+    water = len(LAPS) * pools(pool.waters, SWIMS)
+    around = (Surroundings(walls=WALLS),)
+    return [pool.arm(ARM, whole, water=water, around=around, seconds=SECONDS, stop=False)]
+
+
+def by_lap(runs: Runs) -> dict[str, Runs]:
+    """The arm's swims by path and speed, as `LAPS` names them."""
+    parts = {row[0]: slice(SWIMS * i, SWIMS * (i + 1)) for i, row in enumerate(LAPS)}
+    return {name: runs.part(own) for name, own in parts.items()}
+
+
+def numbers(by_arm: dict[str, Runs]) -> list[dict[str, Any]]:
+    """Per path and speed: distance to target and to path [m], share kept, clean crossings."""
+    swims = by_lap(by_arm[ARM])
+    return [_row(name, swims[name], path, lap) for name, path, lap in LAPS]
+
+
+def _row(name: str, runs: Runs, path: str, lap: float) -> dict[str, Any]:
+    first = round(SETTLING / PERIOD)
+    away, off = runs.distance[:, first:], aside(runs, path)[:, first:]
+    crossed = crossings(runs) if path == "eight" else None
+    return {
+        "arm": name,
+        "swims": runs.count,
+        "target_speed": lap_length(PATHS[path]) / lap,
+        "median_distance": float(np.nanmedian(away)),
+        "p95_distance": float(np.nanpercentile(away, 95)),
+        "aside_rms": float(np.sqrt(np.nanmean(np.square(off)))),
+        "kept": int((np.nanmax(away, axis=1) < KEPT).sum()),
+        "two_crossings": None if crossed is None else int((crossed >= 2).sum()),
+    }
+
+
+def aside(runs: Runs, path: str) -> NDArray[np.float64]:
+    """Distance of each tag from the nearest point of the path (n, k + 1) [m]."""
+    way = even(PATHS[path], 720)
+    return np.stack(
+        [
+            np.hypot(*(place[:, None] - way).transpose(2, 0, 1)).min(axis=1)
+            for place in runs.pose[..., :2]
+        ]
+    )
+
+
+def crossings(runs: Runs) -> NDArray[np.int64]:
+    """Clean passes of each swim (n,) through the middle of the eight: within 15 cm of it, moving
+    within 45 deg of the branch its target took there."""
+    return np.array(
+        [_passes(pose, target) for pose, target in zip(runs.pose, runs.target, strict=True)]
+    )
+
+
+def _passes(pose: Any, target: Any) -> int:
+    """Passes of the target through the middle that the fish then made too, before the next."""
+    at = np.hypot(*target.T)
+    times = [
+        k
+        for k in range(1, len(at) - 1)
+        if at[k] < 0.05 and at[k] <= at[k - 1] and at[k] < at[k + 1]
+    ]
+    ends = [*times[1:], len(at) - 1]
+    return sum(
+        _clean(pose[first:last], target[first] - target[first - 1])
+        for first, last in zip(times, ends, strict=True)
+    )
+
+
+def _clean(pose: Any, branch: Any) -> bool:
+    """Whether a stretch of poses comes through the middle along the branch."""
+    near = np.hypot(pose[:, 0], pose[:, 1])
+    if len(near) < 12 or not np.nanmin(near) < CROSSING:
+        return False
+    k = int(np.nanargmin(near))
+    way = pose[min(k + 10, len(pose) - 1), :2] - pose[max(k - 10, 0), :2]
+    turn = np.arctan2(way[1], way[0]) - np.arctan2(branch[1], branch[0])
+    return bool(abs((turn + np.pi) % (2 * np.pi) - np.pi) < ALIGNED)

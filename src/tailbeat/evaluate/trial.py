@@ -1,0 +1,177 @@
+"""Swimming a trial: a policy, fish in given waters and scenes, everything that happened.
+
+The policy gets observations and nothing else; the same `World` as in training stands between it
+and the water.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tailbeat.control import actions as act
+from tailbeat.control.actions import ActionSpace
+from tailbeat.evaluate import runs as store
+from tailbeat.evaluate.runs import SHOWN, Runs
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish, Servo
+from tailbeat.learn.assess import Decide
+from tailbeat.learn.body import PERIOD
+from tailbeat.learn.randomize import Randomisation
+from tailbeat.learn.sensors import SensorModel
+from tailbeat.learn.world import Scene, Settings, Task, World, seeds_from
+from tailbeat.pool.body import PoolBody
+from tailbeat.pool.plant import Surroundings
+from tailbeat.pool.water import Water
+
+CHUNK = 125  # swims in one batch, and in one file
+LIMIT = 9.0  # m from the start at which a fish counts as lost
+Progress = Callable[[str, int, int], None]  # arm, swims done, of all
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """n swims under one condition. Without `water` they are swum in the fish's own twin, with its
+    `physics` drawn; `stop` ends a swim at its arrival."""
+
+    name: str
+    fish: Fish
+    scene: Scene
+    actions: ActionSpace
+    water: tuple[Water, ...] | None  # one for each swim
+    around: tuple[Surroundings, ...] = (Surroundings(),)  # one, or one for each swim
+    servo: Servo | None = None
+    sensors: SensorModel = field(default_factory=SensorModel)
+    physics: Randomisation = field(default_factory=Randomisation)
+    seconds: float = 30.0
+    stop: bool = True
+
+    @property
+    def count(self) -> int:
+        """How many swims."""
+        return len(self.scene.start)
+
+    @property
+    def chunks(self) -> int:
+        """In how many files."""
+        return -(-self.count // CHUNK)
+
+
+@dataclass(frozen=True)
+class Pool:
+    """What a policy is tried in: the pool's `fish` and its waters, the `twin` that the policy was
+    trained in, what its actions mean; `count` swims an arm, drawn from `seed`."""
+
+    fish: Fish
+    twin: Fish
+    actions: ActionSpace
+    waters: tuple[Water, ...]
+    count: int
+    seed: int
+
+    def arm(self, name: str, scene: Scene, **changed: Any) -> Arm:
+        """An arm in the pool's waters, the one after the other."""
+        water = changed.pop("water", pools(self.waters, len(scene.start)))
+        return replace(Arm(name, self.fish, scene, self.actions, water), **changed)
+
+    def in_twin(self, name: str, scene: Scene) -> Arm:
+        """The same swims in the twin, all noise and randomisation on."""
+        return Arm(name, self.twin, scene, self.actions, None)
+
+
+def part(arm: Arm, chunk: int) -> Arm:
+    """Some of an arm's swims."""
+    own = slice(chunk * CHUNK, (chunk + 1) * CHUNK)
+    scene = Scene(*(values[own] for values in vars(arm.scene).values()))
+    around = arm.around if len(arm.around) == 1 else arm.around[own]
+    return replace(arm, scene=scene, water=arm.water and arm.water[own], around=around)
+
+
+def swim_all(decide: Decide, arms: Sequence[Arm], out: Path, seed: int, progress: Progress) -> None:
+    """Swim every chunk that is not on disk yet. The same seed gives the same noise in all arms:
+    swim i of one is paired with swim i of another."""
+    total, swum = sum(arm.count for arm in arms), 0
+    for arm in arms:
+        seeds = seeds_from(seed, arm.count)
+        for chunk in range(arm.chunks):
+            path, own = store.chunk_path(out, arm.name, chunk), part(arm, chunk)
+            if not path.is_file():
+                store.save(swim(decide, own, seeds[chunk * CHUNK :][:CHUNK]), path)
+            swum += own.count
+            progress(arm.name, swum, total)
+
+
+def swim(decide: Decide, arm: Arm, seeds: list[int]) -> Runs:
+    """All swims of an arm together."""
+    world, steps = _world(arm, seeds), round(arm.seconds / PERIOD)
+    log = _Log(world, steps)
+    seen, going = world.reset(), np.ones(world.count, bool)
+    log.note(world, going, 0)
+    for step in range(steps):
+        done = world.step(np.asarray(decide(seen), dtype=np.float64))
+        seen = done.observation
+        log.note(world, going, step + 1)
+        out = going & (done.terminated & ~done.reached | log.away(world))
+        log.reached |= going & done.reached & ~out
+        log.lost |= out
+        going = going & ~out & ~(done.reached & arm.stop)
+        if not going.any():
+            break
+    return log.runs(world, arm)
+
+
+def _world(arm: Arm, seeds: list[int]) -> World:
+    body: Any = None
+    if arm.water is not None:
+        body = PoolBody(arm.fish, arm.water, arm.around, arm.servo)
+    task = Task(seconds=arm.seconds, limit=LIMIT)
+    settings = Settings(arm.actions, task, sensors=arm.sensors, physics=arm.physics)
+    return World(arm.fish, settings, seeds, body=body, scene=arm.scene)
+
+
+class _Log:
+    """Arrays that fill as the fish swim."""
+
+    def __init__(self, world: World, steps: int) -> None:
+        n, shape = world.count, (world.count, steps + 1)
+        self.pose = np.full((*shape, 3), np.nan, np.float32)
+        self.target = np.full((*shape, 2), np.nan, np.float32)
+        self.motor, self.setpoint = (np.full(shape, np.nan, np.float32) for _ in range(2))
+        self.body = np.full((min(n, SHOWN), steps + 1, world.body.qpos.shape[1]), np.nan, "f4")
+        self.steps, self.energy = np.zeros(n, np.int64), np.full(n, np.nan, np.float32)
+        self.reached, self.lost = np.zeros(n, bool), np.zeros(n, bool)
+        self.last = 0
+
+    def note(self, world: World, going: Any, step: int) -> None:
+        """The state after a control step, of the fish still going."""
+        body, shown = world.body, going[: len(self.body)]
+        self.pose[going, step], self.target[going, step] = world.pose[going], world.target[going]
+        self.motor[going, step] = body.qpos[going, body.motor]
+        self.setpoint[going, step] = act.setpoint(world.space, world.state)[going]
+        self.body[shown, step] = body.qpos[: len(self.body)][shown]
+        self.steps[going] = self.last = step
+        if hasattr(body, "energy"):
+            self.energy[going] = body.energy[going]
+
+    def away(self, world: World) -> Any:
+        """Who is out of range of its own start."""
+        offset = world.pose[:, :2] - self.pose[:, 0, :2]
+        return np.hypot(offset[:, 0], offset[:, 1]) > LIMIT
+
+    def runs(self, world: World, arm: Arm) -> Runs:
+        """What was noted, cut behind the last swim's end."""
+        end, kinds = self.last + 1, list(dict.fromkeys(arm.water or ()))
+        water = np.array([kinds.index(one) for one in arm.water or ()] or [-1] * world.count)
+        return Runs(
+            self.pose[:, :end], self.target[:, :end], self.motor[:, :end], self.setpoint[:, 1:end],
+            self.steps, self.reached, self.lost, self.energy, self.body[:, :end], water,
+        )  # fmt: skip
+
+
+def pools(waters: Sequence[Water], count: int) -> tuple[Water, ...]:
+    """The waters one after the other, for so many swims."""
+    if not waters:
+        raise BadInput("no waters; give one pool or more.")
+    return tuple(waters[i % len(waters)] for i in range(count))

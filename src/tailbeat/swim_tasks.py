@@ -1,0 +1,137 @@
+"""What do the verbs of the trials do? Check what fits, swim, write numbers."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tailbeat.control.policy import Policy, check_fits, load_policy
+from tailbeat.evaluate import compare as comparison
+from tailbeat.evaluate import evaluation, pool_swim
+from tailbeat.evaluate import report as pages
+from tailbeat.evaluate.trial import Pool, Progress
+from tailbeat.files import BadInput, write_json
+from tailbeat.fish.description import Fish
+from tailbeat.fish.store import digest, load_fish
+from tailbeat.learn.body import PERIOD
+from tailbeat.pool.water import fingerprint
+
+
+def twin_of(policy: Policy, twin: str | None) -> Fish:
+    """The fish that a policy was trained on, with the servo it had; `twin` names its file where it
+    is not a shipped one."""
+    contract = policy.contract
+    described = load_fish(twin or contract.fish)
+    variants = [described.model_copy(update={"servo": name}) for name in described.servos]
+    same = [one for one in variants if digest(one) == contract.fish_digest]
+    chosen = same[0] if same else described
+    check_fits(contract, chosen.name, digest(chosen), chosen.band, PERIOD)
+    return chosen
+
+
+def pool_of(
+    policy: Policy, fish: str, twin: str | None, pool: str, episodes: int, seed: int
+) -> Pool:
+    """Where a policy is tried; raises BadInput where it does not fit the pool's fish."""
+    if episodes < 2:
+        raise BadInput(f"--episodes {episodes}: give 2 or more.")
+    trained, own = twin_of(policy, twin), load_fish(fish)
+    evaluation.check_same_body(trained, own)
+    check_fits(policy.contract, trained.name, digest(trained), own.band, PERIOD)
+    waters = evaluation.waters_of(pool)
+    return Pool(own, trained, policy.contract.actions, waters, episodes, seed)
+
+
+def evaluate(
+    policy: str,
+    fish: str,
+    twin: str | None,
+    pool: str,
+    tasks: Sequence[str],
+    episodes: int,
+    seed: int,
+    out: Path,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Try a policy in the pool; the folder keeps every swim."""
+    loaded = load_policy(policy)
+    where = pool_of(loaded, fish, twin, pool, episodes, seed)
+    return evaluation.evaluate(loaded, where, tasks, out, progress)
+
+
+def compare(
+    policies: Sequence[str],
+    fish: str,
+    twin: str | None,
+    targets: int,
+    seed: int,
+    share: str,
+    out: Path,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Swim every policy in every arm of the pool; numbers of all cells that are there."""
+    own, entrants = load_fish(fish), []
+    if targets < 2:
+        raise BadInput(f"--targets {targets}: give 2 or more.")
+    for name in policies:
+        policy = load_policy(name)
+        trained = twin_of(policy, twin)
+        evaluation.check_same_body(trained, own)
+        check_fits(policy.contract, trained.name, digest(trained), own.band, PERIOD)
+        entrants.append(comparison.Entrant(_label(name), policy, trained))
+    if len({one.name for one in entrants}) < len(entrants):
+        raise BadInput("two policies of the same name; rename a file or its folder.")
+    field = comparison.Field(own, targets, seed)
+    comparison.run(entrants, field, out, _share(share), progress)
+    found = comparison.read(out)
+    write_json(out / "comparison.json", found, overwrite=True)
+    return found
+
+
+def _label(policy: str) -> str:
+    """A run's folder where the file has the name that every run gives it."""
+    path = Path(policy)
+    return path.parent.name if path.name == "policy.onnx" else path.stem
+
+
+def _share(text: str) -> tuple[int, int]:
+    """`i/n` as an index from 0 and a count."""
+    first, _, count = text.partition("/")
+    if not (first.isdigit() and count.isdigit() and 1 <= int(first) <= int(count)):
+        raise BadInput(f"--share {text!r}: give i/n, from 1/n to n/n, one process each.")
+    return int(first) - 1, int(count)
+
+
+def report(out: Path, fish: str) -> tuple[Path, dict[str, Any]]:
+    """One page of what a folder holds."""
+    if not out.is_dir() or not any(out.iterdir()):
+        raise BadInput(f"{out}: an empty or missing folder; evaluate into it first.")
+    return pages.report(out, load_fish(fish))
+
+
+def swim(policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path) -> Any:
+    """The main job: a policy swims to targets in the pool; film, picture and page in a folder."""
+    if not 1 <= targets <= 100:
+        raise BadInput(f"--targets {targets}: allowed are 1 to 100.")
+    loaded, own = load_policy(policy), load_fish(fish)
+    where = pool_of(loaded, fish, twin, "full", 2, seed)
+    swum = pool_swim.tour(loaded, own, where.waters[0], pool_swim.draw_targets(targets, seed), seed)
+    pool_swim.film(swum, own, out / "swim.mp4")
+    contract = loaded.contract
+    data = {
+        "policy": policy,
+        "fish": own.name,
+        "water": fingerprint(where.waters),
+        "seed": seed,
+        **pool_swim.as_json(swum),
+        "training": contract.training,
+        "provenance": evaluation.provenance(),
+    }
+    drawn = pages.figure(pool_swim.picture(swum, own), out, "swim")
+    rows = [{"": k, "value": v} for k, v in {**data["provenance"], **contract.training}.items()]
+    sections = [
+        ("The swim", [drawn, pages.video(out / "swim.mp4"), pages.table(data["targets"])]),
+        ("Where this comes from", [pages.table(rows)]),
+    ]
+    pages.write(out, sections, data, f"{own.name} in the virtual pool")
+    write_json(out / "summary.json", data, overwrite=True)
+    return data
