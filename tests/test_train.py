@@ -188,8 +188,11 @@ def test_ten_stages_raise_one_difficulty_at_a_time():
     for before, after in pairwise(STAGES):
         risen = [getattr(after, n) > getattr(before, n) for n in ("noise", "physics", "arc")]
         assert sum(risen) == 1 and after.phase - before.phase in (0, 1)
-    rates = [learning_rate(STAGES, i, 1.0) for i in range(10)]
-    assert rates == pytest.approx([1, FALL, FALL**2] * 2 + [1, FALL, FALL**2, FALL**3])
+    rates = [learning_rate(STAGES, i, (1.0, 1.0, 0.5)) for i in range(10)]
+    falls = [1, FALL, FALL**2]
+    assert rates == pytest.approx([*falls, *falls, 0.5, *(0.5 * FALL**k for k in (1, 2, 3))])
+    eased = [learning_rate(STAGES, 1, (1.0, 1.0, 1.0), share) for share in (0.0, 0.7, 0.825, 0.95)]
+    assert eased == pytest.approx([FALL, FALL, FALL**1.5, FALL**2])
 
 
 def test_a_stage_scales_noise_and_physics():

@@ -24,6 +24,7 @@ def train(
     hours: Annotated[float, typer.Option(help="End after this long, resumably.")] = 12.0,
     resume: Annotated[bool, typer.Option(help="Go on from the folder's checkpoint.")] = False,
     device: Annotated[str, typer.Option(help="cpu, or cuda for the updates.")] = "cpu",
+    servo: Annotated[str | None, typer.Option(help="Another of the fish's servos.")] = None,
     json: JsonOption = None,
 ) -> None:
     """Train a policy through the stages; exit code 1 if it did not pass them all."""
@@ -31,7 +32,7 @@ def train(
         refuse_existing(json)
     with console.training() as report:
         done = learn_tasks.train(
-            fish, out, actions, recipe, seed, hours, resume, device, report, console.say
+            fish, out, actions, recipe, seed, hours, resume, device, servo, report, console.say
         )
     console.trained(done)
     if json is not None:

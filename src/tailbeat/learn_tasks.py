@@ -11,6 +11,7 @@ import numpy as np
 from tailbeat.control.policy import check_fits, differences, load_policy
 from tailbeat.evaluate.learning_figures import courses
 from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest, load_fish
 
 Report = Callable[[dict[str, Any]], None]
@@ -25,6 +26,7 @@ def train(
     hours: float,
     resume: bool,
     device: str,
+    servo: str | None,
     report: Report,
     note: Callable[[str], None],
 ) -> dict[str, Any]:
@@ -34,7 +36,7 @@ def train(
     from tailbeat.learn.recipe import recipe_of
     from tailbeat.learn.train import train as run
 
-    described, chosen = load_fish(fish), recipe_of(recipe)
+    described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe)
     space = action_space(actions, described)
     plan = Plan(described, space, chosen, seed, out, hours, device)
     note(f"replay buffer: {chosen.buffer_bytes / 1e6:.0f} MB of memory and of every checkpoint")
@@ -51,6 +53,13 @@ def train(
         "promotions": course.promotions,
         "last": course.history[-1] if course.history else None,
     }
+
+
+def with_servo(fish: Fish, servo: str | None) -> Fish:
+    """The fish with another of its servos, or as described."""
+    if servo is not None and servo not in fish.servos:
+        raise BadInput(f"--servo {servo!r}: {fish.name} has {', '.join(fish.servos)}.")
+    return fish.model_copy(update={"servo": servo or fish.servo})
 
 
 def _need_extra() -> None:

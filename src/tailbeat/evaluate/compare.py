@@ -24,6 +24,7 @@ from tailbeat.evaluate.spectrum import windows
 from tailbeat.evaluate.trial import CHUNK, Arm, part, pools, swim
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
+from tailbeat.identify.runs import tracked_pose
 from tailbeat.learn.body import PERIOD, TwinBody
 from tailbeat.learn.world import seeds_from
 from tailbeat.pool.water import ablations, ensemble
@@ -148,13 +149,13 @@ def replayed(found: Runs, twin: Fish) -> float:
     body.rest(np.arange(found.count))
     body.ready(np.arange(found.count))
     pose = np.full_like(found.pose, np.nan)
-    pose[:, 0], none = 0.0, np.zeros((found.count, 2))
+    pose[:, 0], none = tracked_pose(twin, np.zeros(3)), np.zeros((found.count, 2))
     for step in range(found.setpoint.shape[1]):
         command = found.setpoint[:, step].astype(float)
         going = np.isfinite(command)
         lost = body.advance(np.where(going, command, 0.0), none)
         going &= ~lost
-        pose[going, step + 1] = body.qpos[going, :3]
+        pose[going, step + 1] = tracked_pose(twin, body.qpos[:, :3])[going]
     return path_speed(pose)
 
 

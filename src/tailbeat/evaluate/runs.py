@@ -100,7 +100,7 @@ def begin(out: Path, plan: dict[str, Any]) -> None:
         write_json(path, plan)
         return
     held, wanted = leaves("", read_plan(out)), leaves("", wanted)
-    names = sorted(set(held) | set(wanted))
+    names = sorted(set(held) | set(wanted), key=lambda name: (name.startswith("arms"), name))
     wrong = [name for name in names if held.get(name) != wanted.get(name)]
     if wrong:
         said = [f"{name} was {held.get(name)}, now {wanted.get(name)}" for name in wrong[:3]]

@@ -96,7 +96,7 @@ class Coach(BaseCallback):
     def _set_rate(self) -> None:
         recipe = self.plan.recipe
         share = self.share() if recipe.quick else 0.0
-        rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rate, share)
+        rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rates, share)
         self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
 
     def _count(self, fish: int, info: Row) -> None:

@@ -69,11 +69,13 @@ def scaled(figures: Figures, share: float) -> Figures:
     return replace(figures, **small)
 
 
-def learning_rate(stages: tuple[Stage, ...], index: int, first: float, share: float = 0.0) -> float:
-    """`first` at the start of each phase, times `FALL` with every stage in it (paper). The fall
-    comes gradually, as the `share` of targets acquired nears the mark of promotion (ours: at the
-    first rate of a phase the policy hovers below the mark)."""
+def learning_rate(
+    stages: tuple[Stage, ...], index: int, first: tuple[float, ...], share: float = 0.0
+) -> float:
+    """The phase's `first` rate, times `FALL` with every stage in it (paper). The fall comes
+    gradually, as the `share` of targets acquired nears the mark of promotion (ours: at the first
+    rate of a phase the policy hovers below the mark)."""
     phase = stages[index].phase
     before = sum(stage.phase == phase for stage in stages[:index])
     near = min(max((share - EASED) / (PROMOTED - EASED), 0.0), 1.0)
-    return float(first * FALL ** (before + near))
+    return float(first[phase - 1] * FALL ** (before + near))

@@ -30,7 +30,7 @@ class Recipe:
     batch: int
     discount: float
     tau: float  # of the target critics
-    rate: float
+    rates: tuple[float, ...]  # the first learning rate of each phase
     entropy: str
     reward_scale: float
     buffer: int
@@ -58,7 +58,7 @@ def quick() -> Recipe:
         batch=256,
         discount=0.996,
         tau=0.01,
-        rate=5e-4,
+        rates=(5e-4, 5e-4, 1e-4),
         entropy="auto_0.02",
         reward_scale=0.01,
         buffer=400_000,
@@ -81,7 +81,7 @@ def paper() -> Recipe:
         returns=1,
         discount=0.99,
         tau=0.005,
-        rate=3e-4,
+        rates=(3e-4, 3e-4, 3e-4),
         entropy="auto",
         buffer=1_000_000,
         budget_hours=6.0,

@@ -75,7 +75,7 @@ def _model(plan: Plan, env: FishVecEnv) -> SAC:
     return kind(
         "MlpPolicy",
         env,
-        learning_rate=recipe.rate,
+        learning_rate=recipe.rates[0],
         gamma=recipe.discount,
         tau=recipe.tau,
         buffer_size=recipe.buffer,
