@@ -74,7 +74,7 @@ def evaluate(
             policy, fish, twin, pool, task or list(NAMES), episodes, seed, out, progress
         )
     console.evaluated(done)
-    path, _ = swim_tasks.report(out, fish)
+    path, _ = swim_tasks.report(out, fish, twin)
     console.say(f"page: {path}")
     if json is not None:
         write_json(json, done)
@@ -107,12 +107,13 @@ def compare(
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder of an evaluation or a comparison.")],
     fish: FishOption = "pulley-fish",
+    twin: TwinOption = None,
     json: JsonOption = None,
 ) -> None:
     """One page of a folder's numbers and figures, the paper's beside them."""
     if json is not None:
         refuse_existing(json)
-    path, data = swim_tasks.report(folder, fish)
+    path, data = swim_tasks.report(folder, fish, twin)
     console.say(f"page: {path}")
     if json is not None:
         write_json(json, data)

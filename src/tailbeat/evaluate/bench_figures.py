@@ -1,5 +1,6 @@
 """Figures of the two benches. Draws what others computed; computes nothing."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from tailbeat.recording import Recording
 IDEALISED, COMMAND = "tab:green", "0.6"
 
 
-def tail(found: TailResult, static: Recording | None, path: Path) -> None:
+def tail(found: TailResult, static: Recording | None, path: Path, overwrite: bool = False) -> None:
     """Re H on the squared frequency, Im H with its two parts, and loop or ring-down if recorded."""
     extra = [static is not None, found.ring is not None]
     figure = Figure(figsize=(4.4 * (2 + sum(extra)), 3.8), layout="constrained")
@@ -27,7 +28,7 @@ def tail(found: TailResult, static: Recording | None, path: Path) -> None:
         _draw_loop(axes.pop(0), found, static)
     if found.ring is not None:
         _draw_ring(axes.pop(0), found)
-    with new_file(path) as beside:
+    with new_file(path, overwrite) as beside:
         figure.savefig(beside, dpi=130)
 
 
@@ -120,6 +121,19 @@ def motor(found: ServoFit, path: Path) -> None:
         _draw_overlay(figure.add_subplot(grid[row, 1]), overlay, overlay.stroke)
     _draw_errors(figure.add_subplot(grid[:, 2]), found)
     with new_file(path) as beside:
+        figure.savefig(beside, dpi=130)
+
+
+def servo(overlays: Sequence[Overlay], path: Path) -> None:
+    """Recordings of a servo that nothing was fitted to: whole, and one stroke."""
+    figure = Figure(figsize=(10, 3.2 * len(overlays)), layout="constrained")
+    grid = np.atleast_2d(figure.subplots(len(overlays), 2, width_ratios=[2, 1]))
+    for (whole, stroke), overlay in zip(grid, overlays, strict=True):
+        _draw_overlay(whole, overlay, None)
+        whole.set_title(overlay.bench.name)
+        whole.legend(loc="upper right", fontsize="small")
+        _draw_overlay(stroke, overlay, overlay.stroke)
+    with new_file(path, overwrite=True) as beside:
         figure.savefig(beside, dpi=130)
 
 

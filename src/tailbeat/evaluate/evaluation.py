@@ -12,7 +12,7 @@ from typing import Any
 
 from tailbeat import __version__
 from tailbeat.control.policy import Policy, as_text, decide
-from tailbeat.evaluate import beyond, disturb, reach, runs, spectrum, track
+from tailbeat.evaluate import bench_day, beyond, disturb, reach, runs, spectrum, track
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.trial import CHUNK, Arm, Pool, Progress, swim_all
 from tailbeat.files import BadInput, leaves, write_json
@@ -21,7 +21,7 @@ from tailbeat.fish.store import digest
 from tailbeat.pool.water import Water, ablations, ensemble, fingerprint
 
 TASKS: dict[str, Any] = {"reach": reach, "disturb": disturb, "track": track, "beyond": beyond}
-NAMES = (*TASKS, "spectrum")
+NAMES = (*TASKS, "spectrum", "twin")
 POOLS = 16  # waters of the ensemble
 ENSEMBLE_SEED = 0
 # What an identification may change of a description; all else is the fish's body.
@@ -73,14 +73,22 @@ def evaluate(
     for name in tasks:
         if name not in NAMES:
             raise BadInput(f"--tasks {name}: allowed are {', '.join(NAMES)}.")
-    arms = arms_of(pool, ["reach"] if list(tasks) == ["spectrum"] else tasks)
+    arms = arms_of(pool, ["reach", *tasks] if "spectrum" in tasks else tasks)
     runs.begin(out, plan_of(policy, pool))
-    swim_all(partial(decide, policy), arms, out, pool.seed, progress)
-    found = read(out)
+    swim_all(
+        partial(decide, policy),
+        list({arm.name: arm for arm in arms}.values()),
+        out,
+        pool.seed,
+        progress,
+    )
+    if "twin" in tasks:
+        bench_day.record(pool.fish, out / "twin", pool.seed)
+        write_json(out / "twin" / "twin.json", bench_day.numbers(out / "twin", pool.twin), True)
     if "spectrum" in tasks:
-        edge = policy.contract.band[1]
-        own = spectrum.identification(pool.fish, edge, pool.seed)
-        found["spectrum"] = [own, *found["spectrum"]]
+        own = spectrum.identification(pool.fish, policy.contract.band[1], pool.seed)
+        write_json(out / "identification.json", own, overwrite=True)
+    found = read(out)
     write_json(out / "evaluation.json", found, overwrite=True)
     return found
 
@@ -108,7 +116,7 @@ def read(out: Path) -> dict[str, Any]:
     """Numbers of all that was swum in a folder; arms that were cut short are named."""
     plan = runs.read_plan(out)
     held = {name: runs.load(out, name, -(-n // CHUNK)) for name, n in present(out, plan).items()}
-    if not held:
+    if not held and not (out / "twin" / "twin.json").is_file():
         raise BadInput(f"{out}: an empty folder of runs; evaluate into it first.")
     by_arm = {name: one for name, (one, _) in held.items()}
     found: dict[str, Any] = {"plan": plan, "provenance": provenance()}
@@ -120,6 +128,10 @@ def read(out: Path) -> dict[str, Any]:
         if swum[task] and (reference is None or reference in swum[task]):
             found[task] = TASKS[task].numbers(swum[task])
     found["spectrum"] = spectrum.numbers(swum["reach"], plan["band"][1])
+    if (out / "identification.json").is_file():
+        found["spectrum"] = [read_json(out / "identification.json"), *found["spectrum"]]
+    if (out / "twin" / "twin.json").is_file():
+        found["twin"] = read_json(out / "twin" / "twin.json")
     return found
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from tailbeat.evaluate import compare, evaluation, runs, spectrum, swim_figures, track
+from tailbeat.evaluate import bench_day, compare, evaluation, runs, spectrum, swim_figures, track
 from tailbeat.evaluate.trial import CHUNK
 from tailbeat.files import BadInput, new_file, write_json
 from tailbeat.fish.description import Fish
@@ -53,29 +53,23 @@ def write(out: Path, sections: Sequence[Section], data: dict[str, Any], title: s
     return path
 
 
-def report(out: Path, fish: Fish) -> tuple[Path, dict[str, Any]]:
+def report(out: Path, fish: Fish, twin: Fish) -> tuple[Path, dict[str, Any]]:
     """The page of an evaluation or a comparison. Raises BadInput for a folder without either."""
     if (out / "plan.json").is_file():
         data = evaluation.read(out)
-        held = out / "evaluation.json"
-        data["spectrum"] = _with_identification(held, data["spectrum"])
-        return write(out, evaluated(out, data, fish), data, "Zero-shot in the virtual pool"), data
+        return write(
+            out, evaluated(out, data, fish, twin), data, "Zero-shot in the virtual pool"
+        ), data
     if compare.has_rows(out):
         data = compare.read(out)
         return write(out, compared(out, data), data, "Which action space transfers"), data
     raise BadInput(f"{out}: holds neither an evaluation nor a comparison; make one first.")
 
 
-def _with_identification(held: Path, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The identification's own spectrum was recorded, not swum: it lies in the numbers."""
-    old = evaluation.read_json(held).get("spectrum", []) if held.is_file() else []
-    return [row for row in old if row["runs"] == "identification"] + rows
-
-
 # ---- an evaluation ------------------------------------------------------------------------------
 
 
-def evaluated(out: Path, data: dict[str, Any], fish: Fish) -> list[Section]:
+def evaluated(out: Path, data: dict[str, Any], fish: Fish, twin: Fish) -> list[Section]:
     """Sections of an evaluation, figures drawn into `figures/`."""
     sections = [("Beside the paper", [_warnings(data), table(beside_paper(data))])]
     sections += _reach(out, data, fish)
@@ -95,7 +89,18 @@ def evaluated(out: Path, data: dict[str, Any], fish: Fish) -> list[Section]:
         drawn = swim_figures.power(rows, spectrum.BINS, data["plan"]["band"][1])
         shown = [{k: v for k, v in row.items() if k != "cumulative"} for row in rows]
         sections.append(("Velocity power", [table(shown), figure(drawn, out, "power")]))
+    if "twin" in data:
+        found = data["twin"]
+        blocks = [table(found["tail"]), table(found["servo"]), table(_swims(found["swims"]))]
+        blocks += [image(path) for path in bench_day.draw(out / "twin", twin)]
+        sections.append(("The twin beside fresh recordings", blocks))
     return [*sections, ("Where this comes from", [_provenance(data)])]
+
+
+def _swims(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    names = ("recording", "beat_frequency", "measured_speed", "predicted_speed")
+    more = ("position_error_share", "heading_error_deg")
+    return [{name: row.get(name) for name in (*names, *more)} for row in rows]
 
 
 def _warnings(data: dict[str, Any]) -> str:
@@ -201,9 +206,13 @@ def compared(out: Path, data: dict[str, Any]) -> list[Section]:
 
 def figure(drawn: Figure, out: Path, name: str) -> str:
     """A figure saved in `figures/` and put into the page."""
-    vector, _ = swim_figures.save(drawn, out / "figures" / name)
-    text = base64.b64encode(vector.read_bytes()).decode()
-    return f"<p><img alt='{escape(name)}' src='data:image/svg+xml;base64,{text}'></p>"
+    return image(swim_figures.save(drawn, out / "figures" / name)[0])
+
+
+def image(path: Path) -> str:
+    """A drawn SVG inside the page."""
+    text = base64.b64encode(path.read_bytes()).decode()
+    return f"<p><img alt='{escape(path.stem)}' src='data:image/svg+xml;base64,{text}'></p>"
 
 
 def video(path: Path) -> str:
