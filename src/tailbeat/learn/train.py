@@ -17,7 +17,7 @@ from tailbeat.learn.buffer import RelabelBuffer
 from tailbeat.learn.coach import Coach, Course, Report
 from tailbeat.learn.env import FishVecEnv
 from tailbeat.learn.plan import Plan
-from tailbeat.learn.recipe import DEPTH, WIDTH
+from tailbeat.learn.recipe import DEPTH
 from tailbeat.learn.sac import QuickSAC
 
 FOREVER = 10**12
@@ -69,7 +69,7 @@ def _model(plan: Plan, env: FishVecEnv) -> SAC:
         kwargs = {"source": env, "discount": recipe.discount, "returns": recipe.returns}
         more = {"replay_buffer_class": RelabelBuffer, "replay_buffer_kwargs": kwargs}
     kind = QuickSAC if recipe.quick else SAC
-    shape: dict[str, Any] = {"net_arch": [WIDTH] * DEPTH}
+    shape: dict[str, Any] = {"net_arch": [recipe.width] * DEPTH}
     if recipe.quick:
         shape["optimizer_kwargs"] = {"fused": True}
     return kind(
