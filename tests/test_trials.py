@@ -12,7 +12,7 @@ import pytest
 from tailbeat import swim_tasks
 from tailbeat.control.actions import Generator
 from tailbeat.control.policy import load_policy
-from tailbeat.evaluate import compare, disturb, reach, scenes, spectrum, track
+from tailbeat.evaluate import compare, disturb, evaluation, reach, scenes, spectrum, track
 from tailbeat.evaluate import runs as store
 from tailbeat.evaluate.runs import Runs, surge
 from tailbeat.evaluate.trial import Arm, Pool, swim, swim_all
@@ -23,10 +23,12 @@ from tailbeat.learn import randomize
 from tailbeat.learn.body import PERIOD
 from tailbeat.learn.sensors import quiet
 from tailbeat.learn.world import Scene
+from tailbeat.pool.plant import LENGTH, WIDTH
 from tailbeat.pool.water import Water
 
 FISH, TWIN = load_fish("pulley-fish"), load_fish("pulley-fish-pool")
 POLICY = "pulley-fish-pool-generator"
+POOL = (LENGTH, WIDTH)
 SPACE = load_policy(POLICY).contract.actions
 
 
@@ -69,8 +71,8 @@ def test_a_grid_has_one_target_in_every_stratum_of_bearing_and_of_range():
 
 
 def test_targets_inside_walls_lie_inside_and_where_none_fits_it_is_said():
-    scene = scenes.walled(FISH, 50, 1, 0.5, 3.0, reach.WALLS)
-    half = np.array(reach.WALLS) / 2
+    scene = scenes.walled(FISH, 50, 1, 0.5, 3.0, POOL)
+    half = np.array(POOL) / 2
     assert (np.abs(scene.target[:, 0]) < half).all() and (np.abs(scene.start[:, :2]) < half).all()
     with pytest.raises(BadInput, match="no free target"):
         scenes.walled(FISH, 2, 1, 0.5, 3.0, (0.9, 0.7))
@@ -81,7 +83,7 @@ def test_the_eight_is_even_crosses_itself_and_fits_the_pool():
     step = np.hypot(*np.diff(np.vstack([way, way[:1]]), axis=0).T)
     assert step == pytest.approx(scenes.lap_length(scenes.eight) / 400, rel=0.01)
     assert np.hypot(*way.T).min() < 0.02
-    assert (np.abs(way).max(axis=0) < np.array(reach.WALLS) / 2 - 0.5).all()
+    assert (np.abs(way).max(axis=0) < np.array(POOL) / 2 - 0.5).all()
 
 
 def test_a_follower_starts_behind_its_target_and_faces_along_the_way():
@@ -290,6 +292,14 @@ def test_what_does_not_fit_is_refused(evaluated, tmp_path):
         )
     with pytest.raises(BadInput, match="--tasks dive: allowed are reach"):
         swim_tasks.evaluate(POLICY, *args[:3], ["dive"], 6, 0, tmp_path / "a", lambda *_: None)
+    for size, complaint in (
+        ("1x0.7", "no free target"),
+        ("3x2", "the eight needs"),
+        ("a", "--walls"),
+    ):
+        with pytest.raises(BadInput, match=complaint):
+            where = swim_tasks.pool_of(load_policy(POLICY), "pulley-fish", None, "full", 4, 0, size)
+            evaluation.arms_of(where, ["reach", "track"])
     with pytest.raises(BadInput, match="empty or missing folder"):
         swim_tasks.report(tmp_path / "nothing", "pulley-fish")
     with pytest.raises(BadInput, match="--share '3/2'"):

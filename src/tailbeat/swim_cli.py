@@ -63,6 +63,9 @@ def evaluate(
         list[str] | None, typer.Option("--tasks", help=f"Of {', '.join(NAMES)}; default: all.")
     ] = None,
     episodes: Annotated[int, typer.Option(help="Swims in each arm of a task.")] = 250,
+    walls: Annotated[
+        str, typer.Option(help="Of the walled trials, length x width [m].")
+    ] = "5.5x2.7",
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -71,7 +74,7 @@ def evaluate(
         refuse_existing(json)
     with console.counting() as progress:
         done = swim_tasks.evaluate(
-            policy, fish, twin, pool, task or list(NAMES), episodes, seed, out, progress
+            policy, fish, twin, pool, task or list(NAMES), episodes, seed, out, progress, walls
         )
     console.evaluated(done)
     path, _ = swim_tasks.report(out, fish, twin)

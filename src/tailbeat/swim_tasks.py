@@ -29,7 +29,13 @@ def twin_of(policy: Policy, twin: str | None) -> Fish:
 
 
 def pool_of(
-    policy: Policy, fish: str, twin: str | None, pool: str, episodes: int, seed: int
+    policy: Policy,
+    fish: str,
+    twin: str | None,
+    pool: str,
+    episodes: int,
+    seed: int,
+    walls: str = "5.5x2.7",
 ) -> Pool:
     """Where a policy is tried; raises BadInput where it does not fit the pool's fish."""
     if episodes < 2:
@@ -38,7 +44,17 @@ def pool_of(
     evaluation.check_same_body(trained, own)
     check_fits(policy.contract, trained.name, digest(trained), own.band, PERIOD)
     waters = evaluation.waters_of(pool)
-    return Pool(own, trained, policy.contract.actions, waters, episodes, seed)
+    actions = policy.contract.actions
+    return Pool(own, trained, actions, waters, episodes, seed, _walls(walls))
+
+
+def _walls(text: str) -> tuple[float, float]:
+    """`length x width` in metres."""
+    try:
+        length, width = map(float, text.split("x"))
+    except ValueError:
+        raise BadInput(f"--walls {text!r}: give length x width in metres, as 5.5x2.7.") from None
+    return length, width
 
 
 def evaluate(
@@ -51,10 +67,11 @@ def evaluate(
     seed: int,
     out: Path,
     progress: Progress,
+    walls: str = "5.5x2.7",
 ) -> dict[str, Any]:
     """Try a policy in the pool; the folder keeps every swim."""
     loaded = load_policy(policy)
-    where = pool_of(loaded, fish, twin, pool, episodes, seed)
+    where = pool_of(loaded, fish, twin, pool, episodes, seed, walls)
     return evaluation.evaluate(loaded, where, tasks, out, progress)
 
 

@@ -6,6 +6,7 @@ import os
 import platform
 import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -108,8 +109,18 @@ def plan_of(policy: Policy, pool: Pool) -> dict[str, Any]:
         "waters": len(pool.waters),
         "seed": pool.seed,
         "episodes": pool.count,
-        "arms": {arm.name: arm.count for arm in arms_of(pool, NAMES)},
+        "walls": list(pool.walls),
+        "arms": counts(pool),
     }
+
+
+def counts(pool: Pool) -> dict[str, int]:
+    """Swims of every arm that these walls allow."""
+    found: dict[str, int] = {}
+    for name in TASKS:
+        with suppress(BadInput):
+            found |= {arm.name: arm.count for arm in TASKS[name].arms(pool)}
+    return found
 
 
 def read(out: Path) -> dict[str, Any]:

@@ -15,7 +15,6 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
 from tailbeat.control.policy import Policy, decide
-from tailbeat.evaluate.reach import WALLS
 from tailbeat.evaluate.scenes import CLEAR, TRIES
 from tailbeat.evaluate.swim_figures import BLUE, GREEN, ORANGE, RED
 from tailbeat.files import BadInput, new_file
@@ -24,10 +23,11 @@ from tailbeat.fish.outline import outline
 from tailbeat.learn.body import PERIOD
 from tailbeat.learn.world import Settings, Task, World
 from tailbeat.pool.body import PoolBody
-from tailbeat.pool.plant import Surroundings
+from tailbeat.pool.plant import LENGTH, WIDTH, Surroundings
 from tailbeat.pool.water import Water
 
 Array = NDArray[np.float64]
+WALLS = (LENGTH, WIDTH)
 PATIENCE = 30.0  # s for one target
 APART = 0.8  # m between one target and the next
 FILM_RATE, SPEED = 12.5, 4.0  # frames per second, seconds swum per second shown

@@ -15,13 +15,12 @@ from tailbeat.fish.description import Fish
 from tailbeat.learn.assess import Build, assess
 from tailbeat.learn.world import Settings, World
 from tailbeat.pool.body import PoolBody
-from tailbeat.pool.plant import LENGTH, WIDTH, Surroundings
+from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.water import Water
 
 Z95 = 1.96
 SECTOR = 30  # degrees of bearing, both sides together
 NEAREST, FARTHEST = 0.5, 3.0  # m
-WALLS = (LENGTH, WIDTH)
 Flags = NDArray[np.bool_]
 
 
@@ -53,9 +52,9 @@ def reach(policy: Policy, build: Build, count: int, seed: int) -> dict[str, Any]
 
 def arms(pool: Pool) -> list[Arm]:
     """Bearings +-180 deg, 0.5-3 m: open water, inside the paper's walls, and the twin."""
-    around = (Surroundings(walls=WALLS),)
+    around = (Surroundings(walls=pool.walls),)
     scene = grid(pool.fish, pool.count, pool.seed, NEAREST, FARTHEST, np.pi)
-    inside = walled(pool.fish, pool.count, pool.seed, NEAREST, FARTHEST, WALLS)
+    inside = walled(pool.fish, pool.count, pool.seed, NEAREST, FARTHEST, pool.walls)
     return [
         pool.arm("reach open", scene),
         pool.arm("reach walled", inside, around=around),

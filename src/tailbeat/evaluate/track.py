@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.evaluate.reach import WALLS
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.scenes import PATHS, even, follow, lap_length
 from tailbeat.evaluate.trial import Arm, Pool, pools
+from tailbeat.files import BadInput
 from tailbeat.learn.body import PERIOD
 from tailbeat.learn.world import Scene
 from tailbeat.pool.plant import Surroundings
@@ -26,6 +26,7 @@ KEPT = 0.6  # m: a fish farther than this from its target has lost it
 CROSSING, ALIGNED = 0.15, np.radians(45)  # m, rad: a clean pass through the eight's middle
 SWIMS = 10
 ARM = "track"
+MARGIN = 0.4  # m between a path and the walls
 
 
 def arms(pool: Pool) -> list[Arm]:
@@ -33,8 +34,20 @@ def arms(pool: Pool) -> list[Arm]:
     parts = [follow(pool.fish, PATHS[path], lap, SECONDS, SWIMS) for _, path, lap in LAPS]
     whole = Scene(*(np.concatenate([getattr(one, n) for one in parts]) for n in vars(parts[0])))
     water = len(LAPS) * pools(pool.waters, SWIMS)
-    around = (Surroundings(walls=WALLS),)
+    around = (Surroundings(walls=pool.walls),)
+    _check_room(pool.walls)
     return [pool.arm(ARM, whole, water=water, around=around, seconds=SECONDS, stop=False)]
+
+
+def _check_room(walls: tuple[float, float]) -> None:
+    """Refuse a pool in which a path would run along a wall."""
+    for path in dict.fromkeys(row[1] for row in LAPS):
+        length, width = 2 * np.abs(even(PATHS[path], 360)).max(axis=0) + 2 * MARGIN
+        if length > walls[0] or width > walls[1]:
+            raise BadInput(
+                f"walls of {walls[0]:g} x {walls[1]:g} m: the {path} needs {length:.1f} x"
+                f" {width:.1f} m; widen the pool, or leave out --tasks track."
+            )
 
 
 def by_lap(runs: Runs) -> dict[str, Runs]:

@@ -23,7 +23,7 @@ from tailbeat.learn.randomize import Randomisation
 from tailbeat.learn.sensors import SensorModel
 from tailbeat.learn.world import Scene, Settings, Task, World, seeds_from
 from tailbeat.pool.body import PoolBody
-from tailbeat.pool.plant import Surroundings
+from tailbeat.pool.plant import LENGTH, WIDTH, Surroundings
 from tailbeat.pool.water import Water
 
 CHUNK = 125  # swims in one batch, and in one file
@@ -62,7 +62,8 @@ class Arm:
 @dataclass(frozen=True)
 class Pool:
     """What a policy is tried in: the pool's `fish` and its waters, the `twin` that the policy was
-    trained in, what its actions mean; `count` swims an arm, drawn from `seed`."""
+    trained in, what its actions mean; `count` swims an arm, drawn from `seed`; `walls` (length,
+    width) [m] of the trials that have some, the paper's pool by default."""
 
     fish: Fish
     twin: Fish
@@ -70,6 +71,7 @@ class Pool:
     waters: tuple[Water, ...]
     count: int
     seed: int
+    walls: tuple[float, float] = (LENGTH, WIDTH)
 
     def arm(self, name: str, scene: Scene, **changed: Any) -> Arm:
         """An arm in the pool's waters, the one after the other."""

@@ -91,7 +91,7 @@ def paper() -> Recipe:
 
 def smoke() -> Recipe:
     """A minute that visibly improves: the first stage, near and large targets, small networks."""
-    near = Task(nearest=0.3, farthest=0.7, arrival=0.12, seconds=10.0)
+    near = Task(nearest=0.3, farthest=0.6, arrival=0.15, seconds=8.0)
     return replace(
         quick(), name="smoke", fish=16, updates=2, batch=128, starts=1_000, buffer=50_000,
         window=60, width=64, stages=STAGES[:1], task=near,
