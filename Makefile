@@ -42,5 +42,5 @@ clean:  ## remove caches and builds; runs/ and .venv stay
 
 $(READY): pyproject.toml constraints.txt
 	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/pip install -q -c constraints.txt -e '.[dev,train]'
+	$(VENV)/bin/pip install -q -c constraints.txt -e '.[dev,train,robot]'
 	@touch $@

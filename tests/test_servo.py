@@ -1,0 +1,302 @@
+"""The servo's driver and the emulated servo: the maker's vectors, the maker's library, real bytes
+over a pseudo-terminal, and what goes wrong on a bus."""
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+pytest.importorskip("serial", reason="the robot extra is not installed")
+
+from tailbeat.files import BadInput
+from tailbeat.pool import servo as emulated
+from tailbeat.pool.servo import Dynamixel, close_line, open_line, serve
+from tailbeat.swim import servo as driver
+from tailbeat.swim.packet import (
+    PING,
+    READ,
+    REBOOT,
+    STATUS,
+    WRITE,
+    Packet,
+    Parser,
+    crc16,
+    encode,
+)  # fmt: skip
+from tailbeat.swim.servo import COUNT, Servo, ServoFault, connect
+
+PATIENT = 0.25  # s: the emulator is a thread of this process and waits for the interpreter
+
+
+def raw(text: str) -> bytes:
+    return bytes.fromhex(text.replace(" ", ""))
+
+
+# ROBOTIS e-manual, protocol 2.0
+SENT = [
+    (Packet(1, PING), "FF FF FD 00 01 03 00 01 19 4E"),
+    (Packet(1, READ, raw("84 00 04 00")), "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"),
+    (
+        Packet(1, WRITE, raw("74 00 00 02 00 00")),
+        "FF FF FD 00 01 09 00 03 74 00 00 02 00 00 CA 89",
+    ),
+    (Packet(1, REBOOT), "FF FF FD 00 01 03 00 08 2F 4E"),
+]
+HEARD = [
+    (Packet(1, STATUS, raw("00 06 04 26")), "FF FF FD 00 01 07 00 55 00 06 04 26 65 5D"),
+    (Packet(1, STATUS, raw("00 A6 00 00 00")), "FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0"),
+    (Packet(1, STATUS, raw("00")), "FF FF FD 00 01 04 00 55 00 A1 0C"),
+]
+
+
+# ---- bytes --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("packet", "text"), SENT + HEARD)
+def test_packets_are_the_maker_s(packet, text):
+    assert encode(packet) == raw(text)
+    assert Parser().feed(raw(text)) == [packet]
+
+
+@pytest.mark.parametrize(("packet", "text"), SENT)
+def test_the_emulator_reads_the_maker_s_packets(packet, text):
+    assert emulated.take(bytearray(raw(text))) == (1, packet.instruction, packet.parameters)
+
+
+@pytest.mark.parametrize(("packet", "text"), HEARD)
+def test_the_emulator_writes_the_maker_s_replies(packet, text):
+    assert emulated.status(1, packet.parameters[0], packet.parameters[1:]) == raw(text)
+
+
+def test_the_two_codecs_agree_on_random_bodies_full_of_headers():
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        body = bytes(rng.choice([0xFF, 0xFF, 0xFD, 0xFD, 0x00, 0x07], rng.integers(1, 40)).tolist())
+        packet = Packet(1, STATUS, body)
+        assert encode(packet) == emulated.status(1, body[0], body[1:])
+        assert Parser().feed(encode(packet)) == [packet]
+        assert emulated.take(bytearray(encode(Packet(1, WRITE, body)))) == (1, WRITE, body)
+
+
+def test_a_parser_finds_packets_in_garbage_in_pieces_and_counts_the_damaged():
+    rng, parser = np.random.default_rng(1), Parser()
+    good = [Packet(1, STATUS, rng.bytes(9)) for _ in range(20)]
+    broken = bytearray(encode(good[0]))
+    broken[9] ^= 0x10
+    stream = b"".join(rng.bytes(5) + encode(one) for one in good) + bytes(broken) + encode(good[1])
+    found = []
+    for first in range(0, len(stream), 3):
+        found += parser.feed(stream[first : first + 3])
+    assert found == [*good, good[1]] and parser.bad >= 1
+    assert crc16(b"123456789") == 0xFEE8  # CRC-16/BUYPASS's published check value
+
+
+# ---- over the line ------------------------------------------------------------------------------
+
+
+@dataclass
+class Bench:
+    """An emulated servo on a line."""
+
+    device: Dynamixel
+    path: str
+    pull: Callable[[], None]
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    device, line, ended = Dynamixel(), open_line(), threading.Event()
+    thread = threading.Thread(target=_serve, args=(device, line, ended), daemon=True)
+    thread.start()
+
+    def pull() -> None:
+        if not ended.is_set():
+            ended.set()
+            thread.join(2)
+            close_line(line)
+
+    yield Bench(device, line.path, pull)
+    pull()
+
+
+def _serve(device: Dynamixel, line: emulated.Line, ended: threading.Event) -> None:
+    serve(device, line, ended.is_set)
+
+
+@pytest.fixture
+def servo(bench) -> Iterator[Servo]:
+    opened = connect(bench.path, deadline=PATIENT)
+    yield opened
+    opened.close()
+
+
+def until(what: Callable[[], bool], seconds: float = 3.0) -> None:
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end, "nothing happened"
+        time.sleep(0.005)
+
+
+def test_the_maker_s_library_pings_reads_writes_and_reboots_the_emulator(bench):
+    sdk = pytest.importorskip("dynamixel_sdk")
+    port, packets = sdk.PortHandler(bench.path), sdk.PacketHandler(2.0)
+    assert port.openPort()
+    assert packets.ping(port, 1) == (driver.MODEL, 0, 0)
+    assert packets.write4ByteTxRx(port, 1, 116, 2300) == (0, 0)
+    assert packets.read4ByteTxRx(port, 1, 116) == (2300, 0, 0)
+    assert packets.write1ByteTxRx(port, 1, 64, 1) == (0, 0)
+    assert packets.write1ByteTxRx(port, 1, 9, 0) == (0, sdk.ERRNUM_ACCESS)  # EEPROM, torque on
+    assert packets.write4ByteTxRx(port, 1, 116, 9000) == (0, sdk.ERRNUM_DATA_LIMIT)
+    bench.device.fail(0)  # voltage: an alert beside valid data
+    value, result, error = packets.read4ByteTxRx(port, 1, 116)
+    assert (value, result, error) == (2300, 0, emulated.ALERT)
+    assert packets.reboot(port, 1)[0] == 0
+    port.closePort()
+
+
+def test_the_shaft_follows_and_is_read_in_radians(bench, servo):
+    servo.prepare(-1.4, 1.4)
+    assert servo.arm(watchdog=2.0) == pytest.approx(0.0, abs=COUNT)
+    sent = servo.write(0.5)
+    assert sent == pytest.approx(0.5, abs=COUNT / 2)
+    until(lambda: abs(servo.read().angle - sent) < 2 * COUNT)
+    state = servo.read()
+    assert (state.voltage, state.temperature, state.alert) == (12.0, 30.0, False)
+    assert state.time <= time.monotonic()
+    servo.torque_off()
+    assert not servo.is_on()
+
+
+def test_a_mirrored_servo_counts_the_other_way(bench):
+    servo = connect(bench.path, sign=-1, deadline=PATIENT)
+    servo.prepare(-1.0, 1.4)
+    bench.device.shaft.angle = -0.3
+    until(lambda: servo.read().angle == pytest.approx(0.3, abs=COUNT))
+    low, high = bench.device.get(52), bench.device.get(48)
+    assert (high - 2048) * COUNT == pytest.approx(1.0, abs=COUNT)
+    assert (2048 - low) * COUNT == pytest.approx(1.4, abs=COUNT)
+    servo.close()
+
+
+def test_a_tail_that_drifts_backwards_needs_stuffing_and_is_read_right(bench, servo):
+    """Current -1 and velocity -3 put FF FF FD into the reply."""
+    bench.device.faults.frozen = True
+    bench.device.put(126, -1)
+    bench.device.put(128, -3)
+    state = servo.read()
+    assert state.velocity == pytest.approx(-3 * driver.VELOCITY)
+    assert state.current == pytest.approx(-driver.CURRENT)
+
+
+def test_arming_holds_where_the_shaft_stands_and_never_jumps(bench, servo):
+    bench.device.shaft.angle = 0.8
+    servo.prepare(-1.4, 1.4)
+    assert servo.arm(2.0) == pytest.approx(0.8, abs=COUNT)
+    time.sleep(0.1)
+    assert bench.device.shaft.angle == pytest.approx(0.8, abs=2 * COUNT)
+
+
+# ---- what goes wrong ----------------------------------------------------------------------------
+
+
+def test_a_lost_or_damaged_reply_to_a_read_is_asked_for_again(bench, servo):
+    bench.device.faults.mute = 1
+    servo.deadline = 0.1
+    assert servo.read().voltage == 12.0 and servo.silent == 1
+    bench.device.faults.corrupt = 1
+    bench.device.faults.garbage = b"\xff\xff\xfd\x00\x01\xff\xff noise"
+    assert servo.read().voltage == 12.0 and servo.parser.bad >= 1
+
+
+def test_a_servo_that_stays_silent_is_told_in_time(bench, servo):
+    bench.device.faults.mute = 10
+    servo.deadline = 0.05
+    began = time.monotonic()
+    with pytest.raises(ServoFault, match="no reply within 50 ms") as told:
+        servo.read()
+    assert told.value.kind == "silent" and time.monotonic() - began < 0.5
+    bench.device.faults.mute = 0
+
+
+def test_a_late_reply_is_not_taken_for_the_next_one(bench, servo):
+    servo.deadline, bench.device.faults.late = 0.05, 0.08
+    bench.device.shaft.angle = 0.2
+    servo.read()  # the first try's reply comes during the second's
+    bench.device.shaft.angle = -0.4
+    time.sleep(0.1)
+    servo.deadline = PATIENT
+    assert servo.read().angle == pytest.approx(-0.4, abs=COUNT)
+
+
+def test_the_servo_s_own_watchdog_stops_it_and_says_so_until_armed_anew(bench, servo):
+    servo.prepare(-1.4, 1.4)
+    servo.arm(watchdog=0.06)
+    servo.write(1.0)
+    began = bench.device.now
+    until(lambda: bench.device.get(98) == 0xFF)
+    assert bench.device.now - began < 0.3
+    here = bench.device.shaft.angle
+    with pytest.raises(ServoFault, match="watchdog") as told:
+        servo.write(1.2)
+    assert told.value.kind == "watchdog"
+    assert bench.device.shaft.angle == pytest.approx(here, abs=0.02)
+    assert servo.arm(2.0) == pytest.approx(here, abs=0.02)
+
+
+def test_a_shutdown_is_seen_named_and_ended_by_a_reboot_alone(bench, servo):
+    servo.prepare(-1.4, 1.4)
+    servo.arm(2.0)
+    bench.device.fail(5)
+    state = servo.read()
+    assert state.alert and not servo.is_on() and servo.hardware_errors() == ["overload"]
+    with pytest.raises(ServoFault, match="result fail"):
+        servo.arm()
+    servo.reboot()
+    with pytest.raises(ServoFault):  # deaf while it restarts
+        servo.deadline = 0.02
+        servo.read()
+    servo.deadline = PATIENT
+    until(lambda: bench.device.now > bench.device.quiet_until)
+    assert servo.hardware_errors() == [] and not servo.is_on()
+
+
+def test_a_pulled_cable_is_one_kind_of_fault_and_closing_does_not_raise(bench, servo):
+    bench.pull()
+    with pytest.raises(ServoFault) as told:
+        servo.read()
+    assert told.value.kind in ("gone", "silent")
+    servo.close()
+
+
+def test_closing_lets_go(bench):
+    servo = connect(bench.path, deadline=PATIENT)
+    servo.prepare(-1.4, 1.4)
+    servo.arm(5.0)  # more than it can count: 2.54 s
+    assert bench.device.get(64) == 1
+    servo.close()
+    until(lambda: bench.device.get(64) == 0)
+
+
+def test_a_port_that_is_someone_else_s_is_refused(bench, tmp_path):
+    with pytest.raises(BadInput, match="give the servo's port"):
+        connect(str(tmp_path / "nothing"))
+    bench.device.put(7, 9)  # another id
+    with pytest.raises(BadInput, match="nothing answers as servo 1"):
+        connect(bench.path, deadline=0.05)
+    bench.device.put(7, 1)
+    monkey = emulated.MODEL
+    emulated.MODEL = 1060  # an XL430
+    try:
+        with pytest.raises(BadInput, match="model 1060; an XW430-T200 says 1280"):
+            connect(bench.path, deadline=PATIENT)
+    finally:
+        emulated.MODEL = monkey
+
+
+def test_units_are_the_manual_s():
+    assert math.degrees(COUNT) == pytest.approx(0.087890625)
+    assert driver.VELOCITY == pytest.approx(0.02398, abs=1e-5)
