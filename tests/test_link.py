@@ -1,0 +1,215 @@
+"""The link: what is taken, what is dropped and why, and what the clocks say of each other."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tailbeat.files import BadInput
+from tailbeat.swim import link
+from tailbeat.swim.link import (
+    FRAMES,
+    LENGTHS,
+    POSES,
+    SECOND,
+    Clock,
+    Frame,
+    Receiver,
+    ask_datagram,
+    bind,
+    drain,
+    make_key,
+    pose_datagram,
+    read_key,
+    stop_datagram,
+    tell_datagram,
+)  # fmt: skip
+
+KEY, ROOM, RUN = bytes(range(32)), (5.5, 2.7), 77
+
+
+def frames(first: int = 0) -> list[Frame]:
+    return [Frame(first + k * 16_000_000, (0.1 * k, -0.2, 1.5), (1.0, 0.5)) for k in range(FRAMES)]
+
+
+def receiver() -> Receiver:
+    return Receiver(KEY, ROOM)
+
+
+def sent(to: Receiver, sequence: int, given: list[Frame] | None = None, run: int = RUN) -> bytes:
+    return pose_datagram(KEY, run, to.nonce, sequence, given or frames(sequence * 16_000_000))
+
+
+def test_three_frames_arrive_newest_first_and_what_was_not_seen_is_none():
+    to = receiver()
+    given = [frames()[0], replace(frames()[1], target=None), replace(frames()[2], fish=None)]
+    to.take(sent(to, 1, given), 0)
+    assert to.accepted == 1 and [one.captured for one in to.frames] == [32_000_000, 16_000_000, 0]
+    assert to.frames[0].fish is None and to.frames[1].target is None
+    assert to.frames[1].fish == pytest.approx((0.1, -0.2, 1.5))
+    assert len(sent(to, 2)) == LENGTHS[POSES] == 131
+
+
+def test_old_repeated_and_reordered_datagrams_change_nothing():
+    to = receiver()
+    packets = [sent(to, k) for k in range(5)]
+    for packet in (packets[0], packets[3], packets[3], packets[1], packets[2]):
+        to.take(packet, 0)
+    assert to.accepted == 2 and to.rejected == {"old": 3}
+    assert to.frames[0].captured == frames(3 * 16_000_000)[-1].captured
+    to.take(packets[4], 0)
+    assert to.accepted == 3
+
+
+def test_a_recording_of_an_earlier_start_is_of_no_use():
+    before, after = receiver(), receiver()
+    after.take(sent(before, 9), 0)
+    assert after.rejected == {"another start's": 1} and not after.frames
+
+
+def test_a_sender_that_restarts_is_taken_up_at_once():
+    to = receiver()
+    to.take(sent(to, 500, frames(10**12)), 0)
+    to.take(sent(to, 0, frames(0), run=78), 0)
+    assert to.accepted == 2 and to.frames[0].captured == 32_000_000
+
+
+def test_every_single_flipped_bit_is_refused():
+    to = receiver()
+    packet = sent(to, 1)
+    for place in range(len(packet)):
+        for bit in (0, 5):
+            forged = bytearray(packet)
+            forged[place] ^= 1 << bit
+            to.take(bytes(forged), 0)
+    assert to.accepted == 0 and not to.frames and not to.stopped
+    assert set(to.rejected) == {"not ours", "signature"}
+
+
+@pytest.mark.parametrize(
+    "count", [20_000, pytest.param(1_000_000, marks=pytest.mark.slow)], ids=["few", "million"]
+)
+def test_random_datagrams_move_nothing(count):
+    to, rng = receiver(), np.random.default_rng(0)
+    heads, lengths = list(LENGTHS), list(LENGTHS.values())
+    noise = rng.bytes(4096)
+    for k in range(count):
+        start = int(rng.integers(2000))
+        size = lengths[k % 4] if k % 2 else int(rng.integers(0, 200))
+        body = noise[start : start + size]
+        to.take(heads[k % 4] + body[4:] if k % 3 else body, k)
+    assert to.accepted == 0 and not to.frames and not to.stopped and not to.clock.echoes
+    assert sum(to.rejected.values()) == count
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        Frame(0, (9.0, 0.0, 0.0), (0.0, 0.0)),
+        Frame(0, (0.0, float("nan"), 0.0), None),
+        Frame(0, (0.0, 0.0, float("inf")), None),
+        Frame(0, None, (0.0, -1.4)),
+    ],
+)
+def test_signed_nonsense_is_dropped_too(frame):
+    to = receiver()
+    to.take(sent(to, 1, [frame]), 0)
+    assert to.rejected == {"implausible": 1} and not to.frames
+
+
+def test_time_that_runs_backwards_within_a_run_is_dropped():
+    to = receiver()
+    to.take(sent(to, 1, frames(5 * SECOND)), 0)
+    to.take(sent(to, 2, frames(4 * SECOND)), 0)
+    assert to.rejected == {"time runs backwards": 1}
+
+
+def test_stop_latches_and_needs_the_key_and_this_start():
+    to = receiver()
+    to.take(stop_datagram(bytes(32), RUN, to.nonce, 1), 0)
+    to.take(stop_datagram(KEY, RUN, to.nonce + 1, 1), 0)
+    assert not to.stopped
+    to.take(stop_datagram(KEY, RUN, to.nonce, 1), 0)
+    assert to.stopped
+
+
+def test_a_sender_answers_signed_questions_only():
+    asked = ask_datagram(KEY, 5, 1, 100)
+    assert tell_datagram(KEY, RUN, asked, 200, 210) is not None
+    assert tell_datagram(bytes(32), RUN, asked, 200, 210) is None
+    assert tell_datagram(KEY, RUN, asked[:-1] + b"x", 200, 210) is None
+
+
+def test_a_frame_s_age_is_right_though_the_clocks_differ_drift_and_the_net_is_uneven():
+    """The laptop's clock is 40 s ahead and 30 ppm fast; ways of 1 to 40 ms, not the same there and
+    back."""
+    rng, to, ahead, fast = np.random.default_rng(2), receiver(), 40 * SECOND, 1 + 30e-6
+
+    def theirs(now: float) -> int:
+        return round(now * fast) + ahead
+
+    worst = 0.0
+    for k in range(100):
+        asked = k * SECOND // 4
+        there, back = (rng.exponential(8e6, 2) + 1e6).round()
+        question = ask_datagram(KEY, to.nonce, k, asked)
+        answer = tell_datagram(
+            KEY, RUN, question, theirs(asked + there), theirs(asked + there + 5e4)
+        )
+        assert answer is not None
+        now = round(asked + there + 5e4 + back)
+        to.take(answer, now)
+        found = to.clock.offset(now)
+        assert found is not None
+        assert abs(found[0] - (theirs(now) - now)) <= found[1]
+        frame = Frame(theirs(now - 30e6), None, None)
+        age = to.age(frame, now)
+        assert age is not None
+        worst = max(worst, abs(age - 0.030)) if k > 20 else worst
+    assert worst < 0.003
+    assert receiver().age(frames()[0], 0) is None  # no echo, no age
+
+
+def test_echoes_are_forgotten_after_a_while():
+    clock = Clock()
+    clock.add(0, 1000, 1000, 10)
+    clock.add(30 * SECOND, 30 * SECOND + 5000, 30 * SECOND + 5000, 30 * SECOND + 4000)
+    assert len(clock.echoes) == 1
+
+
+def test_datagrams_cross_a_real_socket_and_a_stranger_s_are_counted():
+    fish, laptop = bind("127.0.0.1", 0), bind("127.0.0.1", 0)
+    to = receiver()
+    for k in range(10):
+        laptop.sendto(sent(to, k), fish.getsockname())
+        laptop.sendto(b"hello", fish.getsockname())
+    end = time.monotonic() + 2
+    while to.accepted + to.rejected["not ours"] < 20 and time.monotonic() < end:
+        for data, _ in drain(fish):
+            to.take(data, time.monotonic_ns())
+    assert to.accepted == 10 and to.rejected == {"not ours": 10}
+    with pytest.raises(BadInput, match="choose another address or port"):
+        bind(*fish.getsockname())
+    with pytest.raises(BadInput, match="not all of them"):
+        bind("0.0.0.0", 0)
+    for one in (fish, laptop):
+        one.close()
+
+
+def test_keys_are_private_whole_and_never_overwritten(tmp_path: Path):
+    path = tmp_path / "fish.key"
+    make_key(path)
+    assert len(read_key(path)) == link.KEY_BYTES and path.stat().st_mode & 0o777 == 0o600
+    with pytest.raises(BadInput, match="exists already"):
+        make_key(path)
+    path.chmod(0o644)
+    with pytest.raises(BadInput, match="others may read"):
+        read_key(path)
+    path.chmod(0o600)
+    path.write_bytes(b"short")
+    with pytest.raises(BadInput, match="5 bytes"):
+        read_key(path)
+    with pytest.raises(BadInput, match="no key"):
+        read_key(tmp_path / "none")
