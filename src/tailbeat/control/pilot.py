@@ -1,0 +1,75 @@
+"""From one fish's readings to its next setpoint: what the robot's loop asks fifty times a second.
+
+The same observation, network and action space as in training, with the state that lies between two
+decisions; no device, no clock. Needs numpy and onnxruntime alone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.control import actions as act
+from tailbeat.control.actions import ActionState
+from tailbeat.control.observation import COMMANDS, Samples, observe
+from tailbeat.control.policy import Policy, decide
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What is at hand for a decision: motor angle [rad] and velocity [rad/s], yaw rate [rad/s], and
+    the three newest `frames` (3, 6) as `observation.Samples` has them."""
+
+    motor_angle: float
+    motor_velocity: float
+    yaw_rate: float
+    frames: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Between two decisions: the action space's state and the last commands (1, 3, 2)."""
+
+    state: ActionState
+    commands: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """One decision: observation (24,), action (size,), and the motor's setpoint [rad]."""
+
+    observation: NDArray[np.float32]
+    action: NDArray[np.float32]
+    setpoint: float
+
+
+def begin(policy: Policy) -> Course:
+    """A straight tail, still."""
+    space = policy.contract.actions
+    state = act.reset(space, 1)
+    return Course(state, np.repeat(act.command(space, state)[:, None], COMMANDS, axis=1))
+
+
+def steer(policy: Policy, course: Course, readings: Readings) -> tuple[Course, Decision]:
+    """The next setpoint, and the course to go on from. A network's number that is not finite goes
+    through: the loop must see it and hold."""
+    space = policy.contract.actions
+    samples = Samples(
+        np.array([readings.motor_angle]),
+        np.array([readings.motor_velocity]),
+        np.array([readings.yaw_rate]),
+        course.state.phase,
+        course.commands,
+        readings.frames[None],
+    )
+    seen = observe(samples)
+    action = decide(policy, seen)
+    if not np.isfinite(action).all():
+        return course, Decision(seen[0], action[0], float("nan"))
+    state = act.step(space, course.state, np.asarray(action, float), policy.contract.period)
+    newest = act.command(space, state)[:, None]
+    commands = np.concatenate([newest, course.commands[:, :-1]], axis=1)
+    setpoint = float(act.setpoint(space, state)[0])
+    return Course(state, commands), Decision(seen[0], action[0], setpoint)
