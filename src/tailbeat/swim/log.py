@@ -1,0 +1,153 @@
+"""What a swim leaves behind: one MCAP file, written beside the loop, readable in Foxglove.
+
+Rows are JSON with a schema. A thread writes them in small chunks, straight to the file: the loop
+never waits, and a process that is killed loses the last chunk alone. A full queue or a full disk
+drops rows, counts them and says so; the loop decides what that means.
+"""
+
+import json
+import math
+import queue
+import struct
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader
+from mcap.writer import CompressionType, Writer
+
+from tailbeat import __version__
+from tailbeat.files import BadInput, refuse_existing
+from tailbeat.recording import Recording
+
+CHUNK = 4096  # bytes: about a seventh of a second of rows, so much may be lost
+WAITING = 500  # rows, ten seconds
+TOPIC, NOTES = "/swim", "tailbeat"
+SECOND = 1_000_000_000
+ARRAYS = ("observation", "action", "frames")
+TEXTS = ("state", "reason")
+# What `rows` must have to be a recording that identification reads.
+COLUMNS = ("command_rad", "motor_angle_rad", "yaw_rate_rad_s", "x_m", "y_m", "yaw_rad")
+
+
+def schema() -> dict[str, Any]:
+    """Of a row: numbers by their unit-suffixed names, null where there was none."""
+    number = {"type": ["number", "null"]}
+    listed = {"type": "array", "items": number}
+    named = {"time_s": number, **dict.fromkeys(COLUMNS, number), **dict.fromkeys(ARRAYS, listed)}
+    texts = {name: {"type": "string"} for name in TEXTS}
+    return {"type": "object", "properties": {**named, **texts}, "additionalProperties": number}
+
+
+@dataclass(eq=False)
+class Log:
+    """An open log; see `start`. `put` never waits; `dropped` rows did not fit; `failed` says why
+    nothing is written any more, or ""."""
+
+    path: Path
+    file: BinaryIO
+    waiting: "queue.Queue[Mapping[str, Any] | None]"
+    thread: threading.Thread | None = None
+    dropped: int = 0
+    failed: str = ""
+
+    def put(self, row: Mapping[str, Any]) -> None:
+        """Take a row for writing; `time_s` is the loop's monotonic time."""
+        try:
+            self.waiting.put_nowait(row)
+        except queue.Full:
+            self.dropped += 1
+
+    def close(self) -> None:
+        """Write what waits, and the file's end."""
+        self.waiting.put(None)
+        if self.thread is not None:
+            self.thread.join(10)
+        self.file.close()
+
+
+def start(path: Path, notes: Mapping[str, str]) -> Log:
+    """Open a new log; `notes` (policy, fish, configuration) go into its head. Raises BadInput."""
+    refuse_existing(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("wb", buffering=0)
+    except OSError as error:
+        raise BadInput(f"{path}: {error.strerror}; choose a place to write to.") from None
+    log = Log(path, file, queue.Queue(WAITING))
+    log.thread = threading.Thread(target=_write, args=(log, dict(notes)), daemon=True)
+    log.thread.start()
+    return log
+
+
+def _write(log: Log, notes: dict[str, str]) -> None:
+    """The writer's thread."""
+    try:
+        writer = Writer(log.file, chunk_size=CHUNK, compression=CompressionType.NONE)
+        writer.start(profile="", library=f"tailbeat {__version__}")
+        writer.add_metadata(NOTES, notes)
+        kind = writer.register_schema("tailbeat.Row", "jsonschema", json.dumps(schema()).encode())
+        channel = writer.register_channel(TOPIC, "json", kind)
+        while (row := log.waiting.get()) is not None:
+            at = round(row["time_s"] * SECOND)
+            writer.add_message(channel, at, _text(row).encode(), at)
+        writer.finish()
+    except (OSError, ValueError) as error:  # a full disk, or the file closed under it
+        log.failed = str(error)
+        while log.waiting.get() is not None:
+            log.dropped += 1
+
+
+def _text(row: Mapping[str, Any]) -> str:
+    return json.dumps({name: _plain(value) for name, value in row.items()})
+
+
+def _plain(value: Any) -> Any:
+    """JSON has neither arrays of numpy nor numbers that are not finite."""
+    if isinstance(value, np.ndarray):
+        value = value.ravel().tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+# ---- reading ------------------------------------------------------------------------------------
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Every whole row of a log, also of one whose writer was killed. Raises BadInput."""
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file; give a log, .mcap.")
+    rows = []
+    with path.open("rb") as file:
+        for text in _messages(file):
+            rows.append(json.loads(text))
+    if not rows:
+        raise BadInput(f"{path}: no rows of a swim in it; give a log of `tailbeat drive`.")
+    return rows
+
+
+def _messages(file: BinaryIO) -> Iterator[bytes]:
+    """Up to where the file is whole."""
+    try:
+        for _, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
+            if channel.topic == TOPIC:
+                yield message.data
+    except (McapError, EOFError, ValueError, struct.error):
+        return
+
+
+def as_recording(path: Path) -> Recording:
+    """A log as a recording that `identify` reads: rows that have every one of `COLUMNS`."""
+    whole = [row for row in read_rows(path) if all(row.get(c) is not None for c in COLUMNS)]
+    if len(whole) < 2:
+        raise BadInput(f"{path}: {len(whole)} whole rows; a recording needs at least 2.")
+    time = np.array([row["time_s"] for row in whole])
+    columns = {name: np.array([row[name] for row in whole]) for name in COLUMNS}
+    return Recording(path.stem, time - time[0], columns, {"source": "tailbeat drive"})
