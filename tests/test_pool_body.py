@@ -64,3 +64,18 @@ def test_a_new_episode_begins_at_rest_and_forgets():
         paths.append(np.array([world.step(a).observation[0] for a in actions]))
     assert np.array_equal(paths[0], paths[1])
     assert world.body.energy[0] > 0
+
+
+def test_fish_that_are_let_be_stay_and_the_others_swim_on_as_before():
+    waters = ensemble(4, seed=4)
+    commands = np.random.default_rng(3).uniform(-0.8, 0.8, (40, 4))
+    whole, some = (PoolBody(FISH, waters) for _ in range(2))
+    for step, command in enumerate(commands):
+        if step == 20:
+            some.keep(np.array([True, False, False, True]))
+            stayed = some.qpos.copy()
+        for body in (whole, some):
+            body.advance(command, np.zeros((4, 2)))
+    assert np.array_equal(some.qpos[[0, 3]], whole.qpos[[0, 3]])
+    assert np.array_equal(some.energy[[0, 3]], whole.energy[[0, 3]])
+    assert np.array_equal(some.qpos[[1, 2]], stayed[[1, 2]])

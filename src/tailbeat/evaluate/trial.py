@@ -118,9 +118,12 @@ def swim(decide: Decide, arm: Arm, seeds: list[int]) -> Runs:
         out = going & (done.terminated & ~done.reached | log.away(world))
         log.reached |= going & done.reached & ~out
         log.lost |= out
-        going = going & ~out & ~(done.reached & arm.stop)
-        if not going.any():
+        still = going & ~out & ~(done.reached & arm.stop)
+        if not still.any():
             break
+        if arm.water is not None and still.sum() < going.sum():
+            world.body.keep(still)
+        going = still
     return log.runs(world, arm)
 
 

@@ -12,7 +12,15 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
 from tailbeat.learn.body import PERIOD
 from tailbeat.learn.randomize import Randomisation
-from tailbeat.pool.plant import Surroundings, at_rest, build_plant, step_plant
+from tailbeat.pool.plant import (
+    STATE,
+    Plant,
+    Surroundings,
+    Swum,
+    at_rest,
+    build_plant,
+    step_plant,
+)
 from tailbeat.pool.section import STATES
 from tailbeat.pool.water import Water
 
@@ -38,6 +46,7 @@ class PoolBody:
         self.state = at_rest(self.plant)
         self.qpos, self.qvel, self.motor = self.state.q, self.state.v, 3
         self.energy = np.zeros(len(water))  # J that the actuator put in, since the last rest
+        self.only: tuple[NDArray[np.int64], Plant] | None = None
 
     def rest(self, chosen: NDArray[np.int64]) -> None:
         """Straight and still, fins attached, nothing on its way to the servo."""
@@ -54,12 +63,32 @@ class PoolBody:
     def ready(self, chosen: NDArray[np.int64]) -> None:
         """Nothing to derive."""
 
+    def keep(self, going: NDArray[np.bool_]) -> None:
+        """Step only these fish from now on; the others stay as they are, and cost nothing."""
+        chosen = np.flatnonzero(going)
+        self.only = (chosen, self.plant.part(chosen))
+
     def advance(self, setpoint: Array, push: Array) -> NDArray[np.bool_]:
         """One control period; fish whose numbers left the finite are lost and put to rest."""
         commands = np.repeat(np.asarray(setpoint, float)[:, None], self.steps, axis=1)
-        swum = step_plant(self.plant, self.state, commands, 1)
+        if self.only is None:
+            return self._settle(
+                np.arange(len(commands)), step_plant(self.plant, self.state, commands)
+            )
+        chosen, plant = self.only
+        own = self.state.part(chosen)
+        swum = step_plant(plant, own, commands[chosen])
+        for name in STATE:
+            getattr(self.state, name)[chosen] = getattr(own, name)
+        self.state.newest, self.state.steps = own.newest, own.steps
+        return self._settle(chosen, swum)
+
+    def _settle(self, chosen: NDArray[np.int64], swum: Swum) -> NDArray[np.bool_]:
+        """Count the energy, put lost fish to rest; which were lost, of all."""
         power = swum.torque[:, 1:] * swum.v[:, 1:, self.motor]
-        self.energy += np.maximum(power, 0.0).sum(axis=1) * self.plant.dt
-        if swum.lost.any():
-            self.rest(np.flatnonzero(swum.lost))
-        return swum.lost
+        self.energy[chosen] += np.maximum(power, 0.0).sum(axis=1) * self.plant.dt
+        lost = np.zeros(len(self.energy), dtype=bool)
+        lost[chosen] = swum.lost
+        if lost.any():
+            self.rest(np.flatnonzero(lost))
+        return lost

@@ -22,6 +22,7 @@ from tailbeat.pool.water import Water, rows
 Array = NDArray[np.float64]
 LENGTH, WIDTH = 5.5, 2.7  # m, the paper's pool
 LONGEST_DELAY = 0.2  # s, of a servo's description
+STATE = ("q", "v", "a", "fins", "history")  # arrays of a state, one row a fish
 
 
 @dataclass(frozen=True)
@@ -65,9 +66,14 @@ class State:
     newest: int
     steps: int
 
+    def part(self, chosen: NDArray[np.int64]) -> "State":
+        """A copy of some fish."""
+        arrays = {name: getattr(self, name)[chosen] for name in STATE}
+        return replace(self, **arrays)
+
     def copy(self) -> "State":
         """A state to go on from later."""
-        arrays = {name: getattr(self, name).copy() for name in ("q", "v", "a", "fins", "history")}
+        arrays = {name: getattr(self, name).copy() for name in STATE}
         return replace(self, **arrays)
 
 
@@ -89,6 +95,25 @@ class Plant:
         base = (c.origin, c.mass, c.centre, c.inertia, c.strip_body, c.strip, c.fin_body, c.fin)
         springs = (c.stiffness, c.damping, c.guide_body, c.guide, c.motor, factors, c.tendon)
         return (*base, *springs, self.neutral, self._ends)
+
+    @cached_property
+    def each(self) -> tuple[Array, ...]:
+        """What differs from fish to fish: water rows, servo rows, flow modes, half walls, pokes,
+        held heads."""
+        half = [(w[0] / 2, w[1] / 2) if (w := a.walls) else (0.0, 0.0) for a in self.around]
+        return (
+            rows(self.water),
+            self.servo,
+            _filled([a.modes for a in self.around], 5),
+            np.array(half),
+            _filled([a.pokes for a in self.around], 5),
+            np.array([a.held for a in self.around]),
+        )
+
+    def part(self, chosen: NDArray[np.int64]) -> "Plant":
+        """Some of the fish, in their own water and surroundings."""
+        water, around = ([values[i] for i in chosen] for values in (self.water, self.around))
+        return replace(self, water=tuple(water), around=tuple(around), servo=self.servo[chosen])
 
     @cached_property
     def neutral(self) -> Array:
@@ -183,10 +208,7 @@ def step_plant(plant: Plant, state: State, commands: Array, every: int = 1) -> S
     samples = steps // every + 1
     q = np.empty((n, samples, plant.chain.nv))
     v, torque = np.empty_like(q), np.zeros((n, samples))
-    modes = _filled([a.modes for a in plant.around], 5)
-    pokes = _filled([a.pokes for a in plant.around], 5)
-    half = np.array([(w[0] / 2, w[1] / 2) if w else (0.0, 0.0) for w in _walls(plant)])
-    held = np.array([a.held for a in plant.around])
+    water, servo, modes, half, pokes, held = plant.each
     _advance(
         state.q,
         state.v,
@@ -199,8 +221,8 @@ def step_plant(plant: Plant, state: State, commands: Array, every: int = 1) -> S
         state.steps,
         plant.dt,
         plant.arrays,
-        rows(plant.water),
-        plant.servo,
+        water,
+        servo,
         modes,
         half,
         pokes,
@@ -212,10 +234,6 @@ def step_plant(plant: Plant, state: State, commands: Array, every: int = 1) -> S
     state.steps += steps
     lost = np.logical_not(np.isfinite(q).all(axis=(1, 2)))
     return Swum(time, q, v, torque, np.asarray(lost))
-
-
-def _walls(plant: Plant) -> list[tuple[float, float] | None]:
-    return [around.walls for around in plant.around]
 
 
 def _filled(lists: Sequence[Sequence[Sequence[float]]], width: int) -> Array:
