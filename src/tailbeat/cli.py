@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tailbeat import bench_tasks, chain_tasks, console, learn_cli, swim_cli, tasks
+from tailbeat import bench_tasks, chain_tasks, console, learn_cli, robot_cli, swim_cli, tasks
 from tailbeat.files import BadInput, write_json
 
 app = typer.Typer(
@@ -22,7 +22,16 @@ app.add_typer(identify, name="identify")
 app.add_typer(importing, name="import")
 app.add_typer(learn_cli.policy, name="policy")
 app.command("train")(learn_cli.train)
-for verb in (swim_cli.swim, swim_cli.evaluate, swim_cli.compare, swim_cli.report):
+for verb in (
+    swim_cli.swim,
+    swim_cli.evaluate,
+    swim_cli.compare,
+    swim_cli.report,
+    robot_cli.key,
+    robot_cli.rig,
+    robot_cli.drive,
+    robot_cli.export,
+):
     app.command(verb.__name__)(verb)
 
 LISTS = (

@@ -23,6 +23,7 @@ RATE = math.radians(1 / 16)  # rad/s per count
 FASTEST = math.radians(2000)
 TO_CONFIG, TO_OPERATE = 0.019, 0.007  # s that a change of mode takes
 DEADLINE = 0.008  # s for a reply: 12 bytes at 115,200 baud and the sensor's own time
+PATIENCE = 0.1  # s for the first one
 OVER_RUN = 0x07
 ERRORS = {
     0x02: "read failed", 0x03: "write failed", 0x04: "bad address", 0x05: "write disabled",
@@ -156,7 +157,7 @@ def connect(path: str, mounting: Mounting | None = None, deadline: float = DEADL
         port = serial.Serial(path, 115_200, timeout=deadline, write_timeout=0.1, exclusive=True)
     except (*GONE, ValueError) as error:
         raise BadInput(f"{path}: {error}; give the IMU's port, not in use elsewhere.") from None
-    imu = Imu(port, mounting or Mounting(), deadline)
+    imu = Imu(port, mounting or Mounting(), max(deadline, PATIENCE))
     fault = None
     for _ in range(5):
         try:
@@ -170,6 +171,7 @@ def connect(path: str, mounting: Mounting | None = None, deadline: float = DEADL
             f"{path}: {fault}; nothing answers as a BNO055 at 115200 baud: check cable, power and"
             f" its PS1 pin (high for UART)."
         )
+    imu.deadline = deadline
     if chip != CHIP:
         imu.close()
         raise BadInput(f"{path}: chip {chip:#x}; a BNO055 says {CHIP:#x}. Give its port.")

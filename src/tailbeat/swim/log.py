@@ -28,7 +28,7 @@ CHUNK = 4096  # bytes: about a seventh of a second of rows, so much may be lost
 WAITING = 500  # rows, ten seconds
 TOPIC, NOTES = "/swim", "tailbeat"
 SECOND = 1_000_000_000
-ARRAYS = ("observation", "action", "frames")
+ARRAYS = ("observation", "action", "decided_on")
 TEXTS = ("state", "reason")
 # What `rows` must have to be a recording that identification reads.
 COLUMNS = ("command_rad", "motor_angle_rad", "yaw_rate_rad_s", "x_m", "y_m", "yaw_rad")

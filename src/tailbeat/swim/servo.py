@@ -40,6 +40,7 @@ STATE_FIRST, STATE_LENGTH = 122, 25  # moving ... temperature: no gap
 POSITION_MODE = 3
 WATCHDOG_UNIT = 0.020  # s
 DEADLINE = 0.005  # s for a reply
+PATIENCE = 0.1  # s for the first one: nothing moves yet
 GONE = (serial.SerialException, OSError, termios.error)  # what a pulled cable raises
 HARDWARE = {0: "voltage", 2: "overheat", 3: "encoder", 4: "electrical shock", 5: "overload"}
 
@@ -213,7 +214,7 @@ def connect(
         raise BadInput(f"{path}: {error}; give the servo's port, not in use elsewhere.") from None
     with contextlib.suppress(ValueError, OSError, NotImplementedError):
         port.set_low_latency_mode(True)  # a pty has none
-    servo = Servo(port, ident, sign, deadline)
+    servo = Servo(port, ident, sign, max(deadline, PATIENCE))
     try:
         model = int.from_bytes(servo._ask(PING, b"", 3, tries=3).data[:2], "little")
     except ServoFault as fault:
@@ -222,6 +223,7 @@ def connect(
             f"{path}: {fault}; nothing answers as servo {ident} at {baud} baud: check cable, power,"
             f" id and baud rate."
         ) from None
+    servo.deadline = deadline
     if model != MODEL:
         port.close()
         raise BadInput(f"{path}: model {model}; an XW430-T200 says {MODEL}. Give its port.")

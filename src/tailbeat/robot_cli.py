@@ -1,0 +1,85 @@
+"""The robot's verbs: `key`, `rig`, `drive`, `export`. Parse, call, print."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tailbeat import console, robot_tasks
+from tailbeat.files import BadInput, refuse_existing, write_json
+
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
+FishOption = Annotated[str, typer.Option("--fish", help="The pool's fish: a file or a name.")]
+TargetOption = Annotated[str, typer.Option("--target", help="Where the target is: x,y [m].")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
+
+
+def key(path: Annotated[Path, typer.Argument(help="The key file to write.")]) -> None:
+    """Write a key that laptop and fish share; copy it to both, readable by its owner alone."""
+    robot_tasks.need_extra()
+    from tailbeat.swim.link import make_key  # needs the extra
+
+    make_key(path)
+    console.say(f"wrote {path}; copy it to both machines")
+
+
+def rig(
+    key: Annotated[Path, typer.Option("--key", help="The shared key.")],
+    robot: Annotated[str, typer.Option("--robot", help="host:port where the loop listens.")],
+    fish: FishOption = "pulley-fish",
+    target: TargetOption = "1.5,0.5",
+    seed: SeedOption = 0,
+) -> None:
+    """An emulated bench in real time: servo and IMU on pseudo-terminals, poses over the network."""
+    robot_tasks.rig(fish, key, robot, target, seed, lambda line: print(line, flush=True))
+
+
+def drive(
+    policy: Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")],
+    log: Annotated[Path, typer.Option("--log", help="The log to write, .mcap.")],
+    emulated: Annotated[
+        bool, typer.Option("--rig", help="Start an emulated bench and drive that.")
+    ] = False,
+    servo: Annotated[str, typer.Option(help="The servo's serial port.")] = "",
+    imu: Annotated[str, typer.Option(help="The IMU's serial port.")] = "",
+    listen: Annotated[str, typer.Option(help="host:port to listen on for poses.")] = "",
+    laptop: Annotated[str, typer.Option(help="host:port of the laptop.")] = "",
+    key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
+    fish: FishOption = "pulley-fish",
+    target: Annotated[
+        str | None, typer.Option("--target", help="x,y [m] instead of the target's tag.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(help="How long.")] = 30.0,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Drive the fish fifty times a second: arm, swim, let go; exit code 1 if it stopped itself."""
+    robot_tasks.need_extra()
+    for path in filter(None, (log, json)):
+        refuse_existing(path)
+    aim = None if target is None else robot_tasks.place(target)
+    if emulated:
+        with robot_tasks.temporary() as folder:
+            bench = robot_tasks.own_rig(fish, target or "1.5,0.5", seed, Path(folder))
+            with bench as (ports, secret):
+                done = robot_tasks.drive(policy, ports, secret, aim, seconds, log, console.say)
+    else:
+        if not (servo and imu and listen and laptop and key):
+            raise BadInput("drive: give --servo, --imu, --listen, --laptop and --key, or --rig.")
+        ends = robot_tasks.address(listen, "--listen"), robot_tasks.address(laptop, "--laptop")
+        ports = robot_tasks.Ports(servo, imu, *ends)
+        done = robot_tasks.drive(policy, ports, key, aim, seconds, log, console.say)
+    console.tables({"drive": [done]})
+    if json is not None:
+        write_json(json, done)
+    if done["ended"] != "swimming":
+        raise typer.Exit(1)
+
+
+def export(
+    log: Annotated[Path, typer.Argument(help="A log of `tailbeat drive`, .mcap.")],
+    out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
+) -> None:
+    """A drive's log as a recording that identification reads; also of a log that was cut off."""
+    recording = robot_tasks.export(log, out)
+    console.say(f"wrote {out}: {recording.time.size} rows")

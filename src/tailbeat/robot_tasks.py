@@ -1,0 +1,216 @@
+"""What do the robot's verbs do? A key, an emulated bench, a drive, and what its log is worth."""
+
+import gc
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tailbeat.control.policy import load_policy
+from tailbeat.files import BadInput, refuse_existing
+from tailbeat.fish.store import load_fish
+from tailbeat.recording import Recording, write_recording
+
+Say = Callable[[str], None]
+READY = 60.0  # s that a bench may take to start
+WAIT_TO_ARM = 10.0  # s for the first poses and the laptop's clock
+LENGTH, WIDTH = 5.5, 2.7  # m, the paper's pool
+
+
+@dataclass(frozen=True)
+class Ports:
+    """Where the devices are: serial ports, our own address, the laptop's."""
+
+    servo: str
+    imu: str
+    listen: tuple[str, int]
+    laptop: tuple[str, int]
+
+
+def need_extra() -> None:
+    """Raises BadInput where the robot's packages are missing."""
+    for module in ("serial", "mcap"):
+        if find_spec(module) is None:
+            raise BadInput(f"the robot needs {module}: pip install 'tailbeat[robot]'.")
+
+
+def address(text: str, option: str) -> tuple[str, int]:
+    """`host:port`."""
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit() or not 0 <= int(port) < 65536:
+        raise BadInput(f"{option} {text!r}: give host:port, as 127.0.0.1:5151.")
+    return host, int(port)
+
+
+def place(text: str) -> tuple[float, float]:
+    """`x,y` [m] inside the pool."""
+    try:
+        x, y = map(float, text.split(","))
+    except ValueError:
+        raise BadInput(f"--target {text!r}: give x,y in metres, as 1.2,-0.4.") from None
+    if not (abs(x) <= LENGTH / 2 and abs(y) <= WIDTH / 2):
+        raise BadInput(
+            f"--target {text}: outside the pool, whose ends lie at x = {LENGTH / 2:g} and"
+            f" y = {WIDTH / 2:g}."
+        )
+    return x, y
+
+
+def rig(fish: str, key: Path, robot: str, target: str, seed: int, say: Say) -> None:
+    """Serve an emulated bench until told to stop; says where it is as one line of JSON."""
+    need_extra()
+    from tailbeat.pool import rig as bench  # needs the extra
+    from tailbeat.swim.link import read_key
+
+    there, aim = address(robot, "--robot"), place(target)
+    made = bench.open_rig(load_fish(fish), read_key(key), there, aim, seed)
+    ended: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda n, _: ended.append(n))
+    made.shaft.advance(0.0, 0.01)  # compiled before anyone waits for it
+    gc.freeze()
+    gc.disable()  # a collection would hold up the bus
+    host, port = made.laptop.socket.getsockname()
+    say(json.dumps({"servo": made.ports[0], "imu": made.ports[1], "laptop": f"{host}:{port}"}))
+    bench.serve(made, lambda: bool(ended))
+    bench.close_rig(made)
+
+
+@contextmanager
+def own_rig(fish: str, target: str, seed: int, folder: Path) -> Iterator[tuple[Ports, Path]]:
+    """A bench of our own in a process beside, and its key."""
+    from tailbeat.swim import link
+
+    key = folder / "rig.key"
+    link.make_key(key)
+    probe = link.bind("127.0.0.1", 0)
+    listen = probe.getsockname()
+    probe.close()
+    words = ["rig", "--fish", fish, "--key", str(key), "--robot", f"{listen[0]}:{listen[1]}"]
+    words += [f"--target={target}", "--seed", str(seed)]
+    command = [sys.executable, "-m", "tailbeat", *words]
+    alone = {**os.environ, "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # one fish: no pools
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=alone)
+    assert process.stdout is not None
+    try:
+        line = process.stdout.readline()
+        if not line:
+            raise BadInput("the emulated bench did not start; see what it said above.")
+        said = json.loads(line)
+        yield Ports(said["servo"], said["imu"], listen, address(said["laptop"], "laptop")), key
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+def drive(
+    policy: str,
+    ports: Ports,
+    key: Path,
+    target: tuple[float, float] | None,
+    seconds: float,
+    log: Path,
+    say: Say,
+) -> dict[str, Any]:
+    """Arm, swim so long, disarm; every period in the log."""
+    need_extra()
+    from tailbeat.swim import imu, link, loop, servo
+    from tailbeat.swim import log as logs
+
+    loaded, secret = load_policy(policy), link.read_key(key)
+    refuse_existing(log)
+    motor, gyro = servo.connect(ports.servo), None
+    try:
+        gyro = imu.connect(ports.imu)
+        gyro.prepare()
+        receiver = link.Receiver(secret, (LENGTH, WIDTH))
+        heard = link.bind(*ports.listen)
+        written = logs.start(log, {"policy": policy, "contract": loaded.contract.fish})
+        devices = loop.Devices(motor, gyro, receiver, heard, ports.laptop)
+        own = loop.Loop(
+            loaded, devices, written.put, logging=lambda: not written.failed, target=target
+        )
+        _swim(own, seconds, say)
+        written.close()
+        heard.close()
+        return summary(logs.read_rows(log), own.stand.reason, dict(receiver.rejected))
+    finally:
+        motor.close()
+        if gyro is not None:
+            gyro.close()
+
+
+def _swim(own: Any, seconds: float, say: Say) -> None:
+    """Wait until it may be armed, arm, swim, and say every change of state."""
+    from tailbeat.swim.safety import State
+
+    told = [""]
+
+    def over(since: float) -> bool:
+        if own.stand.state is State.DISARMED and since > 1.0:
+            own.arm(time.monotonic())
+        if own.stand.state is State.ARMED:
+            own.swim()
+        line = f"{own.stand.state.value}: {own.stand.reason}"
+        if line != told[0]:
+            told[0] = line
+            say(f"{since:6.2f} s  {line}")
+        waited = own.stand.state is State.DISARMED and since > WAIT_TO_ARM
+        return waited or since >= seconds or own.stand.state is State.STOP
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: setattr(own, "stop_asked", "the operator"))
+    own.run(over)
+
+
+def summary(rows: list[dict[str, Any]], reason: str, rejected: dict[str, int]) -> dict[str, Any]:
+    """What a log comes to: rate, lateness, ages, how near the fish came."""
+    swum = [row for row in rows if row["state"] == "run"]
+    time_ = np.array([row["time_s"] for row in rows])
+    away = [_away(row) for row in swum if row["decided_on"]]
+    ages = [row["pose_age_s"] for row in swum if row["pose_age_s"] is not None]
+    busy = np.array([row["busy_s"] for row in rows])
+    return {
+        "seconds": float(time_[-1] - time_[0]),
+        "swum_s": 0.02 * len(swum),
+        "rate_hz": float((len(rows) - 1) / (time_[-1] - time_[0])),
+        "busy_ms_median": float(1e3 * np.median(busy)),
+        "busy_ms_p999": float(1e3 * np.quantile(busy, 0.999)),
+        "pose_age_ms_median": float(1e3 * np.median(ages)) if ages else None,
+        "nearest_m": min(away) if away else None,
+        "rejected_datagrams": rejected,
+        "ended": reason,
+    }
+
+
+def _away(row: dict[str, Any]) -> float:
+    """Distance to the target in the newest frame."""
+    x, y, _, tx, ty, _ = row["decided_on"][:6]
+    return float(np.hypot(tx - x, ty - y))
+
+
+def export(log: Path, out: Path) -> Recording:
+    """A log as a recording, CSV or Parquet."""
+    need_extra()
+    from tailbeat.swim.log import as_recording
+
+    refuse_existing(out)
+    recording = replace(as_recording(log), name=out.stem)
+    write_recording(recording, out)
+    return recording
+
+
+def temporary() -> Any:
+    """A folder that goes away."""
+    return tempfile.TemporaryDirectory(prefix="tailbeat-")

@@ -1,0 +1,225 @@
+"""The robot's loop against the emulated bench: real bytes, real datagrams, and faults.
+
+The rig is a thread of this process here and shares its interpreter, so deadlines are wide and
+nothing is said of the rate; `drive --rig`, below, runs it beside.
+"""
+
+import json
+import math
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("serial", reason="the robot extra is not installed")
+pytest.importorskip("mcap", reason="the robot extra is not installed")
+
+from tailbeat.control import pilot
+from tailbeat.control.policy import load_policy
+from tailbeat.fish.store import load_fish
+from tailbeat.pool import rig as bench
+from tailbeat.recording import read_recording
+from tailbeat.swim import link
+from tailbeat.swim.imu import connect as connect_imu
+from tailbeat.swim.loop import Devices, Loop
+from tailbeat.swim.safety import Limits, State
+from tailbeat.swim.servo import connect as connect_servo
+
+KEY, POLICY = bytes(32), load_policy("pulley-fish-pool-generator")
+WIDE = Limits(pose_hold=2.0, pose_stop=5.0, imu_hold=2.0, servo_hold=2.0, servo_stop=4.0,
+              clock_doubt=1.0, overruns_hold=10**6)  # fmt: skip
+PATIENT = 0.5
+
+
+@dataclass
+class Bench:
+    """A loop and the rig it drives; `cut` ends what the rig does."""
+
+    loop: Loop
+    rig: bench.Rig
+    cut: Callable[[], None]
+    rows: list[dict[str, Any]] = field(default_factory=list)
+
+    def ticks(self, until: Callable[[], bool], seconds: float = 20.0) -> None:
+        end = time.monotonic() + seconds
+        while not until():
+            assert time.monotonic() < end, self.loop.stand
+            self.loop.tick(time.monotonic())
+            time.sleep(0.01)
+
+    def swim(self) -> None:
+        """Up to a swimming fish."""
+        self.ticks(lambda: self.loop.devices.receiver.clock.offset(0) is not None)
+        self.ticks(lambda: bool(self.loop.seen) and self.loop.servo is not None)
+        assert self.loop.arm(time.monotonic()).state is State.ARMED, self.loop.stand
+        self.loop.devices.servo.set((98, 1), 127)  # its own watchdog: a thread may be late
+        assert self.loop.swim().state is State.RUN
+
+    @property
+    def torque(self) -> int:
+        return self.rig.servo.get(64)
+
+
+@pytest.fixture
+def swimming() -> Iterator[Bench]:
+    heard = link.bind("127.0.0.1", 0)
+    made = bench.open_rig(load_fish("pulley-fish"), KEY, heard.getsockname(), (1.5, 0.5))
+    made.shaft.advance(0.0, 0.01)
+    ended = threading.Event()
+    thread = threading.Thread(target=bench.serve, args=(made, ended.is_set), daemon=True)
+    thread.start()
+    servo, imu = (
+        connect_servo(made.ports[0], deadline=PATIENT),
+        connect_imu(made.ports[1], None, PATIENT),
+    )
+    imu.prepare()
+    devices = Devices(
+        servo, imu, link.Receiver(KEY, (5.5, 2.7)), heard, made.laptop.socket.getsockname()
+    )
+    rows: list[dict[str, Any]] = []
+
+    def cut() -> None:
+        if not ended.is_set():
+            ended.set()
+            thread.join(5)
+
+    yield Bench(Loop(POLICY, devices, rows.append, WIDE), made, cut, rows)
+    servo.close()
+    imu.close()
+    cut()
+    bench.close_rig(made)
+    heard.close()
+
+
+def test_it_arms_swims_nearer_and_lets_go(swimming):
+    swimming.swim()
+    first = math.hypot(1.5 - swimming.rig.shaft.pose[0], 0.5 - swimming.rig.shaft.pose[1])
+    swimming.ticks(lambda: len([r for r in swimming.rows if r["state"] == "run"]) > 250)
+    last = math.hypot(1.5 - swimming.rig.shaft.pose[0], 0.5 - swimming.rig.shaft.pose[1])
+    assert last < first - 0.1 and swimming.torque == 1
+    assert swimming.loop.disarm().state is State.DISARMED and swimming.torque == 0
+
+
+def test_poses_are_the_plant_s_and_their_age_is_right_on_another_s_clock(swimming):
+    swimming.swim()
+    swimming.ticks(lambda: len(swimming.rows) > 60)
+    row = swimming.rows[-1]
+    assert row["x_m"] == pytest.approx(swimming.rig.shaft.pose[0], abs=0.1)
+    assert 0.02 < np.median([r["pose_age_s"] for r in swimming.rows[-20:]]) < 0.3
+
+
+def test_what_was_logged_gives_the_same_decisions_again(swimming):
+    """Replay equals record: the rows of a swim through the pilot."""
+    swimming.swim()
+    swimming.ticks(lambda: len([r for r in swimming.rows if r["state"] == "run"]) > 40)
+    course = pilot.begin(POLICY)
+    ran = [row for row in swimming.rows if row["state"] == "run"]
+    for row in ran:
+        readings = pilot.Readings(
+            row["motor_angle_rad"], row["motor_velocity_rad_s"], row["yaw_rate_rad_s"],
+            row["decided_on"],
+        )  # fmt: skip
+        course, decision = pilot.steer(POLICY, course, readings)
+        assert np.array_equal(decision.action, row["action"])
+        assert decision.setpoint == row["setpoint_rad"]
+
+
+def test_an_order_to_stop_takes_the_torque_at_once(swimming):
+    swimming.swim()
+    receiver = swimming.loop.devices.receiver
+    order = link.stop_datagram(KEY, 1, receiver.nonce, 1)
+    swimming.rig.laptop.socket.sendto(order, swimming.rig.laptop.fish)
+    swimming.ticks(lambda: swimming.loop.stand.state is State.STOP, 2.0)
+    assert swimming.torque == 0 and "console" in swimming.loop.stand.reason
+
+
+def test_a_cut_link_holds_and_then_stops(swimming):
+    swimming.swim()
+    swimming.rig.laptop.due = math.inf  # no more frames
+    swimming.loop.limits = Limits(**{**vars(WIDE), "pose_hold": 0.5, "pose_stop": 1.5})
+    swimming.ticks(lambda: swimming.loop.stand.state is State.HOLD, 5.0)
+    assert "no pose for" in swimming.loop.stand.reason and swimming.torque == 1
+    swimming.ticks(lambda: swimming.loop.stand.state is State.STOP, 5.0)
+    assert swimming.torque == 0
+
+
+def test_an_answer_that_is_no_number_is_held_and_not_sent(swimming, monkeypatch):
+    swimming.swim()
+    swimming.ticks(lambda: swimming.rows[-1]["state"] == "run")
+    nothing = np.full((1, 6), np.nan, np.float32)
+    monkeypatch.setattr("tailbeat.control.pilot.decide", lambda *_: nothing)
+    swimming.ticks(lambda: swimming.loop.stand.state is State.HOLD, 3.0)
+    assert "not a number" in swimming.loop.stand.reason
+    swimming.ticks(lambda: abs(swimming.loop.sent) < 0.01, 10.0)  # back to straight, slowly
+
+
+def test_a_servo_that_shuts_down_or_restarts_stops_the_swim(swimming):
+    swimming.swim()
+    swimming.rig.servo.fail(2)
+    swimming.ticks(lambda: swimming.loop.stand.state is State.STOP, 3.0)
+    assert "hardware error" in swimming.loop.stand.reason
+    swimming.rig.servo.put(70, 0)
+    swimming.loop.disarm()
+    swimming.ticks(lambda: not swimming.loop.servo.alert)
+    swimming.swim()
+    swimming.rig.servo.reboot()
+    swimming.rig.servo.quiet_until = 0.0
+    swimming.ticks(lambda: swimming.loop.stand.state is State.STOP, 3.0)
+    assert "lost its torque" in swimming.loop.stand.reason and swimming.torque == 0
+
+
+def test_a_pulled_servo_stops_and_an_exception_lets_go(swimming):
+    swimming.swim()
+    with pytest.raises(RuntimeError):
+        swimming.loop.run(lambda since: (_ for _ in ()).throw(RuntimeError("a bug")))
+    assert swimming.torque == 0
+    swimming.loop.disarm()
+    swimming.swim()
+    swimming.rig.servo.faults.mute = 10**6
+    swimming.loop.devices.servo.deadline = 0.02
+    swimming.loop.limits = Limits(**{**vars(WIDE), "servo_hold": 0.3, "servo_stop": 0.6})
+    swimming.ticks(lambda: swimming.loop.stand.state is State.STOP, 5.0)
+    assert "no servo for" in swimming.loop.stand.reason
+    swimming.rig.servo.faults.mute = 0
+
+
+# ---- the verbs ----------------------------------------------------------------------------------
+
+
+def tailbeat(*words: object) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "tailbeat", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+
+def test_drive_swims_its_own_rig_and_its_log_is_a_recording(tmp_path: Path):
+    """In real time, in processes of their own; on a busy machine it may hold, and says why."""
+    log, out = tmp_path / "swim.mcap", tmp_path / "swim.csv"
+    done = tailbeat("drive", "pulley-fish-pool-generator", "--rig", "--log", log, "--seconds", 5,
+                    "--json", tmp_path / "d.json")  # fmt: skip
+    assert done.returncode in (0, 1), done.stderr
+    assert "run: swimming" in done.stdout
+    found = json.loads((tmp_path / "d.json").read_text())
+    assert found["rate_hz"] > 25 and found["rejected_datagrams"] == {}
+    assert tailbeat("export", log, "--out", out).returncode == 0
+    assert read_recording(out).time.size > 60
+
+
+def test_what_a_drive_cannot_have_is_one_sentence_and_exit_code_2(tmp_path: Path):
+    policy, log = "pulley-fish-pool-generator", tmp_path / "a.mcap"
+    for words, complaint in {
+        (policy,): "give --servo, --imu, --listen, --laptop and --key, or --rig",
+        (policy, "--rig", "--target", "9,9"): "outside the pool",
+        (policy, "--rig", "--target", "left"): "give x,y in metres",
+        ("nobody", "--rig"): "no such file",
+    }.items():
+        done = tailbeat("drive", *words, "--log", log)
+        assert done.returncode == 2, done.stdout
+        assert complaint in " ".join(done.stderr.split()) and "Traceback" not in done.stderr
+    assert not log.exists()
