@@ -29,9 +29,10 @@ from tailbeat.learn import plan as planned
 from tailbeat.learn.buffer import FIRST, MIRRORED, RelabelBuffer, _seen
 from tailbeat.learn.curriculum import FALL, STAGES, learning_rate, settings_of
 from tailbeat.learn.env import FishVecEnv
+from tailbeat.learn.export import act
 from tailbeat.learn.plan import Plan, action_space
 from tailbeat.learn.recipe import paper, quick, recipe_of, smoke
-from tailbeat.learn.sac import QuickSAC
+from tailbeat.learn.sac import STEADY, QuickSAC
 from tailbeat.learn.sensors import quiet
 from tailbeat.learn.train import train
 from tailbeat.learn.world import Settings, Task, World
@@ -168,6 +169,25 @@ def test_the_critics_gradient_is_that_of_sb3_s_loss(learner):
     (0.5 * torch.stack(losses).sum()).backward()
     for slope, parameter in zip(gradient, learner.critic.parameters(), strict=True):
         assert torch.allclose(slope, parameter.grad, atol=1e-6)
+
+
+def test_the_greedy_actor_is_the_running_mean_of_the_actor_s_weights():
+    env = FishVecEnv(FISH, 4, STILL, seed=1)
+    model = QuickSAC("MlpPolicy", env, learning_starts=32, batch_size=16, seed=7, device="cpu")
+    model.learn(40)
+    mean = [p.detach().clone() for p in model.steady.parameters()]
+    for _ in range(3):
+        model.train(1, 16)
+        mean = [
+            (1 - STEADY) * m + STEADY * p.detach()
+            for m, p in zip(mean, model.actor.parameters(), strict=True)
+        ]
+    for kept, wanted in zip(model.steady.parameters(), mean, strict=True):
+        assert torch.allclose(kept, wanted, atol=1e-7)
+    seen = np.random.default_rng(0).normal(size=(5, 24)).astype(np.float32)
+    with torch.no_grad():
+        own = model.steady(torch.as_tensor(seen), deterministic=True).numpy()
+    assert np.array_equal(act(model, seen), own)
 
 
 def test_a_seed_gives_one_run():
