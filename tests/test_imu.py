@@ -1,6 +1,5 @@
 """The IMU's driver and the emulated IMU over a pseudo-terminal, and what goes wrong there."""
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -10,9 +9,9 @@ import pytest
 
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
+from lines import served
 from tailbeat.files import BadInput
 from tailbeat.pool.imu import Bno055, serve
-from tailbeat.pool.servo import close_line, open_line
 from tailbeat.swim import imu as driver
 from tailbeat.swim.imu import Imu, ImuFault, Mounting, connect
 
@@ -30,18 +29,9 @@ class Bench:
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    sensor, line, ended = Bno055(), open_line(), threading.Event()
-    thread = threading.Thread(target=serve, args=(sensor, line, ended.is_set), daemon=True)
-    thread.start()
-
-    def pull() -> None:
-        if not ended.is_set():
-            ended.set()
-            thread.join(2)
-            close_line(line)
-
-    yield Bench(sensor, line.path, pull)
-    pull()
+    sensor = Bno055()
+    with served(serve, sensor) as (path, pull):
+        yield Bench(sensor, path, pull)
 
 
 @pytest.fixture

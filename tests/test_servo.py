@@ -2,7 +2,6 @@
 over a pseudo-terminal, and what goes wrong on a bus."""
 
 import math
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -12,9 +11,10 @@ import pytest
 
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
+from lines import served
 from tailbeat.files import BadInput
 from tailbeat.pool import servo as emulated
-from tailbeat.pool.servo import Dynamixel, close_line, open_line, serve
+from tailbeat.pool.servo import Dynamixel, serve
 from tailbeat.swim import servo as driver
 from tailbeat.swim.packet import (
     PING,
@@ -109,22 +109,9 @@ class Bench:
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    device, line, ended = Dynamixel(), open_line(), threading.Event()
-    thread = threading.Thread(target=_serve, args=(device, line, ended), daemon=True)
-    thread.start()
-
-    def pull() -> None:
-        if not ended.is_set():
-            ended.set()
-            thread.join(2)
-            close_line(line)
-
-    yield Bench(device, line.path, pull)
-    pull()
-
-
-def _serve(device: Dynamixel, line: emulated.Line, ended: threading.Event) -> None:
-    serve(device, line, ended.is_set)
+    device = Dynamixel()
+    with served(serve, device) as (path, pull):
+        yield Bench(device, path, pull)
 
 
 @pytest.fixture

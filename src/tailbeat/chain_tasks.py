@@ -10,6 +10,7 @@ from typing import Any
 
 from tailbeat import bench_tasks, tasks
 from tailbeat.evaluate import figures
+from tailbeat.evaluate.bench_day import EVERY, HELD_OUT_MOTOR
 from tailbeat.evaluate.flutter import flutter as speeds_of
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
 from tailbeat.fish.store import check_fish_name, fish_path, load_fish
@@ -23,8 +24,6 @@ RECORDERS: dict[str, Callable[..., Iterator[Recording]]] = {
     "motor": record_motor,
     "fluid": record_fluid,
 }
-HELD_OUT_MOTOR = ("motor-mixed", "motor-beat")
-EVERY = 3  # of the swims, every third is held out
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,12 @@ import numpy as np
 from tailbeat.control.policy import load_policy
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.fish.store import load_fish
+from tailbeat.pool.plant import LENGTH, WIDTH
 from tailbeat.recording import Recording, write_recording
 
 Say = Callable[[str], None]
 READY = 60.0  # s that a bench may take to start
 WAIT_TO_ARM = 10.0  # s for the first poses and the laptop's clock
-LENGTH, WIDTH = 5.5, 2.7  # m, the paper's pool
 
 
 @dataclass(frozen=True)

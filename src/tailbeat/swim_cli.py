@@ -1,7 +1,7 @@
 """The verbs of the trials: `swim`, `evaluate`, `compare`, `report`. Parse, call, print."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -77,10 +77,7 @@ def evaluate(
             policy, fish, twin, pool, task or list(NAMES), episodes, seed, out, progress, walls
         )
     console.evaluated(done)
-    path, _ = swim_tasks.report(out, fish, twin)
-    console.say(f"page: {path}")
-    if json is not None:
-        write_json(json, done)
+    _page(out, fish, twin, done, json)
 
 
 def compare(
@@ -101,7 +98,12 @@ def compare(
     with console.counting() as progress:
         done = swim_tasks.compare(policies, fish, twin, targets, seed, share, out, progress)
     console.compared(done)
-    path, _ = swim_tasks.report(out, fish)
+    _page(out, fish, twin, done, json)
+
+
+def _page(out: Path, fish: str, twin: str | None, done: dict[str, Any], json: Path | None) -> None:
+    """The page of numbers just made, and the numbers where they are asked for."""
+    path, _ = swim_tasks.report(out, fish, twin, done)
     console.say(f"page: {path}")
     if json is not None:
         write_json(json, done)

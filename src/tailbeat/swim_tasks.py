@@ -118,15 +118,17 @@ def _share(text: str) -> tuple[int, int]:
     return int(first) - 1, int(count)
 
 
-def report(out: Path, fish: str, twin: str | None = None) -> tuple[Path, dict[str, Any]]:
-    """One page of what a folder holds."""
+def report(
+    out: Path, fish: str, twin: str | None = None, data: dict[str, Any] | None = None
+) -> tuple[Path, dict[str, Any]]:
+    """One page of what a folder holds; `data` are its numbers, if they are at hand."""
     if not out.is_dir() or not any(out.iterdir()):
         raise BadInput(f"{out}: an empty or missing folder; evaluate into it first.")
     described = load_fish(fish)
     plan = out / "plan.json"
     held = evaluation.read_json(plan) if plan.is_file() else {}
     name = twin or held.get("twin", fish)
-    return pages.report(out, described, load_fish(name))
+    return pages.report(out, described, load_fish(name), data)
 
 
 def swim(policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path) -> Any:

@@ -26,7 +26,7 @@ from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
 from tailbeat.recording import Recording, read_recording, write_recording
 
 HELD_OUT_MOTOR = ("motor-mixed", "motor-beat")
-EVERY = 3  # of the swims, every third was held out of the shipped twin's identification
+EVERY = 3  # of the swims, every third is held out of an identification
 IDEAL = "idealised"
 
 
@@ -114,12 +114,12 @@ def draw(out: Path, twin: Fish) -> list[Path]:
     loop = None if static is None else static_loop(static)
     found = tail_report.combine(twin, identify_tail(sweeps), loop, None)
     swims = predict(twin, [as_run(one, twin) for one in day.fluid])
-    rows = [("held out", one) for one in swims[:2]]
+    rows, servo = [("held out", one) for one in swims[:2]], overlays(day, twin)
     made = []
     for end in (".svg", ".png"):
         paths = [out / f"{name}{end}" for name in ("tail", "servo", "fluid")]
         bench_figures.tail(found, static, paths[0], overwrite=True)
-        bench_figures.servo(overlays(day, twin), paths[1])
+        bench_figures.servo(servo, paths[1])
         figures.measured_against_twin(rows, paths[2], overwrite=True)
         made += paths
     return made[:3]

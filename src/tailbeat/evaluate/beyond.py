@@ -26,7 +26,7 @@ def arms(pool: Pool) -> list[Arm]:
     far = grid(pool.fish, pool.count, pool.seed + 2, 2.5, 4.0, float(np.radians(120)))
     scene = grid(pool.fish, pool.count, pool.seed + 2, 0.5, 2.5, float(np.radians(120)))
     rear = grid(pool.fish, pool.count, pool.seed + 2, 0.5, 2.5, np.pi)
-    behind = replace(rear, target=_behind(pool, rear.target, rear.start))
+    behind = replace(rear, target=_behind(rear.target, rear.start))
     found = [pool.arm(AS_TRAINED, scene), pool.arm("beyond rear", behind)]
     found.append(pool.arm("beyond far", far))
     for speed in SPEEDS:
@@ -44,7 +44,7 @@ def arms(pool: Pool) -> list[Arm]:
     return found
 
 
-def _behind(pool: Pool, target: Any, start: Any) -> Any:
+def _behind(target: Any, start: Any) -> Any:
     """Every target of an even spread moved into the rear 120 deg: bearing to 180 less a third."""
     offset = target[:, 0] - start[:, :2]
     angle = np.arctan2(offset[:, 1], offset[:, 0]) - start[:, 2]

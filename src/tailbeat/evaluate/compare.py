@@ -4,8 +4,7 @@ Every policy swims the same targets in its twin and in every arm of the pool: th
 same without its lag, stall or added inertia, with another servo, and the ensemble.
 """
 
-import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,15 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from tailbeat.control.band import velocity_spectrum
 from tailbeat.control.policy import Policy, decide
 from tailbeat.evaluate import runs as store
-from tailbeat.evaluate.evaluation import ENSEMBLE_SEED, POOLS, provenance
+from tailbeat.evaluate.evaluation import ENSEMBLE_SEED, POOLS, provenance, read_json
 from tailbeat.evaluate.reach import paired, shares
 from tailbeat.evaluate.runs import NEAR, Runs, surge
 from tailbeat.evaluate.scenes import grid
-from tailbeat.evaluate.spectrum import windows
-from tailbeat.evaluate.trial import CHUNK, Arm, part, pools, swim
+from tailbeat.evaluate.spectrum import power_below, windows
+from tailbeat.evaluate.trial import CHUNK, Arm, Progress, part, pools, swim
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.identify.runs import tracked_pose
@@ -30,7 +28,6 @@ from tailbeat.learn.world import seeds_from
 from tailbeat.pool.water import ablations, ensemble
 
 IDEAL = "idealised"  # the servo's name in a description
-Report = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +70,7 @@ def pool_arms(entrant: Entrant, field: Field) -> list[Arm]:
 
 
 def run(
-    entrants: Sequence[Entrant], field: Field, out: Path, share: tuple[int, int], report: Report
+    entrants: Sequence[Entrant], field: Field, out: Path, share: tuple[int, int], report: Progress
 ) -> None:
     """Swim the cells that are missing; of `share` (i, n) only every n-th, from the i-th, so that n
     processes do all. Each cell is a file."""
@@ -121,11 +118,6 @@ def manner(found: Runs, edge: float) -> dict[str, Any]:
     speed, time = surge(found), PERIOD * found.steps
     signs = [np.sign(np.where(np.abs(row) < 0.02, np.nan, row)) for row in speed]
     turns = sum(int((np.diff(one[np.isfinite(one)]) != 0).sum()) for one in signs)
-    below, total = 0.0, 0.0
-    for clock, angle in windows(found, speed, None):
-        power = velocity_spectrum(clock, angle)
-        below += float(power.power[power.frequency <= edge].sum())
-        total += float(power.power.sum())
     energy = np.asarray(found.energy, float)
     return {
         "speed": path_speed(found.pose),
@@ -133,7 +125,7 @@ def manner(found: Runs, edge: float) -> dict[str, Any]:
         if np.isfinite(energy).any()
         else None,
         "reversals_per_minute": 60 * turns / float(time.sum()),
-        "share_below": below / total if total else None,
+        "share_below": power_below(windows(found, speed, None), edge)["share_below"],
     }
 
 
@@ -169,7 +161,7 @@ def has_rows(out: Path) -> bool:
 
 def read(out: Path) -> dict[str, Any]:
     """All cells: a row each with its gap to the twin, and a row per kind and arm over the seeds."""
-    cells = [json.loads(p.read_text("utf-8")) for p in sorted((out / "cells").glob("*.json"))]
+    cells = [read_json(path) for path in sorted((out / "cells").glob("*.json"))]
     if not cells:
         raise BadInput(f"{out}: no cells of a comparison here; `tailbeat compare` makes them.")
     if len({tuple(one["field"]) for one in cells}) > 1:

@@ -74,15 +74,10 @@ def evaluate(
     for name in tasks:
         if name not in NAMES:
             raise BadInput(f"--tasks {name}: allowed are {', '.join(NAMES)}.")
-    arms = arms_of(pool, ["reach", *tasks] if "spectrum" in tasks else tasks)
+    swum = dict.fromkeys(["reach", *tasks] if "spectrum" in tasks else tasks)
+    arms = arms_of(pool, list(swum))
     runs.begin(out, plan_of(policy, pool))
-    swim_all(
-        partial(decide, policy),
-        list({arm.name: arm for arm in arms}.values()),
-        out,
-        pool.seed,
-        progress,
-    )
+    swim_all(partial(decide, policy), arms, out, pool.seed, progress)
     if "twin" in tasks:
         bench_day.record(pool.fish, out / "twin", pool.seed)
         write_json(out / "twin" / "twin.json", bench_day.numbers(out / "twin", pool.twin), True)

@@ -53,15 +53,18 @@ def write(out: Path, sections: Sequence[Section], data: dict[str, Any], title: s
     return path
 
 
-def report(out: Path, fish: Fish, twin: Fish) -> tuple[Path, dict[str, Any]]:
-    """The page of an evaluation or a comparison. Raises BadInput for a folder without either."""
+def report(
+    out: Path, fish: Fish, twin: Fish, data: dict[str, Any] | None = None
+) -> tuple[Path, dict[str, Any]]:
+    """The page of an evaluation or a comparison, from its numbers where they are at hand, else read
+    from the folder. Raises BadInput for a folder without either."""
     if (out / "plan.json").is_file():
-        data = evaluation.read(out)
+        data = data or evaluation.read(out)
         return write(
             out, evaluated(out, data, fish, twin), data, "Zero-shot in the virtual pool"
         ), data
     if compare.has_rows(out):
-        data = compare.read(out)
+        data = data or compare.read(out)
         return write(out, compared(out, data), data, "Which action space transfers"), data
     raise BadInput(f"{out}: holds neither an evaluation nor a comparison; make one first.")
 

@@ -27,7 +27,7 @@ def numbers(by_arm: dict[str, Runs], edge: float) -> list[dict[str, Any]]:
     for name, runs in by_arm.items():
         speed = surge(runs)
         for gait, wanted in (("all", None), ("forward", 1), ("reversing", -1)):
-            row = _row(windows(runs, speed, wanted), edge)
+            row = power_below(windows(runs, speed, wanted), edge)
             rows.append({"runs": name, "gait": gait, **row})
     return rows
 
@@ -36,7 +36,7 @@ def identification(fish: Fish, edge: float, seed: int) -> dict[str, Any]:
     """The same of the swims that a fish's fluid is identified on, recorded in the pool."""
     recordings = record_fluid(fish, seed)
     pairs = ((one.time, one.columns["motor_angle_rad"]) for one in recordings)
-    return {"runs": "identification", "gait": "all", **_row(pairs, edge)}
+    return {"runs": "identification", "gait": "all", **power_below(pairs, edge)}
 
 
 def windows(runs: Runs, speed: Any, wanted: int | None) -> Iterable[tuple[Array, Array]]:
@@ -58,7 +58,9 @@ def windows(runs: Runs, speed: Any, wanted: int | None) -> Iterable[tuple[Array,
                 yield time[: length + 1], angle[first : first + length + 1]
 
 
-def _row(pairs: Iterable[tuple[Array, Array]], edge: float) -> dict[str, Any]:
+def power_below(pairs: Iterable[tuple[Array, Array]], edge: float) -> dict[str, Any]:
+    """Velocity power of some motor angles (time, angle): its share below `edge` [Hz], None where
+    nothing moves, and the cumulative curve over `BINS`."""
     below, total, count, curve = 0.0, 0.0, 0, np.zeros(BINS.size)
     for time, angle in pairs:
         try:

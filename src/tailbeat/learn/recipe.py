@@ -90,7 +90,8 @@ def paper() -> Recipe:
 
 
 def smoke() -> Recipe:
-    """A minute that visibly improves: the first stage, near and large targets, small networks."""
+    """A minute to see that everything works: the first stage, near and large targets, small
+    networks. It does not visibly learn (docs/training.md)."""
     near = Task(nearest=0.3, farthest=0.6, arrival=0.15, seconds=8.0)
     return replace(
         quick(), name="smoke", fish=16, updates=2, batch=128, starts=1_000, buffer=50_000,

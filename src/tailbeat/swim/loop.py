@@ -72,7 +72,6 @@ class Loop:
         self.currents: deque[float] = deque(maxlen=round(CURRENT_TIME / self.period))
         self.sent, self.finite, self.watchdog, self.torque = 0.0, True, False, False
         self.asked, self.questions = NEVER, 0
-        self.servo_fault = self.imu_fault = ""
         self.decided_on = np.zeros((FRAMES, 6))
 
     # ---- one period -----------------------------------------------------------------------------
@@ -85,7 +84,7 @@ class Loop:
         health = self.health(now)
         before = self.stand
         self.stand = safety.judge(self.stand, health, self.limits)
-        decision = self._decide(now) if self.stand.state is State.RUN else None
+        decision = self._decide() if self.stand.state is State.RUN else None
         if self.stand.state is State.STOP and before.state is not State.STOP:
             self._let_go()
         elif self.stand.state in (State.ARMED, State.RUN, State.HOLD):
@@ -115,17 +114,16 @@ class Loop:
                 pass  # a network that is down shows in the poses' age
 
     def _read(self) -> None:
-        self.servo_fault = self.imu_fault = ""
         try:
             self.servo = self.devices.servo.read()
             self.currents.append(self.servo.current)
             self.monitor.add(self.servo.time, self.servo.angle)
-        except ServoFault as fault:
-            self.servo_fault = str(fault)
+        except ServoFault:
+            pass  # silence shows in its age
         try:
             self.yaw = self.devices.imu.read() or self.yaw
-        except ImuFault as fault:
-            self.imu_fault = str(fault)
+        except ImuFault:
+            pass
 
     def health(self, now: float) -> Health:
         """What is known at this moment."""
@@ -175,7 +173,7 @@ class Loop:
             rows.append([*(frame.fish or ()), *target, math.nan if age is None else age])
         return np.array(rows + [rows[-1]] * (FRAMES - len(rows)))
 
-    def _decide(self, now: float) -> pilot.Decision:
+    def _decide(self) -> pilot.Decision:
         assert self.servo is not None
         self.decided_on = self.frames(time.monotonic_ns())
         readings = pilot.Readings(
@@ -197,7 +195,6 @@ class Loop:
         try:
             self.sent = self.devices.servo.write(angle)
         except ServoFault as fault:
-            self.servo_fault = str(fault)
             self.watchdog = self.watchdog or fault.kind == "watchdog"
 
     # ---- what an operator does ------------------------------------------------------------------
@@ -234,8 +231,8 @@ class Loop:
             try:
                 self.devices.servo.torque_off()
                 return
-            except ServoFault as fault:
-                self.servo_fault = str(fault)  # then its own watchdog stops it
+            except ServoFault:
+                continue  # in the end its own watchdog stops it
 
     # ---- many periods ---------------------------------------------------------------------------
 
