@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,18 +22,19 @@ import torch
 
 from tailbeat.control.actions import Direct, Generator
 from tailbeat.control.observation import TABLE
-from tailbeat.control.policy import load_policy
+from tailbeat.control.policy import decide, load_policy
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.learn import checkpoint, randomize
 from tailbeat.learn import plan as planned
+from tailbeat.learn.assess import assess
 from tailbeat.learn.buffer import FIRST, MIRRORED, RelabelBuffer, _seen
-from tailbeat.learn.curriculum import FALL, STAGES, learning_rate, settings_of
+from tailbeat.learn.curriculum import FALL, LOWEST, STAGES, learning_rate, settings_of
 from tailbeat.learn.env import FishVecEnv
 from tailbeat.learn.export import act
 from tailbeat.learn.plan import Plan, action_space
 from tailbeat.learn.recipe import paper, quick, recipe_of, smoke
-from tailbeat.learn.sac import STEADY, QuickSAC
+from tailbeat.learn.sac import STEADY, YOUNG, QuickSAC
 from tailbeat.learn.sensors import quiet
 from tailbeat.learn.train import train
 from tailbeat.learn.world import Settings, Task, World
@@ -176,10 +178,12 @@ def test_the_greedy_actor_is_the_running_mean_of_the_actor_s_weights():
     model = QuickSAC("MlpPolicy", env, learning_starts=32, batch_size=16, seed=7, device="cpu")
     model.learn(40)
     mean = [p.detach().clone() for p in model.steady.parameters()]
-    for _ in range(3):
+    for young in (True, True, False):
+        model._n_updates = model._n_updates if young else 10**6
+        share = YOUNG / (YOUNG + model._n_updates) if young else STEADY
         model.train(1, 16)
         mean = [
-            (1 - STEADY) * m + STEADY * p.detach()
+            (1 - share) * m + share * p.detach()
             for m, p in zip(mean, model.actor.parameters(), strict=True)
         ]
     for kept, wanted in zip(model.steady.parameters(), mean, strict=True):
@@ -203,14 +207,16 @@ def test_a_seed_gives_one_run():
 # ---- stages and plans ---------------------------------------------------------------------------
 
 
-def test_ten_stages_raise_one_difficulty_at_a_time():
-    assert len(STAGES) == 10
+def test_ten_stages_and_one_raise_one_difficulty_at_a_time():
+    assert len(STAGES) == 11
+    kinds = ("noise", "physics", "arc", "following")
     for before, after in pairwise(STAGES):
-        risen = [getattr(after, n) > getattr(before, n) for n in ("noise", "physics", "arc")]
+        risen = [getattr(after, n) > getattr(before, n) for n in kinds]
         assert sum(risen) == 1 and after.phase - before.phase in (0, 1)
-    rates = [learning_rate(STAGES, i, (1.0, 1.0, 0.5)) for i in range(10)]
+    rates = [learning_rate(STAGES, i, (1.0, 1.0, 0.5, 1e-9)) for i in range(11)]
     falls = [1, FALL, FALL**2]
-    assert rates == pytest.approx([*falls, *falls, 0.5, *(0.5 * FALL**k for k in (1, 2, 3))])
+    third = [0.5 * FALL**k for k in range(4)]
+    assert rates == pytest.approx([*falls, *falls, *third, LOWEST])
     eased = [learning_rate(STAGES, 1, (1.0, 1.0, 1.0), share) for share in (0.0, 0.7, 0.825, 0.95)]
     assert eased == pytest.approx([FALL, FALL, FALL**1.5, FALL**2])
 
@@ -368,6 +374,47 @@ def test_a_killed_run_loses_a_checkpoint_interval_at_most(tmp_path):
     course = train(planned_for(out, hours=0.0005), True, print)
     assert course.seconds > kept["seconds"] > 0
     assert load_policy(out / "policy.onnx").contract.training["updates"] >= kept["updates"]
+
+
+SMOKE = """
+import os, signal, sys
+sys.path.insert(0, "tests")
+from test_train import smoking
+from tailbeat.learn.train import train
+train(smoking(sys.argv[1]), False, lambda row: print(row["updates"], flush=True))
+"""
+
+
+def smoking(out: str) -> Plan:
+    space = action_space("generator", FISH, smoke().binds)
+    return Plan(FISH, space, smoke(), 0, Path(out), hours=1.0, checkpoint_minutes=0.1)
+
+
+def test_the_smoke_recipe_learns_in_a_minute_though_it_is_killed_in_between(tmp_path):
+    out, here = tmp_path / "run", Path(__file__).parents[1]
+    command = [sys.executable, "-c", SMOKE, str(out)]
+    with subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        next(line for line in process.stdout if int(line) > 1200)
+        process.kill()
+    kept = checkpoint.read_state(checkpoint.find(out))
+    before = [row["success"] for row in kept["history"]]
+    rows: list[dict[str, Any]] = []
+
+    def report(row: dict[str, Any]) -> None:
+        rows.append(row)
+        if row["updates"] >= 2600:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    course = train(smoking(str(out)), True, report)
+    after = [row["success"] for row in course.history[len(before) :]]
+    assert kept["updates"] > 600 and rows[0]["updates"] >= kept["updates"]
+    assert min(after) > before[-1] - 0.2  # no drop; 0.06 is the window's own scatter
+    world = partial(World, FISH, smoking(str(out)).settings(0))
+    greedy = partial(decide, load_policy(out / "policy.onnx"))
+    assert assess(greedy, world, 60, 1).reached.mean() > 0.2
+    still = assess(lambda seen: np.zeros((len(seen), 6), np.float32), world, 60, 1)
+    assert not still.reached.any()
 
 
 def test_ctrl_c_leaves_a_checkpoint_and_a_policy(tmp_path):

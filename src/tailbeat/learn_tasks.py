@@ -37,7 +37,7 @@ def train(
     from tailbeat.learn.train import train as run
 
     described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe)
-    space = action_space(actions, described)
+    space = action_space(actions, described, chosen.binds)
     plan = Plan(described, space, chosen, seed, out, hours, device)
     note(f"replay buffer: {chosen.buffer_bytes / 1e6:.0f} MB of memory and of every checkpoint")
     course = run(plan, resume, report)

@@ -14,6 +14,7 @@ from typing import Any
 from tailbeat import __version__
 from tailbeat.control.policy import Policy, as_text, decide
 from tailbeat.evaluate import bench_day, beyond, disturb, reach, runs, spectrum, track
+from tailbeat.evaluate.flutter import flutter
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.trial import CHUNK, Arm, Pool, Progress, swim_all
 from tailbeat.files import BadInput, leaves, write_json
@@ -80,13 +81,15 @@ def evaluate(
     swim_all(partial(decide, policy), arms, out, pool.seed, progress)
     if "twin" in tasks:
         bench_day.record(pool.fish, out / "twin", pool.seed)
-        write_json(out / "twin" / "twin.json", bench_day.numbers(out / "twin", pool.twin), True)
+        found = bench_day.numbers(out / "twin", pool.twin)
+        found["speeds"] = flutter(pool.fish, [pool.twin.servo], pool.twin)
+        write_json(out / "twin" / "twin.json", found, overwrite=True)
     if "spectrum" in tasks:
         own = spectrum.identification(pool.fish, policy.contract.band[1], pool.seed)
         write_json(out / "identification.json", own, overwrite=True)
-    found = read(out)
-    write_json(out / "evaluation.json", found, overwrite=True)
-    return found
+    done = read(out)
+    write_json(out / "evaluation.json", done, overwrite=True)
+    return done
 
 
 def plan_of(policy: Policy, pool: Pool) -> dict[str, Any]:

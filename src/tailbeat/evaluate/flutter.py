@@ -22,15 +22,18 @@ SHAFT_SPEEDS = (3.0, 6.0, 9.0)  # rad/s, commanded: stroke times angular frequen
 SECONDS, JUDGED = 12.0, 4.0
 
 
-def flutter(fish: Fish, servos: Sequence[str] = ("identified",)) -> dict[str, Any]:
-    """Speed [m/s] of twin and plant for every beat; negative is backwards."""
+def flutter(
+    fish: Fish, servos: Sequence[str] = ("identified",), twin: Fish | None = None
+) -> dict[str, Any]:
+    """Speed [m/s] of `twin` (the fish's own without one) and plant for every beat; negative is
+    backwards."""
     cases = [
         (servo, rate, frequency, min(rate / (2 * np.pi * frequency), 1.0))
         for servo in servos
         for rate in SHAFT_SPEEDS
         for frequency in FREQUENCIES
     ]
-    plant, twin = _plant_speeds(fish, cases), _twin_speeds(fish, cases)
+    plant, free = _plant_speeds(fish, cases), _twin_speeds(twin or fish, cases)
     rows = [
         {
             "servo": servo,
@@ -40,7 +43,7 @@ def flutter(fish: Fish, servos: Sequence[str] = ("identified",)) -> dict[str, An
             "plant": float(p),
             "twin": float(t),
         }
-        for (servo, rate, frequency, stroke), p, t in zip(cases, plant, twin, strict=True)
+        for (servo, rate, frequency, stroke), p, t in zip(cases, plant, free, strict=True)
     ]
     return {"fish": fish.name, "water": fingerprint([Water()]), "rows": rows}
 

@@ -11,7 +11,16 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from tailbeat.evaluate import bench_day, compare, evaluation, runs, spectrum, swim_figures, track
+from tailbeat.evaluate import (
+    bench_day,
+    compare,
+    evaluation,
+    figures,
+    runs,
+    spectrum,
+    swim_figures,
+    track,
+)
 from tailbeat.evaluate.trial import CHUNK
 from tailbeat.files import BadInput, new_file, write_json
 from tailbeat.fish.description import Fish
@@ -96,8 +105,18 @@ def evaluated(out: Path, data: dict[str, Any], fish: Fish, twin: Fish) -> list[S
         found = data["twin"]
         blocks = [table(found["tail"]), table(found["servo"]), table(_swims(found["swims"]))]
         blocks += [image(path) for path in bench_day.draw(out / "twin", twin)]
+        blocks += _speeds(found, out)
         sections.append(("The twin beside fresh recordings", blocks))
     return [*sections, ("Where this comes from", [_provenance(data)])]
+
+
+def _speeds(found: dict[str, Any], out: Path) -> list[str]:
+    """Twin and plant at any beat; folders of before have none."""
+    if "speeds" not in found:
+        return []
+    for end in (".svg", ".png"):
+        figures.speed_map(found["speeds"], out / "figures" / f"speeds{end}", overwrite=True)
+    return [image(out / "figures" / "speeds.svg")]
 
 
 def _swims(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

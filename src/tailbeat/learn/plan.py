@@ -3,7 +3,7 @@
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import psutil
 from torch import cuda
@@ -48,14 +48,19 @@ class Plan:
         }
 
 
-def action_space(kind: str, fish: Fish) -> ActionSpace:
-    """A fish's action space by name; the generator's ceiling is the band's edge."""
+def action_space(
+    kind: str, fish: Fish, binds: Literal["fundamental", "signal"] = "fundamental"
+) -> ActionSpace:
+    """A fish's action space by name; the generator's ceiling is the band's edge, and `binds` what
+    keeps below it."""
     if kind not in ACTIONS:
         raise BadInput(f"--actions {kind}: allowed are {', '.join(ACTIONS)}.")
     low, high = fish.motor.range or (-3.141592653589793, 3.141592653589793)
     if kind == "direct":
         return Direct(low, high)
-    return Filtered(low, high) if kind == "filtered" else Generator(low, high, ceiling=fish.band[1])
+    if kind == "filtered":
+        return Filtered(low, high)
+    return Generator(low, high, ceiling=fish.band[1], binds=binds)
 
 
 def check(plan: Plan, resume: bool) -> None:

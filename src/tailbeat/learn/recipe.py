@@ -1,6 +1,9 @@
 """How a policy is trained: the paper's way, ours, and a minute's for a smoke test. Data."""
 
 from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
 
 from tailbeat.files import BadInput
 from tailbeat.learn.curriculum import STAGES, Stage
@@ -37,6 +40,8 @@ class Recipe:
     starts: int
     window: int
     budget_hours: float
+    memory: float = 0.0  # of the exploring noise, per control step
+    binds: Literal["fundamental", "signal"] = "fundamental"  # what the generator's ceiling binds
     width: int = WIDTH  # of every layer of actor and critics
     stages: tuple[Stage, ...] = STAGES
     task: Task = field(default_factory=Task)
@@ -59,13 +64,15 @@ def quick() -> Recipe:
         batch=256,
         discount=0.996,
         tau=0.01,
-        rates=(5e-4, 5e-4, 1e-4),
+        rates=(5e-4, 5e-4, 1e-4, 1e-4),
         entropy="auto_0.02",
         reward_scale=0.01,
         buffer=400_000,
-        starts=5_000,
+        starts=20_000,
         window=200,
         budget_hours=1.0,
+        memory=0.95,
+        binds="signal",
     )
 
 
@@ -82,20 +89,23 @@ def paper() -> Recipe:
         returns=1,
         discount=0.99,
         tau=0.005,
-        rates=(3e-4, 3e-4, 3e-4),
+        rates=(3e-4, 3e-4, 3e-4, 3e-4),
         entropy="auto",
         buffer=1_000_000,
         budget_hours=6.0,
+        memory=0.0,
+        binds="fundamental",
     )
 
 
 def smoke() -> Recipe:
-    """A minute to see that everything works: the first stage, near and large targets, small
-    networks. It does not visibly learn (docs/training.md)."""
-    near = Task(nearest=0.3, farthest=0.6, arrival=0.15, seconds=8.0)
+    """A minute to see that everything works and something is learnt: near and large targets ahead,
+    small networks."""
+    near = Task(nearest=0.3, farthest=0.5, arrival=0.15, seconds=6.0, limit=3.0)
+    ahead = (Stage("ahead", 1, 0.0, 0.0, float(np.radians(20))),)
     return replace(
-        quick(), name="smoke", fish=16, updates=2, batch=128, starts=1_000, buffer=50_000,
-        window=60, width=64, stages=STAGES[:1], task=near,
+        quick(), name="smoke", fish=32, batch=128, starts=6_000, buffer=60_000, window=60,
+        rates=(1e-3,), width=64, stages=ahead, task=near,
     )  # fmt: skip
 
 

@@ -3,8 +3,10 @@
 Critics and actor take their gradients at the same moment, each on a thread of its own, from the
 same parameters; SB3 lets the actor see the critics one step later. Samples, noise and steps are
 drawn in one thread, so a seed gives one run. A running mean of the actor's weights is kept beside:
-the deterministic policy is that mean, which does not follow every update's jitter. Everything else
-is `stable_baselines3.SAC`.
+the deterministic policy is that mean, which does not follow every update's jitter. The fish explore
+with noise that is correlated in time: white at fifty decisions a second, the generator's lag would
+average it away (after Eberhard et al., "Pink Noise Is All You Need", ICLR 2023; first order here).
+Everything else is `stable_baselines3.SAC`.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -21,15 +23,37 @@ Tensor = torch.Tensor
 LOG_TWO_PI = float(np.log(2 * np.pi))
 SMALL = 1e-6  # keeps the squash's log finite, as in SB3
 STEADY = 1e-3  # of the actor's weights, per update, into their running mean (chosen)
+YOUNG = 10.0  # the mean spans the last tenth of the updates, until they are 10,000 (chosen)
 
 
 class QuickSAC(SAC):
-    """SAC with critics and actor updated side by side. Takes SAC's arguments; `steady` is the mean
-    actor."""
+    """SAC with critics and actor updated side by side. Takes SAC's arguments and `memory`, what the
+    exploring noise keeps of itself from one control step to the next; `steady` is the mean actor.
+    """
+
+    def __init__(self, *args: Any, memory: float = 0.0, **rest: Any) -> None:
+        self.memory = memory
+        super().__init__(*args, **rest)
 
     def _setup_model(self) -> None:
         super()._setup_model()
         self.steady = deepcopy(self.actor)
+        self.noise = torch.randn((self.n_envs, *(self.action_space.shape or ())))
+
+    def _sample_action(
+        self, learning_starts: int, action_noise: Any = None, n_envs: int = 1
+    ) -> tuple[Any, Any]:
+        """Exploring actions (n, size): uniform before the learning starts, then the policy's own
+        distribution, drawn with noise that remembers."""
+        fresh = torch.randn(self.noise.shape)
+        self.noise = self.memory * self.noise + (1 - self.memory**2) ** 0.5 * fresh
+        if self.num_timesteps < learning_starts:
+            action = torch.erf(self.noise / 2**0.5)
+        else:
+            seen = torch.as_tensor(self._last_obs, device=self.device)
+            with torch.no_grad():
+                action = self._act(seen, self.noise.to(self.device))[0].cpu()
+        return action.numpy(), action.numpy()
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """`gradient_steps` updates; called by `learn`."""
@@ -42,7 +66,7 @@ class QuickSAC(SAC):
         with ThreadPoolExecutor(1) as beside:
             for _ in range(gradient_steps):
                 losses.append(self._update(batch_size, beside))
-        self._n_updates += gradient_steps
+                self._n_updates += 1
         self._record(np.mean(losses, axis=0))
 
     def _update(self, batch_size: int, beside: ThreadPoolExecutor) -> tuple[float, ...]:
@@ -59,7 +83,8 @@ class QuickSAC(SAC):
         missing = (log_prob + self.target_entropy).mean()
         _step(self.ent_coef_optimizer, [self.log_ent_coef], [-missing.reshape(1)])
         polyak_update(self.critic.parameters(), self.critic_target.parameters(), self.tau)
-        polyak_update(self.actor.parameters(), self.steady.parameters(), STEADY)
+        share = max(STEADY, YOUNG / (YOUNG + self._n_updates))
+        polyak_update(self.actor.parameters(), self.steady.parameters(), share)
         return float(critic_loss), float(actor_loss), float(entropy)
 
     def _critic_gradient(self, data: Any, noise: Tensor, entropy: Tensor) -> tuple[Tensor, Any]:

@@ -72,6 +72,7 @@ def _model(plan: Plan, env: FishVecEnv) -> SAC:
     shape: dict[str, Any] = {"net_arch": [recipe.width] * DEPTH}
     if recipe.quick:
         shape["optimizer_kwargs"] = {"fused": True}
+        more["memory"] = recipe.memory
     return kind(
         "MlpPolicy",
         env,

@@ -25,6 +25,8 @@ from tailbeat.learn.sensors import SensorModel
 Array = NDArray[np.float64]
 TERMS = ("distance", "effort", "bonus")  # of the reward
 PUSH_STEPS = 10  # control steps that a pulse lasts
+TIGHTEST = 0.6  # m, radius of a moving target's bend: as tight as the fish turns (chosen)
+NEAR, KEPT = 0.4, 0.8  # m from a target that goes on, share of the second half within it (chosen)
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,8 @@ class Task:
     `nearest`, `farthest` [m] and `arc` (half angle about straight ahead) [rad]; `arrival` [m] is
     the paper's; `seconds` until time-out; `limit` [m] from the start at which the fish counts as
     lost; `walls` (length, width) [m] of a pool about the start, or None; `target_speed` [m/s] of
-    targets that move, each on its own straight way.
+    targets that move, each on its own straight way. A share `following` of episodes has a target
+    that moves at up to that speed, on a bend, and goes on until time-out: then the others stand.
     """
 
     nearest: float = 0.5
@@ -45,6 +48,7 @@ class Task:
     limit: float = 6.0
     walls: tuple[float, float] | None = None
     target_speed: float = 0.0
+    following: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +71,14 @@ class Scene:
 
 @dataclass(frozen=True)
 class Reward:
-    """r = -distance - effort ||a|| + bonus [distance < arrival] (paper)."""
+    """r = -distance - effort ||a|| + bonus [distance < arrival] (paper). With a target that goes on
+    `nearness` (1 - distance / 0.4 m), above 0, stands for the bonus (ours: some seconds beside the
+    target are worth what an arrival is)."""
 
     distance: float = 1.0
     effort: float = 0.1
     bonus: float = 1000.0
+    nearness: float = 8.0
 
 
 @dataclass(frozen=True)
@@ -161,6 +168,8 @@ class World:
         self.pushes = np.zeros((self.count, self.steps_per_episode, 2), dtype=np.float32)
         self.age = np.zeros(self.count, dtype=np.int64)
         self.target, self.drift = np.zeros((self.count, 2)), np.zeros((self.count, 2))
+        self.turn, self.goes_on = np.zeros(self.count), np.zeros(self.count, bool)
+        self.near = np.zeros(self.count)  # steps of an episode's second half beside the target
         self.pose = np.zeros((self.count, 3))
         self.state = act.reset(self.space, self.count)
         self.commands = np.zeros((self.count, COMMANDS, 2))
@@ -206,11 +215,20 @@ class World:
             self.target[fish] = self.scene.target[fish, 0]
             self.body.qpos[fish, :3] = start
             self.body.qvel[fish, :3] = self.scene.velocity[fish]
-        direction = rng.uniform(0, 2 * np.pi)
-        speed = self.task.target_speed * PERIOD
-        self.drift[fish] = speed * np.cos(direction), speed * np.sin(direction)
+        self._draw_motion(fish, rng)
         self.pushes[fish] = _pulses(settings.physics, self.steps_per_episode, rng)
         sensors.begin(settings.sensors, self.seen, fish, self.pose[fish], self.target[fish], rng)
+
+    def _draw_motion(self, fish: int, rng: np.random.Generator) -> None:
+        """Whether and where to a target moves: per control step, [m] and [rad]."""
+        task, direction = self.task, rng.uniform(0, 2 * np.pi)
+        step, self.near[fish] = task.target_speed * PERIOD, 0.0
+        self.turn[fish], self.goes_on[fish] = 0.0, False
+        if task.following:
+            self.goes_on[fish] = rng.uniform() < task.following
+            step *= rng.uniform() * self.goes_on[fish]
+            self.turn[fish] = rng.uniform(-1, 1) * step / TIGHTEST
+        self.drift[fish] = step * np.cos(direction), step * np.sin(direction)
 
     def _draw_target(self, rng: np.random.Generator) -> Array:
         """A place by range and bearing from the tag; inside the walls, if there are any."""
@@ -246,8 +264,7 @@ class World:
         age, body = np.minimum(self.age, self.steps_per_episode - 1), self.body
         lost = body.advance(act.setpoint(self.space, self.state), self.pushes[self.every, age])
         self.pose = tracked_pose(self.fish, body.qpos[:, :3])
-        given = self.scene
-        self.target = self.target + self.drift if given is None else given.at(self.age + 1)
+        self._move_targets()
         self.commands[:, 1:] = self.commands[:, :-1]
         self.commands[:, 0] = act.command(self.space, self.state)
         motor = body.motor
@@ -257,6 +274,14 @@ class World:
         )  # fmt: skip
         self.age = self.age + 1
         return self._judge(action, self._observe(readings), lost)
+
+    def _move_targets(self) -> None:
+        if self.scene is not None:
+            self.target = self.scene.at(self.age + 1)
+            return
+        self.target = self.target + self.drift
+        c, s, (x, y) = np.cos(self.turn), np.sin(self.turn), self.drift.T
+        self.drift = np.stack([c * x - s * y, s * x + c * y], axis=1)
 
     def _observe(self, readings: sensors.Readings) -> NDArray[np.float32]:
         self.frames = readings.frames
@@ -278,21 +303,30 @@ class World:
         sequel would be worth fleeing to.
         """
         reward, task = self.settings.reward, self.task
-        weights = reward.distance, reward.effort, reward.bonus
+        weights = reward.distance, reward.effort, reward.bonus, reward.nearness
         terms, ends = _judge(
-            self.pose, self.target, action, lost, task.arrival, task.limit, self.walls, weights
-        )
+            self.pose, self.target, action, lost, self.goes_on, task.arrival, task.limit,
+            self.walls, weights,
+        )  # fmt: skip
         if lost.any():
             seen = np.where(lost[:, None], np.float32(0), seen)
         named = dict(zip(TERMS, terms, strict=False))
-        truncated = ((self.age >= self.steps_per_episode) | ends[2]) & ~ends[1]
-        return Outcome(seen, self.frames, terms[3], named, ends[1], truncated, ends[0])
+        over = self.age >= self.steps_per_episode
+        truncated = (over | ends[2]) & ~ends[1]
+        reached = ends[0] | self._kept(terms[2] > 0) & over
+        return Outcome(seen, self.frames, terms[3], named, ends[1], truncated, reached)
+
+    def _kept(self, beside: Flags) -> Flags:
+        """Which targets that go on have been kept so far, through the episode's second half."""
+        half = self.steps_per_episode / 2
+        self.near = self.near + (beside & self.goes_on & (self.age > half))
+        return np.asarray(self.near >= KEPT * half)
 
 
 @njit(cache=True)
-def _judge(pose, target, action, lost, arrival, limit, walls, weights):  # type: ignore[no-untyped-def]
+def _judge(pose, target, action, lost, goes_on, arrival, limit, walls, weights):  # type: ignore[no-untyped-def]
     """Three terms of the reward and their sum (4, n); reached, over (reached or diverged), out of
-    range (3, n). A diverged fish is `limit` away."""
+    range (3, n). A diverged fish is `limit` away; a target that goes on is never reached."""
     count = len(pose)
     terms, ends = np.empty((4, count)), np.empty((3, count), dtype=np.bool_)
     for i in range(count):
@@ -301,12 +335,13 @@ def _judge(pose, target, action, lost, arrival, limit, walls, weights):  # type:
         square = 0.0
         for value in action[i]:
             square += min(max(value, -1.0), 1.0) ** 2
-        ends[0, i] = distance < arrival and not lost[i]
+        ends[0, i] = distance < arrival and not lost[i] and not goes_on[i]
         ends[1, i] = ends[0, i] or lost[i]
         ends[2, i] = np.hypot(x, y) > limit or abs(x) > walls[0] or abs(y) > walls[1]
         terms[0, i] = -weights[0] * distance
         terms[1, i] = -weights[1] * np.sqrt(square)
-        terms[2, i] = weights[2] * ends[0, i]
+        near = weights[3] * max(1 - distance / NEAR, 0.0) if goes_on[i] else 0.0
+        terms[2, i] = weights[2] * ends[0, i] + near
         terms[3, i] = terms[0, i] + terms[1, i] + terms[2, i]
     return terms, ends
 
