@@ -1,0 +1,61 @@
+"""One target after the other, as the laptop sees it: which is next, and what became of the others.
+
+Decisions alone; whoever owns it gives the poses that the camera saw and sends on the target. A
+target is reached when the tag comes within the arrival's distance of it, and given up after a time.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+ARRIVAL = 0.05  # m (paper)
+PATIENCE = 30.0  # s for one target
+Place = tuple[float, float]
+Pose = tuple[float, float, float]
+
+
+@dataclass(eq=False)
+class Tour:
+    """`targets` [m] in their order; `rows` of those that are over, `way` (t, x, y, yaw, number) of
+    all that was seen meanwhile."""
+
+    targets: Sequence[Place]
+    patience: float = PATIENCE
+    arrival: float = ARRIVAL
+    began: float | None = None  # when the present target was first swum to [s]
+    nearest: float = math.inf
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    way: list[tuple[float, float, float, float, int]] = field(default_factory=list)
+
+    @property
+    def target(self) -> Place | None:
+        """Where to swim now; None when all are over."""
+        return self.targets[len(self.rows)] if len(self.rows) < len(self.targets) else None
+
+    def see(self, pose: Pose, now: float) -> None:
+        """Take a pose of a fish that swims, seen at `now` [s]; the next target follows an arrival
+        or the end of patience."""
+        if self.target is None:
+            return
+        self.began = now if self.began is None else self.began
+        self.way.append((now, *pose, len(self.rows)))
+        away = math.dist(pose[:2], self.target)
+        self.nearest = min(self.nearest, away)
+        if away < self.arrival or now - self.began >= self.patience:
+            self._next(now, away < self.arrival)
+
+    def _next(self, now: float, reached: bool) -> None:
+        assert self.target is not None and self.began is not None
+        x, y = self.target
+        self.rows.append(
+            {
+                "target": len(self.rows) + 1,
+                "x [m]": x,
+                "y [m]": y,
+                "reached": "yes" if reached else "no",
+                "closest [cm]": 100 * self.nearest,
+                "time [s]": now - self.began,
+            }
+        )
+        self.began, self.nearest = now, math.inf
