@@ -107,10 +107,14 @@ def test_a_tag_under_a_lamp_is_the_harder_to_see():
 
 def test_a_scene_survives_being_sent_as_numbers():
     line = np.array([[0.1, 0.2], [0.0, 0.2], [-0.1, 0.25]])
-    for scene in (SCENE, Scene(), Scene(None, outline=line, spare=(1.0, 1.0, 0.0))):
+    for scene in (
+        SCENE,
+        Scene(),
+        Scene(None, outline=line, others=((0, (1.0, 1.0, 0.0)),), mirrored=True),
+    ):
         back = as_scene(as_numbers(scene))
-        assert (back.fish, back.target, back.spare) == (scene.fish, scene.target, scene.spare)
-        assert back.speed == scene.speed
+        assert (back.fish, back.speed, back.target) == (scene.fish, scene.speed, scene.target)
+        assert (back.others, back.mirrored) == (scene.others, scene.mirrored)
         assert (back.outline is None) == (scene.outline is None)
     assert back.outline is not None and np.array_equal(back.outline, line)
 

@@ -85,7 +85,7 @@ def test_an_empty_pool_shows_nothing(tracker, renderer):
 
 
 def test_a_second_print_of_the_fish_s_tag_takes_both_from_view_until_one_is_left(tracker, renderer):
-    alone, two = Scene(POSE, target=AIM), Scene(POSE, target=AIM, spare=(-1.5, -0.8, 0.0))
+    alone, two = Scene(POSE, target=AIM), Scene(POSE, target=AIM, others=((0, (-1.5, -0.8, 0.0)),))
     assert film(tracker, renderer, [alone])[0].frame.fish is not None
     seen = film(tracker, renderer, [two] * 40, 1)
     assert seen[-1].frame.fish is None and seen[-1].rejected["seen twice"] >= 2
@@ -137,6 +137,14 @@ def test_a_tag_half_out_of_view_is_not_believed(tracker, pixel):
     seen = film(Tracker(calibration), renderer, [Scene((x, y, k), target=AIM) for k in range(4)])
     assert all(one.frame.fish is None for one in seen)
     assert all(one.frame.target is not None for one in seen)
+
+
+def test_a_tag_that_touches_the_picture_s_edge_is_not_believed(tracker):
+    """It decodes, but a corner there may be wrong."""
+    x, y = tracker.calibration.places(np.array([[10.0, 300.0]]), FISH.height)[0]
+    renderer = Renderer(conditions=calm(), fish=FISH, target=TARGET)
+    (seen,) = film(tracker, renderer, [Scene((x, y, 0.0), target=AIM)])
+    assert seen.frame.fish is None and seen.rejected == {"at the edge": 1}
 
 
 def test_a_hidden_tag_is_missed_and_found_again(tracker, renderer):

@@ -64,13 +64,14 @@ def calm() -> Conditions:
 class Scene:
     """What is in the pool: the fish tag's x, y [m] and yaw [rad] and how fast they change, the
     fish's line from nose to tail (k, 2) [m], the target tag's x, y and yaw. None: not there.
-    `mirrored` shows the fish's tag from behind, `spare` is a second print of it lying about."""
+    `others` are more tags of the fish's size at its depth, id and pose, among them a second print
+    of its own; `mirrored` shows the fish's tag from behind."""
 
     fish: tuple[float, float, float] | None = None
     speed: tuple[float, float, float] = (0.0, 0.0, 0.0)
     outline: Array | None = None
     target: tuple[float, float, float] | None = None
-    spare: tuple[float, float, float] | None = None
+    others: tuple[tuple[int, tuple[float, float, float]], ...] = ()
     mirrored: bool = False
 
 
@@ -102,7 +103,7 @@ class Renderer:
         hidden = self.rng.uniform(size=2) < self.conditions.hidden
         still = (0.0, 0.0, 0.0)
         tags = [
-            (self.fish, scene.spare, still, (self.ids[0], False, False)),
+            *((self.fish, pose, still, (ident, False, False)) for ident, pose in scene.others),
             (self.fish, scene.fish, scene.speed, (self.ids[0], scene.mirrored, bool(hidden[0]))),
             (self.target, scene.target, still, (self.ids[1], False, bool(hidden[1]))),
         ]

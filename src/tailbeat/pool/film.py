@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 SECOND = 1_000_000_000
 OUTLINE = 16  # points of a fish's line, at most
-NUMBERS = 3 + 3 + 3 + 3 + 2 * OUTLINE  # fish, its speed, target, spare, line; NaN: not there
+OTHERS = 2  # more tags, at most
 READY = 60.0  # s that the process may take to start
 
 
@@ -63,9 +63,12 @@ class Filming:
 
 
 def as_numbers(scene: Scene) -> list[float]:
-    """A scene in as many numbers as every scene has."""
-    nothing = [np.nan] * 3
-    parts = [list(part or nothing) for part in (scene.fish, scene.speed, scene.target, scene.spare)]
+    """A scene in as many numbers as every scene has: fish, its speed, target, mirrored or not,
+    others, line; NaN where there is none."""
+    parts = [list(part or [np.nan] * 3) for part in (scene.fish, scene.speed, scene.target)]
+    parts.append([float(scene.mirrored)])
+    others = [[float(ident), *pose] for ident, pose in scene.others[:OTHERS]]
+    parts += others + [[np.nan] * 4] * (OTHERS - len(others))
     line = np.full((OUTLINE, 2), np.nan)
     if scene.outline is not None:
         kept = scene.outline[:OUTLINE]
@@ -75,14 +78,21 @@ def as_numbers(scene: Scene) -> list[float]:
 
 def as_scene(numbers: list[float]) -> Scene:
     """Back again."""
-    held = np.array(numbers)
-    fish, speed, target, spare = (
-        None if np.isnan(part).any() else (float(part[0]), float(part[1]), float(part[2]))
-        for part in held[:12].reshape(4, 3)
-    )
-    line = held[12:].reshape(OUTLINE, 2)
+    fish, speed, target = (_pose(numbers[k : k + 3]) for k in (0, 3, 6))
+    others = []
+    for k in range(10, 10 + 4 * OTHERS, 4):
+        pose = _pose(numbers[k + 1 : k + 4])
+        if pose is not None:
+            others.append((int(numbers[k]), pose))
+    line = np.array(numbers[10 + 4 * OTHERS :]).reshape(OUTLINE, 2)
     line = line[~np.isnan(line).any(axis=1)]
-    return Scene(fish, speed or (0.0, 0.0, 0.0), line if len(line) > 1 else None, target, spare)
+    return Scene(fish, speed or (0.0, 0.0, 0.0), line if len(line) > 1 else None, target,
+                 tuple(others), bool(numbers[9]))  # fmt: skip
+
+
+def _pose(numbers: list[float]) -> tuple[float, float, float] | None:
+    x, y, yaw = numbers
+    return None if np.isnan(numbers).any() else (x, y, yaw)
 
 
 # ---- the device ---------------------------------------------------------------------------------

@@ -46,11 +46,13 @@ class Limits:
 @dataclass(frozen=True, eq=False)
 class Sighting:
     """One frame's outcome: the `frame` to send, the believed tags' corners by id (4, 2) [px];
-    rejects by reason and frames so far; frames per second; whether all of it was searched."""
+    rejects by reason, believed tags by id and frames so far; frames per second; whether all of
+    the picture was searched."""
 
     frame: Frame
     corners: dict[int, Array]
     rejected: dict[str, int]
+    believed: dict[int, int]
     frames: int
     rate: float
     whole: bool
@@ -75,6 +77,7 @@ class Tracker:
     limits: Limits = field(default_factory=Limits)
     detector: Detector = field(default_factory=open_detector)
     rejected: Counter[str] = field(default_factory=Counter)
+    counts: Counter[int] = field(default_factory=Counter)  # believed, by id
     frames: int = 0
     last: dict[int, Last] = field(default_factory=dict)
     searched: int = -(10**9)  # frame in which all was
@@ -107,8 +110,9 @@ class Tracker:
         """Whether this frame is searched as a whole; forgets what is too old."""
         old = round(self.limits.memory * SECOND)
         self.last = {k: one for k, one in self.last.items() if 0 <= stamp - one.stamp <= old}
-        missing = len(self.last) < len(self.ids)
-        every = self.limits.hunt if missing and self.last else self.limits.scan
+        before = self.stamps[-1] if self.stamps else 0
+        seen = [one for one in self.last.values() if one.stamp == before]
+        every = self.limits.hunt if len(seen) < len(self.ids) else self.limits.scan
         if not self.last or self.frames - self.searched >= every:
             self.searched = self.frames
             return True
@@ -194,7 +198,9 @@ class Tracker:
         span = (self.stamps[-1] - self.stamps[0]) / SECOND
         rate = (len(self.stamps) - 1) / span if span > 0 else 0.0
         corners = {ident: one.corners for ident, one in believed.items()}
-        return Sighting(frame, corners, dict(self.rejected), self.frames, rate, whole)
+        self.counts.update(believed.keys())
+        told = dict(self.rejected), dict(self.counts)
+        return Sighting(frame, corners, *told, self.frames, rate, whole)
 
 
 def planar_pose(corners: Array) -> Pose:
