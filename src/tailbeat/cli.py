@@ -269,8 +269,15 @@ def bench(
     console.tables({result["machine"]: result["fish"], "virtual pool": result["pool"]})
     rows = [{"fish": int(count), **row} for count, row in result.get("env", {}).items()]
     vision = result.get("vision", {"pictures": [], "live": []})
+    costs = ("draw_ms", "whole_ms", "window_ms", "poses_per_s_core")
     console.tables({
-        "camera: poses of rendered pictures, costs of one core": vision["pictures"],
+        "camera: errors of poses": [
+            {name: value for name, value in row.items() if name not in costs}
+            for row in vision["pictures"]
+        ],
+        "camera: CPU time": [
+            {name: row[name] for name in ("pictures", *costs)} for row in vision["pictures"]
+        ],
         "camera and tracker as processes": vision["live"],
     })  # fmt: skip
     common = ("fish", "steps_per_s", "bare_engine", "of_bare_engine")

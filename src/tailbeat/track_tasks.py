@@ -18,6 +18,7 @@ Pose = tuple[float, float, float]
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 MOVED = 30.0  # px: two views of a board less apart say the same
 EVERY = 0.5  # s between two lines
+STARTING = 20.0  # s that the tracker may take on top
 SURVEYED = [(x, y) for x in (-2.2, 0.0, 2.2) for y in (-1.0, 0.0, 1.0)]  # m, of a made survey
 FIRST_TAG = 10  # of those
 
@@ -172,8 +173,7 @@ def track(
     from tailbeat.swim.tracking import start_tracker
 
     made = read_calibration(calibration, oldest)
-    if not _is_camera(camera):
-        open_camera(camera).close()  # refused here if it is none, and not again and again
+    open_camera(camera, made.lens.size).close()  # refused here if it is none, not again and again
     tracker = start_tracker(camera, made, ids, exposure=exposure, latency=latency)
     ended: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -195,7 +195,9 @@ def _follow(tracker: Any, seconds: float, stop: Callable[[], bool], say: Say) ->
         if tracker.fault != fault:
             fault = tracker.fault
             say(fault or "frames come again")
-        if "the film is over" in fault or (seconds and now - (first or began + 60) >= seconds):
+        if "the film is over" in fault or (
+            seconds and now - (first or began + STARTING) >= seconds
+        ):
             break
         if now >= due and sighting is not None and not fault:
             due = now + EVERY

@@ -36,7 +36,7 @@ GLARE_SIZE = 0.09  # m, standard deviation of a lamp's glare
 WAVES = ((2.1, 0.4, 5.4), (-1.2, 3.3, 6.9), (4.7, -2.6, 8.8))  # rad/m, rad/m, rad/s
 SHIMMERS = 8  # pictures of the empty pool, shown in turn
 TURN = 6  # frames that each is shown
-STILL = 0.15  # px of motion within an exposure that one drawing is enough for
+STILL = 0.3  # px of motion within an exposure that one drawing is enough for: half the lens's blur
 NOISE_TILE = 256  # px that the noise tile is larger than the picture
 
 
@@ -146,12 +146,13 @@ class Renderer:
         """Exposures of a moving tag are several drawings, averaged."""
         half = self.conditions.exposure / 2
         poses = [np.add(pose, np.multiply(after, speed)) for after in (-half, half)]
-        begin, end = (self.seen(sheet_corners(one, tag.side), tag.height, time) for one in poses)
+        corners = np.concatenate([sheet_corners(one, tag.side) for one in poses])
+        begin, end = np.split(self.seen(corners, tag.height, time), 2)
         moved = float(np.abs(end - begin).max())
         count = 1 if moved < STILL else 3 if moved < 1.0 else 7
         shares = (np.arange(count) + 0.5) / count
-        corners = [begin + share * (end - begin) for share in shares]
-        _paste(image, corners, look, self.conditions.blur)
+        during = [begin + share * (end - begin) for share in shares]
+        _paste(image, during, look, self.conditions.blur)
 
     def _draw_glare(self, image: Picture, time: float) -> None:
         """Lamps shine back from the surface, and wander with its slope."""
@@ -176,11 +177,10 @@ class Renderer:
             cut = np.s_[down : down + rows, across : across + columns]
             cv2.add(image, self.more[cut], dst=image)
             cv2.subtract(image, self.less[cut], dst=image)
-        if wanted.flicker or wanted.bits < 8:
-            gain = 1 + wanted.flicker * self.rng.normal()
-            step = 1 << (8 - wanted.bits)
-            levels = np.clip(np.arange(256) * gain, 0, 255) // step * step
-            cv2.LUT(image, levels.astype(np.uint8), dst=image)
+        if wanted.flicker:
+            cv2.convertScaleAbs(image, dst=image, alpha=1 + wanted.flicker * self.rng.normal())
+        if wanted.bits < 8:
+            cv2.bitwise_and(image, np.array(256 - (1 << (8 - wanted.bits))), dst=image)
         return image
 
 

@@ -2,7 +2,7 @@
 
 `survey.py` finds them. A pixel's ray is followed exactly: out of the lens, bent at the surface by
 Snell's law, down to the plane in which the tag swims. (A plane at depth / 1.333, often used, is its
-limit for steep rays: 7 mm off in the corner of a pool of 5.5 m, 5 cm down, 3 m below the camera.)
+limit for steep rays: 5 mm off in the corner of a pool of 5.5 m, 5 cm down, 3 m below the camera.)
 Fish and target may lie in different planes. Pixel centres lie at whole numbers.
 """
 

@@ -1,10 +1,12 @@
 """The tracker in a process of its own, started anew when it dies: native code may crash, the sender
-and its console may not.
+and its console may not. It is a fresh interpreter that imports this room alone, so that starting
+anew is quick; both ends of a pipe between them belong to us, and what they send is pickled.
 """
 
 import multiprocessing
-import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import dataclass, field
@@ -25,6 +27,7 @@ PREVIEW_SIZE = (640, 360)
 QUALITY = 70  # of their JPEG
 SILENT = 5.0  # s without a word from a process that has spoken: it hangs; cameras give up earlier
 STARTING = 60.0  # the same for its first word
+RUN = "import sys; from tailbeat.swim.tracking import work; work(int(sys.argv[1]))"
 PAUSES = (0.1, 0.5, 1.0, 2.0)  # s before it is started for the first, second, … time in a row
 
 
@@ -99,19 +102,23 @@ class TrackerProcess:
 
     def _one_life(self) -> bool:
         """Start a process and listen until it is gone; whether it saw anything."""
-        beside = multiprocessing.get_context("spawn")
-        ours, theirs = beside.Pipe(duplex=False)
-        self.process = beside.Process(
-            target=_work, args=(self.watching, theirs, os.getpid()), daemon=True
-        )
-        self.process.start()
+        ours, theirs = multiprocessing.Pipe()
+        end = theirs.fileno()
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", RUN, str(end)],
+            pass_fds=[end], stdin=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
         theirs.close()
         try:
+            ours.send(self.watching)
             return self._listen(ours)
+        except OSError:  # it was gone before it listened
+            self._obituary()
+            return False
         finally:
             ours.close()
             self.process.kill()
-            self.process.join()
+            self.process.wait()
 
     def _listen(self, ours: Connection) -> bool:
         """Take what comes; says why it ended."""
@@ -143,8 +150,10 @@ class TrackerProcess:
         return False
 
     def _obituary(self) -> None:
-        self.process.join(2)
-        code = self.process.exitcode
+        try:
+            code = self.process.wait(2)
+        except subprocess.TimeoutExpired:
+            code = None
         if code == 0:
             return  # it said why
         how = f"code {code}"
@@ -174,26 +183,27 @@ def start_tracker(
 # ---- the process --------------------------------------------------------------------------------
 
 
-def _work(watching: Watching, speak: Connection, parent: int) -> None:
+def work(end: int) -> None:
+    """The process: told what to watch through the pipe whose descriptor is `end`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
     cv2.setNumThreads(1)
+    speak: Connection = Connection(end)
     try:
-        _watch(watching, speak, parent)
+        _watch(speak.recv(), speak)
     except (BadInput, CameraFault) as fault:
         speak.send(str(fault))
-    except BrokenPipeError:
+    except (EOFError, ConnectionError):
         pass  # the parent is gone
 
 
-def _watch(watching: Watching, speak: Connection, parent: int) -> None:
-    made = watching
+def _watch(made: Watching, speak: Connection) -> None:
     tracker = Tracker(made.calibration, made.ids, made.limits)
     camera = open_camera(
         made.camera, made.calibration.lens.size, made.rate, made.exposure, made.latency
     )
     due = 0.0
     try:
-        while os.getppid() == parent:
+        while True:
             image, stamp = camera.read()
             speak.send(tracker.see(image, stamp))
             if time.monotonic() >= due:
