@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("cv2", reason="the robot extra is not installed")
 pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 
-from sights import FISH, TARGET, true_calibration, true_lens
+from sights import FISH, TARGET, true_calibration
 from tailbeat.files import BadInput
 from tailbeat.pool.camera import Picture, board_views
 from tailbeat.pool.optics import Optics, project
@@ -72,7 +72,7 @@ def test_a_point_written_down_wrong_is_named():
     points, pixels = surveyed(0.0)
     points[4] = Surveyed((2.2, -0.9, 0.0), tag=14)
     with pytest.raises(BadInput, match=r"tag 14 lies \d+ mm from where the others say"):
-        hang(true_lens(OPTICS), points, pixels)
+        hang(true_calibration().lens, points, pixels)
 
 
 def test_points_too_few_or_on_a_line_are_refused():
@@ -80,7 +80,7 @@ def test_points_too_few_or_on_a_line_are_refused():
     line = [point for point in points if point.place[1] > 0]
     for some in (points[:3], line + line):
         with pytest.raises(BadInput, match="4 are needed, better 8, spread over"):
-            hang(true_lens(OPTICS), some, pixels[: len(some)])
+            hang(true_calibration().lens, some, pixels[: len(some)])
 
 
 def test_a_survey_is_read_by_tag_or_pixel_and_nonsense_is_named(tmp_path: Path):

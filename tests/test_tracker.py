@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -14,12 +15,15 @@ import pytest
 pytest.importorskip("cv2", reason="the robot extra is not installed")
 pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 
+import cv2
+
 from sights import FISH, TARGET, true_calibration
 from tailbeat.evaluate.vision_bench import APART, calibrated, errors, fish_line, scattered, watch
 from tailbeat.files import BadInput
 from tailbeat.pool.camera import Conditions, Renderer, Scene, calm
 from tailbeat.pool.film import CameraProcess, Filming, start_camera
 from tailbeat.pool.optics import Optics
+from tailbeat.swim.detector import HALF, open_detector
 from tailbeat.swim.tags import Tag
 from tailbeat.swim.tracker import Limits, Sighting, Tracker, misshapen, planar_pose
 from tailbeat.swim.tracking import TrackerProcess, start_tracker
@@ -57,6 +61,22 @@ def test_poses_over_the_whole_pool_are_within_five_millimetres_and_a_degree():
     assert found["position_rms_mm"] < 2.0 and found["target_rms_mm"] < 2.0  # asked: 5
     assert found["heading_rms_deg"] < 0.5  # asked: 1
     assert found["fish_seen"] > 0.95 and found["target_seen"] > 0.95
+
+
+def test_real_photographs_give_the_library_s_own_corners(data: Path):
+    """Photos of a robot contest with the reference detector's corners: every tag is found with the
+    threshold raised, and no half pixel is lost."""
+    detector, off = open_detector(), []
+    for path in sorted((data / "apriltag").glob("*.jpg")):
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        found = detector.find(np.asarray(image, np.uint8))
+        for line in path.with_suffix(".txt").read_text().splitlines():
+            ident, *numbers = map(float, re.findall(r"-?[\d.]+", line))
+            corners = np.reshape(numbers, (4, 2)) - HALF
+            ours = [one.corners - corners for one in found if one.ident == ident]
+            off.append(min(ours, key=lambda one: float(np.abs(one).max())))
+    assert len(off) == 22
+    assert np.median(np.abs(off)) < 0.3 and np.abs(np.mean(off, axis=(0, 1))).max() < 0.15  # px
 
 
 def test_the_yaw_is_the_arrow_s_and_runs_counter_clockwise_from_above(tracker):

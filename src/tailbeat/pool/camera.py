@@ -27,6 +27,7 @@ from tailbeat.swim.tags import (
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
+Pose = tuple[float, float, float]
 FINE = 4  # a tag's patch against the picture
 GRAIN = 8  # px of a module in the picture that is warped
 INK, PAPER, BACK = 40, 200, 70  # grey levels of a tag's black and white, and of the fish
@@ -44,7 +45,8 @@ NOISE_TILE = 256  # px that the noise tile is larger than the picture
 class Conditions:
     """What the light, the water and the camera do; all chosen. Shares are of frames."""
 
-    exposure: float = 0.002  # s, all rows at once
+    exposure: float = 0.002  # s
+    rolling: float = 0.0  # s from the first row's exposure to the last one's; 0: all at once
     blur: float = 0.6  # px, standard deviation of the lens's own
     noise: float = 2.0  # grey levels rms
     bits: int = 8  # of brightness; fewer are coarser
@@ -67,11 +69,11 @@ class Scene:
     `others` are more tags of the fish's size at its depth, id and pose, among them a second print
     of its own; `mirrored` shows the fish's tag from behind."""
 
-    fish: tuple[float, float, float] | None = None
-    speed: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    fish: Pose | None = None
+    speed: Pose = (0.0, 0.0, 0.0)
     outline: Array | None = None
-    target: tuple[float, float, float] | None = None
-    others: tuple[tuple[int, tuple[float, float, float]], ...] = ()
+    target: Pose | None = None
+    others: tuple[tuple[int, Pose], ...] = ()
     mirrored: bool = False
 
 
@@ -137,15 +139,18 @@ class Renderer:
     def _draw_tag(
         self,
         image: Picture,
-        pose: tuple[float, float, float],
-        speed: tuple[float, float, float],
+        pose: Pose,
+        speed: Pose,
         tag: Tag,
         look: tuple[int, bool, bool],
         time: float,
     ) -> None:
         """Exposures of a moving tag are several drawings, averaged."""
         half = self.conditions.exposure / 2
-        poses = [np.add(pose, np.multiply(after, speed)) for after in (-half, half)]
+        if self.conditions.rolling:
+            row = self.seen(np.array([pose[:2]]), tag.height, time)[0, 1] / len(image) - 0.5
+            pose = _after(pose, speed, self.conditions.rolling * row)
+        poses = [_after(pose, speed, late) for late in (-half, half)]
         corners = np.concatenate([sheet_corners(one, tag.side) for one in poses])
         begin, end = np.split(self.seen(corners, tag.height, time), 2)
         moved = float(np.abs(end - begin).max())
@@ -187,7 +192,12 @@ class Renderer:
 # ---- pieces ------------------------------------------------------------------------------------
 
 
-def sheet_corners(pose: Array, side: float) -> Array:
+def _after(pose: Pose, speed: Pose, late: float) -> Pose:
+    x, y, yaw = (at + late * rate for at, rate in zip(pose, speed, strict=True))
+    return x, y, yaw
+
+
+def sheet_corners(pose: Pose, side: float) -> Array:
     """Places (4, 2) of a printed tag's corners, white border included: left bottom, right bottom,
     right top, left top of the sheet whose arrow points along the yaw."""
     half = side * MODULES / BLACK / 2

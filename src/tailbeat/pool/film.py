@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 from tailbeat.files import BadInput
 from tailbeat.pool.camera import Conditions, Renderer, Scene
 from tailbeat.pool.optics import Optics
+from tailbeat.swim.calibration import Calibration, Hung, Lens
 from tailbeat.swim.camera import HEADER, MAGIC
 from tailbeat.swim.tags import FISH, TARGET, Tag
 
@@ -57,6 +59,19 @@ class Filming:
     def clock(self, now: float) -> int:
         """The laptop's monotonic clock [ns] at a time [s] of this machine's."""
         return round(now * (1 + self.fast) * SECOND) + self.ahead
+
+
+def known_calibration(filming: Filming) -> Calibration:
+    """What calibrating this camera would find if nothing had to be measured: for emulation, and to
+    hold what was measured against."""
+    optics = filming.optics
+    (x, y), focal = optics.centre, optics.focal
+    matrix = np.array([[focal, 0, x], [0, focal, y], [0, 0, 1.0]])
+    lens = Lens(optics.size, matrix, np.array([*optics.radial, *optics.tangential, 0.0]), 0.0)
+    hung = Hung(optics.rotation, np.array(optics.position), 0.0)
+    made = datetime.now(UTC).isoformat(timespec="seconds")
+    return Calibration(lens, hung, filming.fish, filming.target, optics.index, made,
+                       {"known": "the virtual camera's own"})  # fmt: skip
 
 
 # ---- scenes as numbers, for a process beside ----------------------------------------------------
