@@ -6,7 +6,16 @@ from typing import Annotated
 
 import typer
 
-from tailbeat import bench_tasks, chain_tasks, console, learn_cli, robot_cli, swim_cli, tasks
+from tailbeat import (
+    bench_tasks,
+    chain_tasks,
+    console,
+    learn_cli,
+    robot_cli,
+    swim_cli,
+    tasks,
+    track_cli,
+)
 from tailbeat.files import BadInput, write_json
 
 app = typer.Typer(
@@ -31,6 +40,10 @@ for verb in (
     robot_cli.rig,
     robot_cli.drive,
     robot_cli.export,
+    track_cli.tags,
+    track_cli.calibrate,
+    track_cli.track,
+    track_cli.camera,
 ):
     app.command(verb.__name__)(verb)
 
@@ -255,6 +268,18 @@ def bench(
     result = tasks.bench(env)
     console.tables({result["machine"]: result["fish"], "virtual pool": result["pool"]})
     rows = [{"fish": int(count), **row} for count, row in result.get("env", {}).items()]
+    vision = result.get("vision", {"pictures": [], "live": []})
+    costs = ("draw_ms", "whole_ms", "window_ms", "poses_per_s_core")
+    console.tables({
+        "camera: errors of poses": [
+            {name: value for name, value in row.items() if name not in costs}
+            for row in vision["pictures"]
+        ],
+        "camera: CPU time": [
+            {name: row[name] for name in ("pictures", *costs)} for row in vision["pictures"]
+        ],
+        "camera and tracker as processes": vision["live"],
+    })  # fmt: skip
     common = ("fish", "steps_per_s", "bare_engine", "of_bare_engine")
     peers = ("dummy_vec_env", "subproc_vec_env", "of_sb3")
     console.tables({

@@ -160,8 +160,13 @@ def open_loop(fish: str, out: Path) -> dict[str, Any]:
 
 
 def bench(env: bool = True) -> dict[str, Any]:
-    """Speed on this machine; with `env`, of the environment too, where the train extra is."""
+    """Speed on this machine; with `env`, of the environment too, where the train extra is; of the
+    camera's side where the robot extra is."""
     result = benchmark.bench()
+    if find_spec("cv2") is not None and find_spec("pyapriltags") is not None:
+        from tailbeat.evaluate.vision_bench import live_bench, vision_bench  # needs the extra
+
+        result["vision"] = {"pictures": vision_bench(), "live": [live_bench()]}
     if env and find_spec("stable_baselines3") is not None:
         from tailbeat.evaluate.env_bench import env_bench  # needs the extra
         from tailbeat.evaluate.physics_bench import physics_bench  # and so does the environment

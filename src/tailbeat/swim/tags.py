@@ -1,0 +1,77 @@
+"""AprilTag 36h11 as the tag library itself draws them, and the board that lenses are measured with.
+
+OpenCV's dictionary holds the same tags turned by 180 degrees, and may turn them back in a later
+version: a tag of it would swim backwards. So nothing here is drawn from it, on paper or in water.
+The board's own markers are of another family, which the tracker does not know.
+"""
+
+import ctypes
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import cv2
+import numpy as np
+import pyapriltags
+from numpy.typing import NDArray
+from pyapriltags.apriltags import _image_u8_get_array, _ImageU8
+
+from tailbeat.files import BadInput
+
+Picture = NDArray[np.uint8]
+FAMILY = "tag36h11"
+FISH, TARGET = 0, 1  # ids, unless others are given
+MODULES, BLACK = 10, 8  # of a side: with the white border, and of the black square
+IDS = 587
+
+
+@dataclass(frozen=True)
+class Tag:
+    """A printed tag: `side` of its black square [m], `height` above the water's surface [m],
+    negative below it. Its x axis, the arrow on the sheet, points towards the fish's nose."""
+
+    side: float = 0.08
+    height: float = 0.0
+
+
+@dataclass(frozen=True)
+class Board:
+    """A ChArUco board: squares across and down, side of a square and of its marker [m]. Odd rows:
+    OpenCV 4.6 changed what an even number of them looks like."""
+
+    columns: int = 9
+    rows: int = 7
+    square: float = 0.026
+    marker: float = 0.0195
+
+
+@cache
+def tag_picture(ident: int) -> Picture:
+    """A tag's modules (10, 10), 0 or 255, its white border included; row 0 is the top, columns run
+    along the arrow. Drawn by `apriltag_to_image`. Raises BadInput for an id that 36h11 has not."""
+    if not 0 <= ident < IDS:
+        raise BadInput(f"tag {ident}: {FAMILY} has 0 to {IDS - 1}; choose one of those.")
+    detector: Any = pyapriltags.Detector(FAMILY)
+    draw = detector.libc.apriltag_to_image
+    draw.restype = ctypes.POINTER(_ImageU8)
+    drawn = draw(detector.tag_families[FAMILY], ident)
+    shape = drawn.contents.height, drawn.contents.width
+    made: Picture = _image_u8_get_array(drawn)[:, : shape[1]].copy()
+    detector.libc.image_u8_destroy(drawn)
+    assert made.shape == (MODULES, MODULES), made.shape
+    made.flags.writeable = False
+    return made
+
+
+def charuco(board: Board) -> Any:
+    """OpenCV's board."""
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
+    size = (board.columns, board.rows)
+    return cv2.aruco.CharucoBoard(size, board.square, board.marker, markers)
+
+
+@cache
+def board_picture(board: Board, square: int = 80) -> Picture:
+    """The board, `square` pixels a square, without a margin."""
+    made = charuco(board).generateImage((square * board.columns, square * board.rows))
+    return np.asarray(made, np.uint8)

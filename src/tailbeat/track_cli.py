@@ -1,0 +1,108 @@
+"""The camera's verbs: `tags`, `calibrate`, `track`, `camera`. Parse, call, print."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tailbeat import console, track_tasks
+from tailbeat.files import BadInput, refuse_existing, write_json
+
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
+FishTag = Annotated[int, typer.Option("--fish-tag", help="Id of the fish's tag, 36h11.")]
+TargetTag = Annotated[int, typer.Option("--target-tag", help="Id of the target's tag.")]
+SquareOption = Annotated[float, typer.Option(help="Side of the board's squares [m], measured.")]
+CAMERAS = "unix:/path (a virtual camera), /dev/video0, or a film's file"
+
+
+def tags(
+    out: Annotated[Path, typer.Option("--out", help="The sheet to write, .pdf, .svg or .png.")],
+    fish_tag: FishTag = 0,
+    target_tag: TargetTag = 1,
+    side: Annotated[float, typer.Option(help="Side of the tags' black squares [m].")] = 0.08,
+    square: SquareOption = 0.026,
+    json: JsonOption = None,
+) -> None:
+    """Write the sheets to print: fish tag, target tag, calibration board, at true size."""
+    if json is not None:
+        refuse_existing(json)
+    paths = track_tasks.sheets(out, (fish_tag, target_tag), side, square)
+    if json is not None:
+        write_json(json, {"sheets": [str(path) for path in paths]})
+    console.say(f"wrote {', '.join(map(str, paths))}; print at 100 % and measure")
+
+
+def calibrate(
+    views: Annotated[
+        str, typer.Option(help=f"Views of the board: a folder of pictures, {CAMERAS}.")
+    ],
+    survey: Annotated[
+        Path, typer.Option(help="Table of surveyed points: x_m,y_m,z_m and tag, or u_px,v_px.")
+    ],
+    picture: Annotated[str, typer.Option(help=f"Where they are seen: a picture, {CAMERAS}.")],
+    out: Annotated[Path, typer.Option("--out", help="The calibration to write, .json.")],
+    fish_height: Annotated[
+        float, typer.Option(help="Of the fish's tag above the water's surface [m]; below: < 0.")
+    ] = -0.03,
+    target_height: Annotated[float, typer.Option(help="The same of the target's tag.")] = 0.0,
+    fish_side: Annotated[float, typer.Option(help="Side of its black square [m].")] = 0.08,
+    target_side: Annotated[float, typer.Option(help="Side of its black square [m].")] = 0.08,
+    square: SquareOption = 0.026,
+    count: Annotated[int, typer.Option(help="Views taken from a film or a camera.")] = 20,
+    json: JsonOption = None,
+) -> None:
+    """Find the camera's lens and where it hangs over the pool; docs/camera.md says how."""
+    if json is not None:
+        refuse_existing(json)
+    sheet = {
+        "square": square, "fish_side": fish_side, "fish_height": fish_height,
+        "target_side": target_side, "target_height": target_height,
+    }  # fmt: skip
+    done = track_tasks.calibrate(views, survey, picture, sheet, out, count, console.say)
+    console.tables({"calibration": [done]})
+    if json is not None:
+        write_json(json, done)
+
+
+def track(
+    camera: Annotated[str, typer.Option(help=f"{CAMERAS}.")],
+    calibration: Annotated[Path, typer.Option(help="A file of tailbeat calibrate.")],
+    fish_tag: FishTag = 0,
+    target_tag: TargetTag = 1,
+    seconds: Annotated[float, typer.Option(help="How long; 0: until Ctrl-C.")] = 0.0,
+    oldest: Annotated[float, typer.Option(help="Days a calibration may be old.")] = 30.0,
+    exposure: Annotated[float, typer.Option(help="The camera's [s]; half is taken off.")] = 0.002,
+    latency: Annotated[float, typer.Option(help="From exposure's end to stamp [s].")] = 0.0,
+    json: JsonOption = None,
+) -> None:
+    """Poses of fish and target from a camera, live; exit code 1 if the fish was never seen."""
+    if json is not None:
+        refuse_existing(json)
+    done = track_tasks.track(
+        camera, calibration, (fish_tag, target_tag), seconds, oldest, exposure, latency, console.say
+    )
+    console.tables({"track": [done]})
+    if json is not None:
+        write_json(json, done)
+    if not done["fish_seen"]:
+        raise typer.Exit(1)
+
+
+def camera(
+    socket: Annotated[Path | None, typer.Option(help="Film a swim: the socket to make.")] = None,
+    pictures: Annotated[
+        Path | None, typer.Option(help="Take what calibrate needs: the folder to make.")
+    ] = None,
+    fish: Annotated[str, typer.Option("--fish", help="A file or a shipped fish.")] = "pulley-fish",
+    seconds: Annotated[float, typer.Option(help="How long; 0: until Ctrl-C.")] = 0.0,
+    count: Annotated[int, typer.Option(help="Views of the board.")] = 20,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of everything random.")] = 0,
+) -> None:
+    """A virtual camera above the pool: frames at a socket, and pictures to calibrate it with."""
+    if (socket is None) == (pictures is None):
+        raise BadInput("camera: give --socket or --pictures, one of them.")
+    if pictures is not None:
+        track_tasks.pictures(pictures, count, seed)
+        console.say(f"wrote {pictures}: views/, pool.png, survey.csv")
+    if socket is not None:
+        track_tasks.film(socket, fish, seconds, seed, lambda line: print(line, flush=True))

@@ -1,0 +1,13 @@
+"""What tests that look at rendered pictures share: a calibration that knows the truth."""
+
+from tailbeat.pool.film import Filming, known_calibration
+from tailbeat.pool.optics import Optics
+from tailbeat.swim.calibration import Calibration
+from tailbeat.swim.tags import Tag
+
+FISH, TARGET = Tag(height=-0.03), Tag()
+
+
+def true_calibration(optics: Optics | None = None) -> Calibration:
+    """Nothing measured."""
+    return known_calibration(Filming(optics=optics or Optics(), fish=FISH, target=TARGET))

@@ -1,0 +1,245 @@
+"""The tracker on rendered pictures: poses against the truth, and what it must not believe."""
+
+import math
+import os
+import re
+import signal
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cv2", reason="the robot extra is not installed")
+pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
+
+import cv2
+
+from sights import FISH, TARGET, true_calibration
+from tailbeat.evaluate.vision_bench import APART, calibrated, errors, fish_line, scattered, watch
+from tailbeat.files import BadInput
+from tailbeat.pool.camera import Conditions, Renderer, Scene, calm
+from tailbeat.pool.film import CameraProcess, Filming, start_camera
+from tailbeat.pool.optics import Optics
+from tailbeat.swim.detector import HALF, open_detector
+from tailbeat.swim.tags import Tag
+from tailbeat.swim.tracker import Limits, Sighting, Tracker, misshapen, planar_pose
+from tailbeat.swim.tracking import TrackerProcess, start_tracker
+
+FRAME = 1 / 60
+POSE, AIM = (0.6, -0.4, 0.7), (-1.0, 0.5, 2.0)
+
+
+def film(
+    tracker: Tracker, renderer: Renderer, scenes: list[Scene], first: int = 0
+) -> list[Sighting]:
+    """Scenes a sixtieth of a second apart, from frame `first` on."""
+    return [
+        tracker.see(renderer.draw(scene, k * FRAME), round(1e9 * k * FRAME))
+        for k, scene in enumerate(scenes, first)
+    ]
+
+
+@pytest.fixture
+def tracker() -> Tracker:
+    return Tracker(true_calibration())
+
+
+@pytest.fixture
+def renderer() -> Renderer:
+    return Renderer(fish=FISH, target=TARGET)
+
+
+def test_poses_over_the_whole_pool_are_within_five_millimetres_and_a_degree():
+    """Lens, refraction, waves, glare, blur, noise, motion; a calibration made as a lab makes it."""
+    optics, line = Optics(), fish_line()
+    told = watch(Renderer(optics, Conditions(), FISH), Tracker(calibrated(optics)),
+                 scattered(80, line, seed=3), APART)  # fmt: skip
+    found = errors(told)
+    assert found["position_rms_mm"] < 2.0 and found["target_rms_mm"] < 2.0  # asked: 5
+    assert found["heading_rms_deg"] < 0.5  # asked: 1
+    assert found["fish_seen"] > 0.95 and found["target_seen"] > 0.95
+
+
+def test_real_photographs_give_the_library_s_own_corners(data: Path):
+    """Photos of a robot contest with the reference detector's corners: every tag is found with the
+    threshold raised, and no half pixel is lost."""
+    detector, off = open_detector(), []
+    for path in sorted((data / "apriltag").glob("*.jpg")):
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        found = detector.find(np.asarray(image, np.uint8))
+        for line in path.with_suffix(".txt").read_text().splitlines():
+            ident, *numbers = map(float, re.findall(r"-?[\d.]+", line))
+            corners = np.reshape(numbers, (4, 2)) - HALF
+            ours = [one.corners - corners for one in found if one.ident == ident]
+            off.append(min(ours, key=lambda one: float(np.abs(one).max())))
+    assert len(off) == 22
+    assert np.median(np.abs(off)) < 0.3 and np.abs(np.mean(off, axis=(0, 1))).max() < 0.15  # px
+
+
+def test_the_yaw_is_the_arrow_s_and_runs_counter_clockwise_from_above(tracker):
+    renderer = Renderer(conditions=calm(), fish=FISH, target=TARGET)
+    for k, yaw in enumerate(np.arange(-3, 3.1, 0.75)):
+        pose = (0.5, -0.5, float(yaw))
+        (seen,) = film(tracker, renderer, [Scene(pose, target=AIM)], 600 * k)
+        assert seen.frame.fish == pytest.approx(pose, abs=0.004)
+        assert seen.frame.target == pytest.approx(AIM[:2], abs=0.002)
+
+
+def test_windows_follow_a_fish_and_see_what_a_full_search_sees(tracker, renderer):
+    scenes = [Scene((-1 + 0.01 * k, 0.3, 0.3 * math.sin(0.2 * k)), target=AIM) for k in range(40)]
+    seen = film(tracker, renderer, scenes)
+    assert [one.whole for one in seen].count(True) == 2  # the first, and the thirtieth
+    for one, scene in zip(seen, scenes, strict=True):
+        assert one.frame.fish == pytest.approx(scene.fish, abs=0.02)
+    assert seen[-1].rate == pytest.approx(60, rel=1e-6) and seen[-1].rejected == {}
+    assert set(seen[-1].corners) == {0, 1}
+
+
+def test_an_empty_pool_shows_nothing(tracker, renderer):
+    (seen,) = film(tracker, renderer, [Scene()])
+    assert seen.frame.fish is None and seen.frame.target is None
+    assert seen.rejected == {} and seen.corners == {}
+
+
+def test_a_second_print_of_the_fish_s_tag_takes_both_from_view_until_one_is_left(tracker, renderer):
+    alone, two = Scene(POSE, target=AIM), Scene(POSE, target=AIM, others=((0, (-1.5, -0.8, 0.0)),))
+    assert film(tracker, renderer, [alone])[0].frame.fish is not None
+    seen = film(tracker, renderer, [two] * 40, 1)
+    assert seen[-1].frame.fish is None and seen[-1].rejected["seen twice"] >= 2
+    assert all(one.frame.fish is None for one in seen[31:])  # noticed at the second full search
+    assert all(one.frame.target is not None for one in seen)
+    again = film(tracker, renderer, [alone] * 4, 41)
+    assert again[-1].frame.fish is not None
+
+
+def test_a_mirrored_tag_and_a_mirrored_picture_are_never_believed(tracker, renderer):
+    seen = film(tracker, renderer, [Scene(POSE, target=AIM, mirrored=True)] * 3)
+    assert all(one.frame.fish is None and one.frame.target is not None for one in seen)
+    image = renderer.draw(Scene(POSE, target=AIM), 0.0)
+    for flipped in (image[:, ::-1], image[::-1]):
+        frame = Tracker(true_calibration()).see(flipped, 0).frame
+        assert frame.fish is None and frame.target is None
+    square = np.array([[0, 0], [0.08, 0], [0.08, 0.08], [0, 0.08]])
+    assert misshapen(square, 0.08, Limits()) == ""
+    assert misshapen(square[::-1], 0.08, Limits()) == "mirrored"
+
+
+def test_a_tag_that_turns_over_is_not_believed_for_a_second(tracker, renderer):
+    over = (POSE[0], POSE[1], POSE[2] - math.pi)
+    film(tracker, renderer, [Scene(POSE, target=AIM)] * 3)
+    seen = film(tracker, renderer, [Scene(over, target=AIM)] * 60, 3)
+    assert all(one.frame.fish is None for one in seen[:58])
+    assert seen[-1].rejected["turned too fast"] > 20
+    later = film(tracker, renderer, [Scene(over, target=AIM)] * 4, 70)
+    assert later[-1].frame.fish == pytest.approx(over, abs=0.02)
+
+
+def test_a_tag_that_jumps_is_not_believed_and_one_that_comes_back_is(tracker, renderer):
+    there = Scene((POSE[0] + 0.3, *POSE[1:]), target=AIM)
+    film(tracker, renderer, [Scene(POSE, target=AIM)])
+    tracker.searched = -100  # search all of it
+    (seen,) = film(tracker, renderer, [there], 1)
+    assert seen.frame.fish is None and seen.rejected == {"jumped": 1}
+    back = film(tracker, renderer, [Scene(POSE, target=AIM)] * 4, 2)
+    assert back[-1].frame.fish is not None
+
+
+@pytest.mark.parametrize("pixel", [(2.0, 300.0), (1277.0, 300.0), (640.0, 1.0), (8.0, 300.0)])
+def test_a_tag_half_out_of_view_is_not_believed(tracker, pixel):
+    """The last one lies inside, but a corner of it does not."""
+    optics = Optics(focal=900.0)  # this one does not see the whole pool
+    calibration = true_calibration(optics)
+    x, y = calibration.places(np.array([pixel]), FISH.height)[0]
+    renderer = Renderer(optics, calm(), FISH, TARGET)
+    seen = film(Tracker(calibration), renderer, [Scene((x, y, k), target=AIM) for k in range(4)])
+    assert all(one.frame.fish is None for one in seen)
+    assert all(one.frame.target is not None for one in seen)
+
+
+def test_a_tag_that_touches_the_picture_s_edge_is_not_believed(tracker):
+    """It decodes, but a corner there may be wrong."""
+    x, y = tracker.calibration.places(np.array([[10.0, 300.0]]), FISH.height)[0]
+    renderer = Renderer(conditions=calm(), fish=FISH, target=TARGET)
+    (seen,) = film(tracker, renderer, [Scene((x, y, 0.0), target=AIM)])
+    assert seen.frame.fish is None and seen.rejected == {"at the edge": 1}
+
+
+def test_a_hidden_tag_is_missed_and_found_again(tracker, renderer):
+    hidden = Renderer(conditions=Conditions(hidden=1.0), fish=FISH, target=TARGET)
+    scenes = [Scene(POSE, target=AIM)] * 3
+    film(tracker, renderer, scenes)
+    assert film(tracker, hidden, scenes, 3)[-1].frame.fish is None
+    assert film(tracker, renderer, scenes, 6)[-1].frame.fish is not None
+
+
+def test_strangers_and_prints_of_another_size_are_counted_and_dropped(tracker):
+    other = Renderer(fish=FISH, target=TARGET, ids=(5, 1))
+    (seen,) = film(tracker, other, [Scene(POSE, target=AIM)])
+    assert seen.frame.fish is None and seen.rejected == {"unexpected tag": 1}
+    large = Renderer(fish=Tag(0.12, -0.03), target=TARGET)
+    (seen,) = film(Tracker(true_calibration()), large, [Scene(POSE, target=AIM)])
+    assert seen.frame.fish is None and seen.rejected == {"another size": 1}
+
+
+def test_a_camera_mode_or_ids_that_do_not_fit_are_refused(tracker):
+    with pytest.raises(BadInput, match="gives 640 x 480 pixels, calibrated were 1280 x 720"):
+        tracker.see(np.zeros((480, 640), np.uint8), 0)
+    with pytest.raises(BadInput, match="give two different ones"):
+        Tracker(true_calibration(), ids=(3, 3))
+
+
+def test_a_pose_is_the_corners_middle_and_lower_edge():
+    corners = np.array([[1.0, 2.0], [1.08, 2.0], [1.08, 2.08], [1.0, 2.08]])
+    assert planar_pose(corners) == pytest.approx((1.04, 2.04, 0.0))
+    assert planar_pose(np.roll(corners, -1, axis=0))[2] == pytest.approx(math.pi / 2)
+    bent = replace(Limits(), size=1.0)
+    corners[2] += 0.04
+    assert misshapen(corners, 0.08, bent) == "no square"
+
+
+# ---- in a process of its own --------------------------------------------------------------------
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Iterator[tuple[CameraProcess, TrackerProcess]]:
+    camera = start_camera(tmp_path / "c", Filming(fish=FISH, target=TARGET))
+    camera.show(Scene(POSE, target=AIM))
+    tracker = start_tracker(camera.where, true_calibration())
+    yield camera, tracker
+    tracker.close()
+    camera.close()
+
+
+def wait_for(happened: Callable[[], bool], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not happened():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.01)
+
+
+def test_a_crash_in_the_native_code_is_told_and_the_process_started_anew(pair):
+    """Then the camera goes away, and that is told too."""
+    camera, tracker = pair
+    wait_for(lambda: tracker.newest() is not None and tracker.newest().frame.fish is not None)
+    assert tracker.newest().frame.fish == pytest.approx(POSE, abs=0.02)
+    assert abs(time.monotonic_ns() - tracker.newest().frame.captured) < 10e9
+    first, stamp = tracker.pid, tracker.newest().frame.captured
+    os.kill(first, signal.SIGSEGV)
+    wait_for(lambda: "signal 11 (SIGSEGV)" in tracker.fault)
+    wait_for(lambda: tracker.fault == "" and tracker.newest().frame.captured > stamp)
+    assert tracker.restarts == 1 and tracker.pid != first
+    wait_for(lambda: tracker.picture()[:2] == b"\xff\xd8")  # a JPEG
+    camera.close()
+    wait_for(lambda: "is the camera plugged in" in tracker.fault or "start the" in tracker.fault)
+
+
+def test_a_process_that_hangs_is_replaced(pair):
+    _, tracker = pair
+    wait_for(lambda: tracker.newest() is not None)
+    first = tracker.pid
+    os.kill(first, signal.SIGSTOP)
+    wait_for(lambda: "hung" in tracker.fault)
+    wait_for(lambda: tracker.fault == "" and tracker.pid != first)
