@@ -19,9 +19,9 @@ SOURCE = Path(__file__).parents[1] / "src" / "tailbeat"
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("__main__",),
     ("cli",),
-    ("learn_cli", "robot_cli", "swim_cli"),
+    ("laptop_cli", "learn_cli", "robot_cli", "swim_cli"),
     ("chain_tasks",),
-    ("bench_tasks", "console", "learn_tasks", "robot_tasks", "swim_tasks", "tasks"),
+    ("bench_tasks", "console", "laptop_tasks", "learn_tasks", "robot_tasks", "swim_tasks", "tasks"),
     ("evaluate",),
     ("pool",),
     ("swim",),

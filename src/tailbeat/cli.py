@@ -6,7 +6,16 @@ from typing import Annotated
 
 import typer
 
-from tailbeat import bench_tasks, chain_tasks, console, learn_cli, robot_cli, swim_cli, tasks
+from tailbeat import (
+    bench_tasks,
+    chain_tasks,
+    console,
+    laptop_cli,
+    learn_cli,
+    robot_cli,
+    swim_cli,
+    tasks,
+)
 from tailbeat.files import BadInput, write_json
 
 app = typer.Typer(
@@ -31,6 +40,7 @@ for verb in (
     robot_cli.rig,
     robot_cli.drive,
     robot_cli.export,
+    laptop_cli.laptop,
 ):
     app.command(verb.__name__)(verb)
 

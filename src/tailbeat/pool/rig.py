@@ -62,11 +62,6 @@ class PlantShaft(Shaft):
         return tracked_pose(self.fish, self.state.q[0, :3])
 
 
-def laptop_clock() -> int:
-    """The laptop's own monotonic clock [ns]: neither the fish's nor as fast."""
-    return round(time.monotonic_ns() * (1 + CLOCK_FAST)) + CLOCK_AHEAD
-
-
 @dataclass(eq=False)
 class Laptop:
     """The sender's end behind a camera that sees the plant, late, noisy and now and then nothing;
@@ -78,6 +73,10 @@ class Laptop:
     model: SensorModel = field(default_factory=SensorModel)
     due: float = 0.0
     ahead: deque[tuple[float, Frame]] = field(default_factory=deque)  # when to send what
+
+    def clock(self) -> int:
+        """The laptop's own monotonic clock [ns]: neither the fish's nor as fast."""
+        return round(time.monotonic_ns() * (1 + CLOCK_FAST)) + CLOCK_AHEAD
 
     @property
     def socket(self) -> socket.socket:
@@ -104,7 +103,7 @@ class Laptop:
         noise = rng.normal(size=3) * [model.position_noise, model.position_noise, model.yaw_noise]
         seen = rng.uniform() >= model.dropped
         x, y, yaw = (pose + noise).tolist()
-        return Frame(self.sender.clock(), (x, y, yaw) if seen else None, self.tag)
+        return Frame(self.clock(), (x, y, yaw) if seen else None, self.tag)
 
 
 @dataclass(eq=False)
@@ -130,7 +129,8 @@ def open_rig(
     """A rig whose laptop sends to a robot's address; the fish starts in the pool's middle."""
     shaft = PlantShaft(fish=fish)
     made = link.bind("127.0.0.1", 0)
-    laptop = Laptop(Sender(key, made, robot, laptop_clock), target, np.random.default_rng(seed))
+    laptop = Laptop(Sender(key, made, robot), target, np.random.default_rng(seed))
+    laptop.sender.clock = laptop.clock
     return Rig(shaft, Dynamixel(shaft=shaft), Bno055(), (open_line(), open_line()), laptop)
 
 

@@ -14,7 +14,7 @@ from tailbeat.swim.clock import SECOND
 from tailbeat.swim.link import HEAD, MAC_BYTES, Receiver, is_signed, sign
 from tailbeat.swim.safety import Limits, State
 
-STATUS = b"tbF1"
+STATUS = b"tbR1"
 TEXT_BYTES = 96  # of the reason, UTF-8, cut where it is longer
 STATES = tuple(State)
 FIRST = struct.Struct(f"<BHIQd{TEXT_BYTES}s")  # state, missed, rejects, order, offset, reason
