@@ -109,6 +109,8 @@ export function draggable(moved, may) {
     target.setPointerCapture(held);
     target.classList.add("held");
   });
+  // Else a finger scrolls the page, and the drag is cancelled: `touch-action` does not hold in an SVG.
+  target.addEventListener("touchstart", (event) => { if (may()) event.preventDefault(); }, { passive: false });
   target.addEventListener("pointermove", (event) => { if (event.pointerId === held) put(there(event)); });
   for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
     target.addEventListener(end, (event) => {

@@ -97,11 +97,12 @@ function connect() {
   socket.addEventListener("close", () => setTimeout(connect, 1000));
 }
 
-let told = "";
+let told = null;
 function show(snapshot) {
   now = snapshot;
   draw(now);
-  if (now.said !== told) say((told = now.said), told.includes("not taken"));
+  if (told !== null && now.said !== told) say(now.said, now.said.includes("not taken"));
+  told = now.said;
   state();
   gauges();
 }

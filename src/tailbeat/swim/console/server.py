@@ -182,7 +182,7 @@ def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
 
     @app.get("/camera.jpg")
     async def camera() -> Response:
-        if not shown.filming():
+        if not shown.picture:
             return Response(status_code=404)
         return Response(shown.picture, media_type="image/jpeg", headers=HEADERS)
 
