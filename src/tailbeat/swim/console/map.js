@@ -37,7 +37,7 @@ function drawPool([length, width]) {
 // The place that takes a finger has the same size on every screen.
 function fingers() {
   if (!room) return;
-  const metre = map.getBoundingClientRect().width / (room[0] + 2 * EDGE);
+  const metre = map.getScreenCTM()?.a ?? 1; // px
   target.querySelector(".touch").setAttribute("r", Math.max(0.15, FINGER / Math.max(metre, 1)));
 }
 new ResizeObserver(fingers).observe(map);

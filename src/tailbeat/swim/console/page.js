@@ -163,7 +163,7 @@ function readings(status, limits) {
     ["Servo temperature", number(status.temperature, 0, "°C"), status.temperature / limits.temperature_stop, status.temperature >= limits.temperature_hold - 10],
     ["Servo voltage", number(volts, 1, "V"), (volts - low) / (high - low), volts !== null && (volts < low + 0.5 || volts > high - 0.5)],
     ["Servo current", number(status.current, 2, "A"), Math.abs(status.current) / limits.current_stop, Math.abs(status.current) > limits.current_stop / 2],
-    ["Motor angle → setpoint", `${degrees(status.angle)} → ${degrees(status.setpoint)}`],
+    ["Motor → setpoint", `${degrees(status.angle)} → ${degrees(status.setpoint)}`],
     ["Clocks known to", ms(status.clock_doubt), status.clock_doubt / limits.clock_doubt, !Number.isFinite(status.clock_doubt) || status.clock_doubt > limits.clock_doubt / 2],
     ["Datagrams refused", `${status.rejects}`, undefined, status.rejects > 0],
   ];
