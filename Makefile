@@ -13,7 +13,7 @@ export TAILBEAT_DATA
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help swim bench test check format clean
+.PHONY: help swim bench test check format browser clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /\1\t/' | expand -t 10
@@ -24,7 +24,7 @@ swim: $(READY)  ## the main job: let the fish swim, see runs/
 bench: $(READY)  ## measure speed on this machine
 	$(TAILBEAT) bench $(ARGS)
 
-test: check  ## check, then every test that is neither slow nor needs a GPU
+test: check browser  ## check, then every test that is neither slow nor needs a GPU
 	$(VENV)/bin/pytest $(ARGS)
 
 check: $(READY)  ## lint, format and types, changing nothing
@@ -35,6 +35,13 @@ check: $(READY)  ## lint, format and types, changing nothing
 format: $(READY)  ## put imports and layout right
 	$(VENV)/bin/ruff check --fix
 	$(VENV)/bin/ruff format
+
+browser:  ## chromium for the console's test, where it is missing (Debian, as root or by sudo)
+	@command -v chromedriver >/dev/null || { command -v apt-get >/dev/null && { \
+	  test "$$(id -u)" = 0 || elevated=sudo; \
+	  $$elevated apt-get update -qq && $$elevated apt-get install -qq -y chromium chromium-driver; }; } || \
+	{ echo "make browser: no chromedriver here and apt-get cannot install it: install Chromium and its"; \
+	  echo "chromedriver by hand and put both on the PATH."; exit 1; }
 
 clean:  ## remove caches and builds; runs/ and .venv stay
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache

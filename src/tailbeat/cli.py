@@ -10,6 +10,7 @@ from tailbeat import (
     bench_tasks,
     chain_tasks,
     console,
+    laptop_cli,
     learn_cli,
     robot_cli,
     swim_cli,
@@ -44,6 +45,7 @@ for verb in (
     track_cli.calibrate,
     track_cli.track,
     track_cli.camera,
+    laptop_cli.laptop,
 ):
     app.command(verb.__name__)(verb)
 

@@ -60,16 +60,17 @@ def _beside(target: Path) -> Path:
 def write_json(path: str | Path, data: Any, overwrite: bool = False) -> None:
     """Write `data` as JSON; numpy values become lists and numbers, non-finite numbers null."""
     with new_file(path, overwrite) as beside:
-        beside.write_text(json.dumps(_plain(data), indent=2) + "\n", encoding="utf-8")
+        beside.write_text(json.dumps(plain(data), indent=2) + "\n", encoding="utf-8")
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """What JSON can hold: lists for arrays and tuples, None for numbers that are not finite."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value

@@ -1,5 +1,6 @@
 """The robot's verbs: `key`, `rig`, `drive`, `export`. Parse, call, print."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,9 @@ from tailbeat.files import BadInput, refuse_existing, write_json
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 FishOption = Annotated[str, typer.Option("--fish", help="The pool's fish: a file or a name.")]
 TargetOption = Annotated[str, typer.Option("--target", help="Where the target is: x,y [m].")]
+ConsoleOption = Annotated[
+    str, typer.Option("--console", help="host:port to show the operator's page at.")
+]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
 
 
@@ -28,10 +32,12 @@ def rig(
     robot: Annotated[str, typer.Option("--robot", help="host:port where the loop listens.")],
     fish: FishOption = "pulley-fish",
     target: TargetOption = "1.5,0.5",
+    console_at: ConsoleOption = "",
     seed: SeedOption = 0,
 ) -> None:
     """An emulated bench in real time: servo and IMU on pseudo-terminals, poses over the network."""
-    robot_tasks.rig(fish, key, robot, target, seed, lambda line: print(line, flush=True))
+    say = lambda line: print(line, flush=True)  # noqa: E731
+    robot_tasks.rig(fish, key, robot, target, console_at, seed, say)
 
 
 def drive(
@@ -49,7 +55,13 @@ def drive(
     target: Annotated[
         str | None, typer.Option("--target", help="x,y [m] instead of the target's tag.")
     ] = None,
-    seconds: Annotated[float, typer.Option(help="How long.")] = 30.0,
+    seconds: Annotated[
+        float | None, typer.Option(help="How long; 30 by default, with orders until Ctrl-C.")
+    ] = None,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Stay disarmed until ordered; else arm and swim.")
+    ] = False,
+    console_at: ConsoleOption = "",
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -58,21 +70,30 @@ def drive(
     for path in filter(None, (log, json)):
         refuse_existing(path)
     aim = None if target is None else robot_tasks.place(target)
+    stay = wait or bool(console_at)
+    if seconds is None:
+        seconds = float("inf") if stay else 30.0
+    swim = partial(robot_tasks.drive, by_itself=not wait, stay=stay)
     if emulated:
         with robot_tasks.temporary() as folder:
-            bench = robot_tasks.own_rig(fish, target or "1.5,0.5", seed, Path(folder))
+            floats = target or "1.5,0.5"
+            bench = robot_tasks.own_rig(fish, floats, console_at, seed, Path(folder), console.say)
+            aim = None if stay else aim  # the tag floats there; the operator may drag it
             with bench as (ports, secret):
-                done = robot_tasks.drive(policy, ports, secret, aim, seconds, log, console.say)
+                done = swim(policy, ports, secret, aim, seconds, log, console.say)
     else:
         if not (servo and imu and listen and laptop and key):
             raise BadInput("drive: give --servo, --imu, --listen, --laptop and --key, or --rig.")
+        if console_at:
+            raise BadInput("--console: the laptop shows it; see `tailbeat laptop --console`.")
         ends = robot_tasks.address(listen, "--listen"), robot_tasks.address(laptop, "--laptop")
         ports = robot_tasks.Ports(servo, imu, *ends)
-        done = robot_tasks.drive(policy, ports, key, aim, seconds, log, console.say)
+        done = swim(policy, ports, key, aim, seconds, log, console.say)
     console.tables({"drive": [done]})
     if json is not None:
         write_json(json, done)
-    if done["ended"] != "swimming":
+    by_hand = done["swum_s"] > 0 and done["ended"] in robot_tasks.BY_HAND
+    if done["ended"] != "swimming" and not (stay and by_hand):
         raise typer.Exit(1)
 
 

@@ -25,6 +25,7 @@ from tailbeat.recording import Recording, write_recording
 
 Say = Callable[[str], None]
 READY = 60.0  # s that a bench may take to start
+BY_HAND = ("not armed yet", "stop asked by the operator", "stop asked by the console")
 WAIT_TO_ARM = 10.0  # s for the first poses and the laptop's clock
 
 
@@ -67,14 +68,29 @@ def place(text: str) -> tuple[float, float]:
     return x, y
 
 
-def rig(fish: str, key: Path, robot: str, target: str, seed: int, say: Say) -> None:
+def open_console(console: str) -> Any:
+    """The operator's page at `host:port`, or None where that is empty."""
+    if not console:
+        return None
+    for module in ("fastapi", "uvicorn", "websockets"):
+        if find_spec(module) is None:
+            raise BadInput(f"the console needs {module}: pip install 'tailbeat[robot]'.")
+    from tailbeat.swim.console.desk import open_desk
+
+    return open_desk(address(console, "--console"), (LENGTH, WIDTH))
+
+
+def rig(fish: str, key: Path, robot: str, target: str, console: str, seed: int, say: Say) -> None:
     """Serve an emulated bench until told to stop; says where it is as one line of JSON."""
     need_extra()
     from tailbeat.pool import rig as bench  # needs the extra
+    from tailbeat.swim.console.desk import announce, turn
     from tailbeat.swim.link import read_key
 
     there, aim = address(robot, "--robot"), place(target)
-    made = bench.open_rig(load_fish(fish), read_key(key), there, aim, seed)
+    described, secret = load_fish(fish), read_key(key)
+    desk = open_console(console)
+    made = bench.open_rig(described, secret, there, aim, seed)
     ended: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda n, _: ended.append(n))
@@ -82,14 +98,27 @@ def rig(fish: str, key: Path, robot: str, target: str, seed: int, say: Say) -> N
     gc.freeze()
     gc.disable()  # a collection would hold up the bus
     host, port = made.laptop.socket.getsockname()
-    say(json.dumps({"servo": made.ports[0], "imu": made.ports[1], "laptop": f"{host}:{port}"}))
-    bench.serve(made, lambda: bool(ended))
-    bench.close_rig(made)
+    ports = {"servo": made.ports[0], "imu": made.ports[1], "laptop": f"{host}:{port}"}
+    say(json.dumps({**ports, "console": announce(desk) if desk else []}))
+
+    def over() -> bool:
+        if desk is not None:
+            turn(desk, made.laptop.sender, described, time.monotonic())
+        return bool(ended)
+
+    try:
+        bench.serve(made, over)
+    finally:
+        bench.close_rig(made)
+        if desk is not None:
+            desk.close()
 
 
 @contextmanager
-def own_rig(fish: str, target: str, seed: int, folder: Path) -> Iterator[tuple[Ports, Path]]:
-    """A bench of our own in a process beside, and its key."""
+def own_rig(
+    fish: str, target: str, console: str, seed: int, folder: Path, say: Say
+) -> Iterator[tuple[Ports, Path]]:
+    """A bench of our own in a process beside, and its key; says where its console is."""
     from tailbeat.swim import link
 
     key = folder / "rig.key"
@@ -98,7 +127,7 @@ def own_rig(fish: str, target: str, seed: int, folder: Path) -> Iterator[tuple[P
     listen = probe.getsockname()
     probe.close()
     words = ["rig", "--fish", fish, "--key", str(key), "--robot", f"{listen[0]}:{listen[1]}"]
-    words += [f"--target={target}", "--seed", str(seed)]
+    words += [f"--target={target}", "--seed", str(seed), "--console", console]
     command = [sys.executable, "-m", "tailbeat", *words]
     alone = {**os.environ, "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # one fish: no pools
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=alone)
@@ -108,6 +137,8 @@ def own_rig(fish: str, target: str, seed: int, folder: Path) -> Iterator[tuple[P
         if not line:
             raise BadInput("the emulated bench did not start; see what it said above.")
         said = json.loads(line)
+        for told in said["console"]:
+            say(told)
         yield Ports(said["servo"], said["imu"], listen, address(said["laptop"], "laptop")), key
     finally:
         process.terminate()
@@ -122,8 +153,11 @@ def drive(
     seconds: float,
     log: Path,
     say: Say,
+    by_itself: bool = True,
+    stay: bool = False,
 ) -> dict[str, Any]:
-    """Arm, swim so long, disarm; every period in the log."""
+    """Arm (`by_itself`, or when ordered to), swim so long, disarm; every period in the log. A
+    fish that stopped ends the drive, unless it is to `stay` for orders."""
     need_extra()
     from tailbeat.swim import imu, link, loop, servo
     from tailbeat.swim import log as logs
@@ -133,7 +167,7 @@ def drive(
     motor, gyro = servo.connect(ports.servo), None
     try:
         gyro = imu.connect(ports.imu)
-        gyro.prepare()
+        _prepare(gyro)
         receiver = link.Receiver(secret, (LENGTH, WIDTH))
         heard = link.bind(*ports.listen)
         written = logs.start(log, {"policy": policy, "contract": loaded.contract.fish})
@@ -141,7 +175,7 @@ def drive(
         own = loop.Loop(
             loaded, devices, written.put, logging=lambda: not written.failed, target=target
         )
-        _swim(own, seconds, say)
+        _swim(own, seconds, say, by_itself, stay)
         written.close()
         heard.close()
         return summary(logs.read_rows(log), own.stand.reason, dict(receiver.rejected))
@@ -151,27 +185,52 @@ def drive(
             gyro.close()
 
 
-def _swim(own: Any, seconds: float, say: Say) -> None:
+def _prepare(gyro: Any) -> None:
+    """Set the IMU up without haste. Raises BadInput."""
+    from tailbeat.swim.imu import PATIENCE, ImuFault
+
+    gyro.deadline, usual = PATIENCE, gyro.deadline
+    try:
+        gyro.prepare()
+    except ImuFault as fault:
+        raise BadInput(f"{gyro.port.port}: {fault}; check the IMU's cable and power.") from None
+    gyro.deadline = usual
+
+
+def _swim(own: Any, seconds: float, say: Say, by_itself: bool, stay: bool) -> None:
     """Wait until it may be armed, arm, swim, and say every change of state."""
     from tailbeat.swim.safety import State
 
-    told = [""]
+    told, ended = [""], list[int]()
 
     def over(since: float) -> bool:
-        if own.stand.state is State.DISARMED and since > 1.0:
-            own.arm(time.monotonic())
-        if own.stand.state is State.ARMED:
-            own.swim()
+        if by_itself and not (ended or own.ordered):
+            _begin(own, since)
         line = f"{own.stand.state.value}: {own.stand.reason}"
         if line != told[0]:
             told[0] = line
             say(f"{since:6.2f} s  {line}")
-        waited = own.stand.state is State.DISARMED and since > WAIT_TO_ARM
-        return waited or since >= seconds or own.stand.state is State.STOP
+        rests = own.stand.state in (State.DISARMED, State.STOP)
+        waited = own.stand.state is State.STOP or since > WAIT_TO_ARM
+        return since >= seconds or (rests and (bool(ended) or (not stay and waited)))
+
+    def end(number: int, _: Any) -> None:
+        own.stop_asked = "the operator"
+        ended.append(number)
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: setattr(own, "stop_asked", "the operator"))
+        signal.signal(number, end)
     own.run(over)
+
+
+def _begin(own: Any, since: float) -> None:
+    """Arm after a second, and swim."""
+    from tailbeat.swim.safety import State
+
+    if own.stand.state is State.DISARMED and since > 1.0:
+        own.arm(time.monotonic())
+    if own.stand.state is State.ARMED:
+        own.swim()
 
 
 def summary(rows: list[dict[str, Any]], reason: str, rejected: dict[str, int]) -> dict[str, Any]:

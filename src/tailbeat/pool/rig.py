@@ -25,6 +25,7 @@ from tailbeat.pool.servo import Dynamixel, Line, Shaft, close_line, open_line
 from tailbeat.pool.water import Water
 from tailbeat.swim import link
 from tailbeat.swim.link import Frame
+from tailbeat.swim.sender import Sender
 
 Array = NDArray[np.float64]
 SECOND = 1_000_000_000
@@ -63,53 +64,49 @@ class PlantShaft(Shaft):
 
 @dataclass(eq=False)
 class Laptop:
-    """The sender's end: frames of a camera, and answers to questions for its clock."""
+    """The sender's end behind a camera that sees the plant, late, noisy and now and then nothing;
+    `tag` is where the target floats, `due` [s] when the next frame is."""
 
-    key: bytes
-    socket: socket.socket
-    fish: tuple[str, int]
-    target: tuple[float, float]
+    sender: Sender
+    tag: tuple[float, float]
     rng: np.random.Generator
     model: SensorModel = field(default_factory=SensorModel)
-    run: int = 1
-    nonce: int | None = None
-    sequence: int = 0
     due: float = 0.0
-    taken: deque[Frame] = field(default_factory=lambda: deque(maxlen=link.FRAMES))
-    ahead: deque[tuple[float, bytes]] = field(default_factory=deque)  # when to send what
+    stepped: float = 0.0  # s that its clock was set ahead
+    shifted: tuple[float, float, float] = (0.0, 0.0, 0.0)  # what its tracker is wrong by
+    ahead: deque[tuple[float, Frame]] = field(default_factory=deque)  # when to send what
 
-    def clock(self, now: float) -> int:
-        """Its own monotonic clock [ns] at a time [s] of this machine's."""
-        return round(now * (1 + CLOCK_FAST) * SECOND) + CLOCK_AHEAD
+    def clock(self) -> int:
+        """The laptop's own monotonic clock [ns]: neither the fish's nor as fast."""
+        set_ahead = CLOCK_AHEAD + round(self.stepped * SECOND)
+        return round(time.monotonic_ns() * (1 + CLOCK_FAST)) + set_ahead
+
+    @property
+    def socket(self) -> socket.socket:
+        """Where it hears the fish."""
+        return self.sender.socket
+
+    @property
+    def fish(self) -> tuple[str, int]:
+        """Where it sends to."""
+        return self.sender.fish
 
     def work(self, now: float, pose: Array) -> None:
-        """Answer, take a frame when it is time, send what has travelled long enough."""
-        for data, sender in link.drain(self.socket):
-            self._answer(data, sender, now)
+        """Take a frame when it is time, send what has travelled long enough, hear the fish."""
         if now >= self.due:
             self.due = max(self.due + 1 / self.model.frame_rate, now)
-            self._film(now, pose)
+            late = self.model.latency + self.model.latency_jitter * self.rng.uniform()
+            self.ahead.append((now + late, self._film(pose)))
         while self.ahead and self.ahead[0][0] <= now:
-            self.socket.sendto(self.ahead.popleft()[1], self.fish)
+            self.sender.show(self.ahead.popleft()[1])
+        self.sender.work(now)
 
-    def _answer(self, data: bytes, sender: tuple[str, int], now: float) -> None:
-        told = link.tell_datagram(self.key, self.run, data, self.clock(now), self.clock(now))
-        if told is not None:
-            self.nonce = link.HEAD.unpack_from(data)[2]
-            self.socket.sendto(told, sender)
-
-    def _film(self, now: float, pose: Array) -> None:
+    def _film(self, pose: Array) -> Frame:
         model, rng = self.model, self.rng
         noise = rng.normal(size=3) * [model.position_noise, model.position_noise, model.yaw_noise]
         seen = rng.uniform() >= model.dropped
-        x, y, yaw = (pose + noise).tolist()
-        self.taken.append(Frame(self.clock(now), (x, y, yaw) if seen else None, self.target))
-        if self.nonce is None:
-            return
-        self.sequence += 1
-        packet = link.pose_datagram(self.key, self.run, self.nonce, self.sequence, list(self.taken))
-        late = model.latency + model.latency_jitter * rng.uniform()
-        self.ahead.append((now + late, packet))
+        x, y, yaw = (pose + noise + self.shifted).tolist()
+        return Frame(self.clock(), (x, y, yaw) if seen else None, self.tag)
 
 
 @dataclass(eq=False)
@@ -135,12 +132,13 @@ def open_rig(
     """A rig whose laptop sends to a robot's address; the fish starts in the pool's middle."""
     shaft = PlantShaft(fish=fish)
     made = link.bind("127.0.0.1", 0)
-    laptop = Laptop(key, made, robot, target, np.random.default_rng(seed))
+    laptop = Laptop(Sender(key, made, robot), target, np.random.default_rng(seed))
+    laptop.sender.clock = laptop.clock
     return Rig(shaft, Dynamixel(shaft=shaft), Bno055(), (open_line(), open_line()), laptop)
 
 
 def serve(rig: Rig, stop: Callable[[], bool]) -> None:
-    """In real time, until `stop` says so."""
+    """In real time, until `stop` (asked every turn, about a thousand times a second) says so."""
     masters = {rig.lines[0].master: _servo, rig.lines[1].master: _imu}
     awaited: list[int | socket.socket] = [*masters, rig.laptop.socket]
     while not stop():

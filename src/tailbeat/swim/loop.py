@@ -5,6 +5,7 @@ Whatever ends the loop, an exception included, ends with the torque off. `safety
 be done, `pilot` what the policy wants; here both meet the devices.
 """
 
+import contextlib
 import gc
 import math
 import socket
@@ -22,9 +23,10 @@ from tailbeat.control.band import Monitor
 from tailbeat.control.policy import Policy
 from tailbeat.swim import link, safety
 from tailbeat.swim.imu import Imu, ImuFault, YawRate
-from tailbeat.swim.link import Frame, Receiver
+from tailbeat.swim.link import Frame, Order, Receiver
 from tailbeat.swim.safety import Health, Limits, Stand, State
 from tailbeat.swim.servo import Servo, ServoFault, ServoState
+from tailbeat.swim.status import Reporter
 
 Array = NDArray[np.float64]
 NEVER = -math.inf
@@ -37,7 +39,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Devices:
-    """What the loop speaks to; `laptop` is where questions for its clock go."""
+    """What the loop speaks to; `laptop` is where its status and questions for the clock go."""
 
     servo: Servo
     imu: Imu
@@ -72,6 +74,7 @@ class Loop:
         self.currents: deque[float] = deque(maxlen=round(CURRENT_TIME / self.period))
         self.sent, self.finite, self.watchdog, self.torque = 0.0, True, False, False
         self.asked, self.questions = NEVER, 0
+        self.reporter, self.ordered = Reporter(), False
         self.decided_on = np.zeros((FRAMES, 6))
 
     # ---- one period -----------------------------------------------------------------------------
@@ -89,7 +92,9 @@ class Loop:
             self._let_go()
         elif self.stand.state in (State.ARMED, State.RUN, State.HOLD):
             self._send(decision)
-        self.put(self._row(now, health, decision, time.monotonic() - began))
+        row = self._row(now, health, decision, time.monotonic() - began)
+        self.put(row)
+        self._report(row, began - now)
 
     def _listen(self, now: float) -> None:
         """Datagrams of this period, and a question for the laptop's clock now and then."""
@@ -101,17 +106,25 @@ class Loop:
                 not self.seen or frame.captured > self.seen[-1].captured
             ):
                 self.seen.append(frame)
-        if receiver.stopped:
-            self.stop_asked = self.stop_asked or "the console"
+        for order in receiver.take_orders():
+            self._obey(order, now)
         if now - self.asked >= ASK_EVERY:
             self.asked, self.questions = now, self.questions + 1
             question = link.ask_datagram(
                 receiver.key, receiver.nonce, self.questions, time.monotonic_ns()
             )
-            try:
-                self.devices.socket.sendto(question, self.devices.laptop)
-            except OSError:
-                pass  # a network that is down shows in the poses' age
+            self._to_laptop(question)
+
+    def _to_laptop(self, datagram: bytes) -> None:
+        with contextlib.suppress(OSError):  # a network that is down shows in the poses' age
+            self.devices.socket.sendto(datagram, self.devices.laptop)
+
+    def _report(self, row: Row, late: float) -> None:
+        """Tell the laptop how it is, where that is due; `late` [s] is how late the row began."""
+        target = self._target_of(self.seen[-1]) if self.seen else self.target
+        said = self.reporter.report(row, late, self.devices.receiver, self.limits, target)
+        if said is not None:
+            self._to_laptop(said)
 
     def _read(self) -> None:
         try:
@@ -198,6 +211,18 @@ class Loop:
             self.watchdog = self.watchdog or fault.kind == "watchdog"
 
     # ---- what an operator does ------------------------------------------------------------------
+
+    def _obey(self, order: Order, now: float) -> None:
+        """An order from the laptop; arming is for a fish that does nothing."""
+        self.ordered = True
+        if order is Order.STOP:
+            self.stop_asked = self.stop_asked or "the console"
+        elif order is Order.DISARM:
+            self.disarm()
+        elif order is Order.SWIM:
+            self.swim()
+        elif self.stand.state in (State.DISARMED, State.HOLD):
+            self.arm(now)
 
     def arm(self, now: float) -> Stand:
         """Torque on where the tail stands, if nothing speaks against it."""

@@ -1,0 +1,33 @@
+"""The laptop's verb: `laptop`. Parse, call, print."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tailbeat import console, laptop_tasks, robot_tasks
+
+
+def laptop(
+    robot: Annotated[str, typer.Option("--robot", help="host:port where the fish listens.")],
+    key: Annotated[Path, typer.Option("--key", help="The shared key.")],
+    listen: Annotated[str, typer.Option("--listen", help="host:port of ours, as the fish has it.")],
+    console_at: Annotated[
+        str, typer.Option("--console", help="host:port to show the operator's page at.")
+    ] = "127.0.0.1:8080",
+    camera: Annotated[
+        str, typer.Option("--camera", help="Where pictures come from: /dev/video0, unix:/path.")
+    ] = "",
+    calibration: Annotated[
+        Path | None, typer.Option("--calibration", help="A file of `tailbeat calibrate`.")
+    ] = None,
+    fish: Annotated[
+        str, typer.Option("--fish", help="The fish as drawn: a file or a name.")
+    ] = "pulley-fish",
+) -> None:
+    """Stand above the pool: find the fish, send its pose, and show the operator's page."""
+    robot_tasks.need_extra()
+    there = robot_tasks.address(robot, "--robot")
+    ours = robot_tasks.address(listen, "--listen")
+    with laptop_tasks.open_tracker(camera, calibration) as tracker:
+        laptop_tasks.laptop(there, ours, key, console_at, tracker, fish, console.say)

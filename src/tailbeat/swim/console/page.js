@@ -1,0 +1,207 @@
+// The operator's page: hears snapshots, shows them, sends orders. It decides nothing.
+
+import { draggable, draw } from "./map.js";
+
+const SILENT = 1.0; // s without a word from the fish, or from the laptop
+const MOVES = 50; // ms between two places of a dragged target
+const SLACK = 0.15; // s that a status may be old without the pose being older
+const ICONS = {
+  none: "M4 10h4v4H4zM10 10h4v4h-4zM16 10h4v4h-4z",
+  disarmed: "M12 3a9 9 0 1 0 0 18 9 9 0 0 0 0-18zm0 3a6 6 0 1 1 0 12 6 6 0 0 1 0-12z",
+  armed: "M12 3a9 9 0 1 0 0 18 9 9 0 0 0 0-18zm0 3a6 6 0 0 1 0 12z",
+  run: "M6 3l15 9-15 9z",
+  hold: "M5 3h5v18H5zM14 3h5v18h-5z",
+  stop: "M7.5 2h9L22 7.5v9L16.5 22h-9L2 16.5v-9z",
+};
+const byId = (id) => document.getElementById(id);
+const body = document.body;
+let socket = null, now = null, heard = 0, may = false, stopping = 0, pictures = false;
+let token = new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
+
+// ---- what goes out ----
+
+function send(command) {
+  if (socket?.readyState !== WebSocket.OPEN) return say("not sent: no connection to the laptop", true);
+  socket.send(JSON.stringify({ token, ...command }));
+}
+
+function stop() {
+  stopping = performance.now() + 3000;
+  if (socket?.readyState === WebSocket.OPEN) socket.send('{"do": "stop"}');
+  else fetch("stop", { method: "POST" }).catch(() => say("STOP not sent: no connection to the laptop", true));
+}
+
+// An order to stop that the fish has not followed is sent again.
+setInterval(() => {
+  const moving = ["armed", "run", "hold"].includes(now?.status?.state);
+  if (performance.now() < stopping && moving) {
+    if (socket?.readyState === WebSocket.OPEN) socket.send('{"do": "stop"}');
+    else fetch("stop", { method: "POST" }).catch(() => {});
+  } else stopping = 0;
+}, 300);
+
+let waiting = null, sentAt = 0;
+function aim(at) {
+  const wait = sentAt + MOVES - performance.now();
+  clearTimeout(waiting);
+  if (wait > 0) { waiting = setTimeout(() => aim(at), wait); return; }
+  sentAt = performance.now();
+  send({ do: "target", at });
+}
+
+byId("stop").addEventListener("click", stop);
+document.addEventListener("keydown", (event) => {
+  if (event.code !== "Space") return;
+  event.preventDefault(); // it presses no other button
+  if (!event.repeat) stop();
+}, true);
+document.addEventListener("keyup", (event) => { if (event.code === "Space") event.preventDefault(); }, true);
+for (const order of ["arm", "swim", "disarm", "tag"]) byId(order).addEventListener("click", () => send({ do: order }));
+byId("key").addEventListener("submit", (event) => {
+  event.preventDefault();
+  token = byId("token").value.trim();
+  send({ do: "hello" });
+});
+draggable(aim, () => may);
+
+// ---- what comes in ----
+
+function say(text, bad = false) {
+  byId("said").textContent = text;
+  byId("said").classList.toggle("bad", bad);
+}
+
+function answered(text) {
+  if (text === "token accepted") may = true;
+  if (text.startsWith("refused: wrong token")) may = false;
+  say(text, text.startsWith("refused"));
+  entitle();
+}
+
+function entitle() {
+  byId("key").hidden = may;
+  body.classList.toggle("watching", !may);
+}
+
+function connect() {
+  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+  socket.addEventListener("open", () => { if (token) send({ do: "hello" }); });
+  socket.addEventListener("message", ({ data }) => {
+    const message = JSON.parse(data);
+    heard = performance.now();
+    pictures = message.camera;
+    message.said.forEach(answered);
+    if (message.now) show(message.now);
+    socket.send("drawn");
+  });
+  socket.addEventListener("close", () => setTimeout(connect, 1000));
+}
+
+let told = null;
+function show(snapshot) {
+  now = snapshot;
+  draw(now);
+  if (told !== null && now.said !== told) say(now.said, now.said.includes("not taken"));
+  told = now.said;
+  state();
+  gauges();
+}
+
+// ---- state ----
+
+function state() {
+  const status = now?.status;
+  const cut = performance.now() - heard > 1000 * SILENT;
+  const silent = cut || !status || status.age > SILENT;
+  body.dataset.state = status?.state ?? "none";
+  body.classList.toggle("silent", silent);
+  byId("icon").setAttribute("d", ICONS[status?.state ?? "none"]);
+  byId("state").textContent = status?.state ?? "no fish";
+  byId("reason").textContent = cut ? "no connection to the laptop: this is the last that came"
+    : !status ? "the fish has not answered yet"
+    : silent ? `nothing from the fish for ${status.age.toFixed(1)} s; it was: ${status.reason}` : status.reason;
+  countdown(status);
+  const may_ = (order, ...states) => { byId(order).disabled = !may || !states.includes(status?.state); };
+  may_("arm", "disarmed", "hold");
+  may_("swim", "armed");
+  may_("disarm", "armed", "run", "hold", "stop");
+  byId("tag").disabled = !may || !now?.operator;
+  byId("where").textContent = !now?.target ? "no target seen: drag it to where the fish shall go"
+    : `target ${now.operator ? "by hand" : "by its tag"} at x ${now.target[0].toFixed(2)}, y ${now.target[1].toFixed(2)} m`;
+}
+setInterval(state, 250);
+
+const poseAge = (status) => (status.pose_age ?? Infinity) + Math.max(status.age - SLACK, 0);
+
+function countdown(status) {
+  const limit = { run: ["HOLD", status?.pose_hold], armed: ["STOP", status?.pose_stop], hold: ["STOP", status?.pose_stop] }[status?.state];
+  const left = limit ? limit[1] - poseAge(status) : Infinity;
+  byId("countdown").hidden = !(left < 0.6 * limit?.[1]);
+  if (limit) byId("countdown").textContent = `no new pose: ${limit[0]} in ${Math.max(left, 0).toFixed(1)} s`;
+}
+
+// ---- readings ----
+
+const number = (value, digits, unit) => (value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`);
+const ms = (value, digits = 1) => (Number.isFinite(value) ? `${(1000 * value).toFixed(digits)} ms` : "–");
+const percent = (value) => (value === null ? "–" : `${(100 * value).toFixed(value < 0.1 ? 1 : 0)} %`);
+const degrees = (value) => (value === null ? "–" : `${(value * 180 / Math.PI).toFixed(0)}°`);
+
+// Name, text, part of a bar that is full (or nothing), whether to warn.
+function readings(status, limits) {
+  const age = poseAge(status), hold = status.pose_hold;
+  const limit = { run: ` · HOLD at ${ms(hold, 0)}`, armed: ` · STOP at ${ms(status.pose_stop, 0)}`, hold: ` · STOP at ${ms(status.pose_stop, 0)}` };
+  const volts = status.voltage, [low, high] = [limits.voltage_low, limits.voltage_high];
+  return [
+    ["Pose age", ms(age, 0) + (limit[status.state] ?? ""), age / hold, age > 0.5 * hold],
+    ["Poses lost", percent(status.loss), status.loss, status.loss > 0.3],
+    ["Status lost", percent(now.loss_back), now.loss_back, now.loss_back > 0.3],
+    ["Loop late, longest", ms(status.late), status.late / 0.02, status.late > 0.005],
+    ["Loop busy, longest", ms(status.busy), status.busy / 0.02, status.busy > 0.015],
+    ["Periods missed", `${status.missed} in the last second`, status.missed / limits.overruns_hold, status.missed > 0],
+    ["Beat inside the band", percent(status.band_share), status.band_share, status.band_share !== null && status.band_share < 0.8],
+    ["Servo temperature", number(status.temperature, 0, "°C"), status.temperature / limits.temperature_stop, status.temperature >= limits.temperature_hold - 10],
+    ["Servo voltage", number(volts, 1, "V"), (volts - low) / (high - low), volts !== null && (volts < low + 0.5 || volts > high - 0.5)],
+    ["Servo current", number(status.current, 2, "A"), Math.abs(status.current) / limits.current_stop, Math.abs(status.current) > limits.current_stop / 2],
+    ["Motor → setpoint", `${degrees(status.angle)} → ${degrees(status.setpoint)}`],
+    ["Clocks known to", ms(status.clock_doubt), status.clock_doubt / limits.clock_doubt, !Number.isFinite(status.clock_doubt) || status.clock_doubt > limits.clock_doubt / 2],
+    ["Datagrams refused", `${status.rejects}`, undefined, status.rejects > 0],
+  ];
+}
+
+function gauges() {
+  if (!now.status) return;
+  const list = document.querySelector("#gauges dl");
+  readings(now.status, now.limits).forEach(([name, text, part, warn], k) => {
+    const row = list.children[k] ?? list.appendChild(gauge(name, part !== undefined));
+    row.classList.toggle("warn", Boolean(warn));
+    row.children[1].textContent = text;
+    if (row.children[2]) row.querySelector("i").style.width = `${100 * Math.min(Math.max(part || 0, 0), 1)}%`;
+  });
+}
+
+function gauge(name, barred) {
+  const row = document.createElement("div");
+  row.className = "gauge";
+  const [label, value, bar] = ["dt", "dd", "dd"].map((tag) => document.createElement(tag));
+  label.textContent = name;
+  bar.className = "bar";
+  bar.appendChild(document.createElement("i"));
+  row.append(label, value, ...(barred ? [bar] : []));
+  return row;
+}
+
+// ---- camera ----
+
+const camera = byId("camera");
+function look() {
+  byId("dark").textContent = now?.note || "No camera picture.";
+  if (!pictures) { camera.hidden = true; byId("dark").hidden = false; setTimeout(look, 500); return; }
+  camera.src = `camera.jpg?${Math.round(performance.now())}`;
+}
+camera.addEventListener("load", () => { camera.hidden = false; byId("dark").hidden = true; setTimeout(look, 100); });
+camera.addEventListener("error", () => setTimeout(look, 1000));
+
+entitle();
+connect();
+look();

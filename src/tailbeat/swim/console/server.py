@@ -1,0 +1,251 @@
+"""The console's server, a process of its own: one page, a live socket, the camera's newest picture.
+
+Everyone who reaches it may watch and may STOP; whatever sets the fish in motion needs the token. A
+browser gets the next snapshot when it has drawn the last, so a slow one sees fewer, never older.
+Started by `desk`; it ends when the owner does.
+"""
+
+import asyncio
+import contextlib
+import hmac
+import json
+import math
+import os
+import socket
+import sys
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import uvicorn
+from fastapi import FastAPI, Request, Response, WebSocket, WebSocketDisconnect
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+
+PAGES = {
+    "/": ("page.html", "text/html"),
+    "/page.css": ("page.css", "text/css"),
+    "/page.js": ("page.js", "text/javascript"),
+    "/map.js": ("map.js", "text/javascript"),
+}
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self';"
+    " img-src 'self' data:; connect-src 'self' ws: wss:; frame-ancestors 'none'; base-uri 'none'",
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+ORDERS = ("arm", "swim", "disarm")
+PICTURE_AGE = 2.0  # s
+PATIENCE = 1.0  # s for the owner to take a command
+LONGEST = 2000  # letters of a command
+
+
+@dataclass(eq=False)
+class Shown:
+    """What the owner gave last; `count` numbers the snapshots, `fresh` is set by the next."""
+
+    token: str
+    room: tuple[float, float]
+    owner: socket.socket
+    snapshot: str = "null"
+    picture: bytes = b""
+    taken: float = -math.inf  # when the picture came [s]
+    count: int = 0
+    fresh: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def take(self) -> None:
+        """Everything that waits; the newest counts."""
+        with contextlib.suppress(OSError):
+            while True:
+                data = self.owner.recv(1 << 20)
+                if data[:1] == b"{":
+                    self.snapshot = data.decode()
+                else:
+                    self.picture, self.taken = data, time.monotonic()
+        self.count += 1
+        self.fresh.set()
+        self.fresh = asyncio.Event()
+
+    def filming(self) -> bool:
+        """Whether there is a picture, and not an old one."""
+        return time.monotonic() - self.taken < PICTURE_AGE
+
+    async def hand_over(self, command: dict[str, Any]) -> str:
+        """Give a command to the owner; "" or why not."""
+        for _ in range(round(PATIENCE / 0.01)):
+            try:
+                self.owner.send(json.dumps(command).encode())
+                return ""
+            except OSError:
+                await asyncio.sleep(0.01)
+        return "the laptop is too busy to take it; try again"
+
+
+# ---- commands -----------------------------------------------------------------------------------
+
+
+async def obey(shown: Shown, text: str) -> str:
+    """One message of a browser; what to tell it, "" for nothing."""
+    try:
+        asked = json.loads(text[:LONGEST])
+        wanted, token = str(asked["do"]), str(asked.get("token", ""))
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return "refused: not a command"
+    if wanted == "stop":
+        return await shown.hand_over({"do": "stop"})
+    if not hmac.compare_digest(token.encode(), shown.token.encode()):
+        return "refused: wrong token; use the one printed at the start"
+    if wanted == "hello":
+        return "token accepted"
+    return await _trusted(shown, wanted, asked.get("at"))
+
+
+async def _trusted(shown: Shown, wanted: str, at: Any) -> str:
+    if wanted in ORDERS or wanted == "tag":
+        return await shown.hand_over({"do": wanted})
+    if wanted != "target":
+        return "refused: not a command"
+    if not is_place(at):
+        return "refused: a target is two numbers, in metres"
+    length, width = shown.room
+    if abs(at[0]) > length / 2 or abs(at[1]) > width / 2:
+        return f"refused: the target is outside the pool of {length:g} by {width:g} m"
+    return await shown.hand_over({"do": "target", "at": [float(at[0]), float(at[1])]})
+
+
+def is_place(at: Any) -> bool:
+    """Whether this is two finite numbers."""
+    return (
+        isinstance(at, list)
+        and len(at) == 2
+        and all(isinstance(one, int | float) and math.isfinite(one) for one in at)
+    )
+
+
+# ---- browsers -----------------------------------------------------------------------------------
+
+
+def same_origin(origin: str | None, host: str | None) -> bool:
+    """Whether our own page asks, or no page at all; another site's page may not."""
+    return origin is None or urlsplit(origin).netloc == host
+
+
+@dataclass(eq=False)
+class Browser:
+    """One open page: what it is still to be told, and whether it has drawn what it got."""
+
+    socket: WebSocket
+    said: list[str] = field(default_factory=list)
+    drawn: asyncio.Event = field(default_factory=asyncio.Event)
+    seen: int = 0
+
+    async def tell(self, shown: Shown) -> None:
+        """The newest snapshot, whenever there is a newer one and the last is drawn."""
+        while True:
+            while shown.count == self.seen:
+                await shown.fresh.wait()
+            self.seen = shown.count
+            said, self.said = json.dumps(self.said), []
+            self.drawn.clear()
+            camera = json.dumps(shown.filming())
+            words = f'{{"now": {shown.snapshot}, "said": {said}, "camera": {camera}}}'
+            await self.socket.send_text(words)
+            await self.drawn.wait()
+
+    async def hear(self, shown: Shown) -> None:
+        """Its messages: "drawn", or a command."""
+        async for text in self.socket.iter_text():
+            if text == "drawn":
+                self.drawn.set()
+            elif answer := await obey(shown, text):
+                self.said.append(answer)
+
+
+def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
+    """The server of what is shown, for browsers that call it by one of these names."""
+
+    @asynccontextmanager
+    async def listening(_: FastAPI) -> AsyncIterator[None]:
+        asyncio.get_running_loop().add_reader(shown.owner, shown.take)
+        await shown.hand_over({"do": "ready"})
+        yield
+
+    app = FastAPI(lifespan=listening, openapi_url=None)
+    # a page of elsewhere whose name now points to this machine (DNS rebinding) is none of ours
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=hosts)
+    for path, (name, kind) in PAGES.items():
+        app.add_api_route(path, _page(Path(__file__).with_name(name), kind))
+
+    @app.get("/camera.jpg")
+    async def camera() -> Response:
+        if not shown.picture:
+            return Response(status_code=404)
+        return Response(shown.picture, media_type="image/jpeg", headers=HEADERS)
+
+    @app.post("/stop")
+    async def stop(request: Request) -> Response:
+        if not same_origin(request.headers.get("origin"), request.headers.get("host")):
+            return Response(status_code=403)
+        return Response(await obey(shown, '{"do": "stop"}'))
+
+    @app.websocket("/live")
+    async def live(browser: WebSocket) -> None:
+        if not same_origin(browser.headers.get("origin"), browser.headers.get("host")):
+            await browser.close(1008)
+            return
+        await browser.accept()
+        await serve(Browser(browser), shown)
+
+    return app
+
+
+async def serve(browser: Browser, shown: Shown) -> None:
+    """Tell and hear one browser until it goes."""
+    telling = asyncio.create_task(browser.tell(shown))
+    try:
+        await browser.hear(shown)
+    finally:
+        telling.cancel()
+        with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+            await telling
+
+
+def _page(path: Path, kind: str) -> Callable[[], Awaitable[Response]]:
+    async def page() -> Response:
+        return Response(path.read_bytes(), media_type=kind, headers=HEADERS)
+
+    return page
+
+
+# ---- the process --------------------------------------------------------------------------------
+
+
+async def _main(listening: socket.socket, owner: socket.socket) -> None:
+    given = json.loads(sys.stdin.buffer.readline())
+    shown = Shown(given["token"], tuple(given["room"]), owner)
+    config = uvicorn.Config(
+        make_app(shown, given["hosts"]),
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=1,
+        ws_max_size=LONGEST,
+    )
+    server = uvicorn.Server(config)
+
+    def left() -> None:
+        """The owner's end of our standard input closed."""
+        server.should_exit = not os.read(0, 1024)
+
+    asyncio.get_running_loop().add_reader(0, left)
+    await server.serve(sockets=[listening])
+
+
+if __name__ == "__main__":
+    door, pipe = (socket.socket(fileno=int(number)) for number in sys.argv[1:3])
+    pipe.setblocking(False)
+    asyncio.run(_main(door, pipe))

@@ -1,0 +1,95 @@
+"""What the page shows, as one JSON-ready dictionary: all that the laptop knows of the fish.
+
+Lengths in metres, angles in radians, times in seconds, as everywhere; the page chooses its units.
+"""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.fish.description import Fish
+from tailbeat.fish.outline import outline
+from tailbeat.swim.clock import SECOND
+from tailbeat.swim.link import Frame
+from tailbeat.swim.safety import Limits
+from tailbeat.swim.sender import Sender
+from tailbeat.swim.status import Status
+
+Array = NDArray[np.float64]
+FIN = 0.005  # m, half of a fin's thickness as drawn
+HEAD = ((0.1, 0.7), (0.35, 1.0), (0.7, 0.95))  # as drawn: where from nose to first hinge, how wide
+
+
+def snapshot(
+    sender: Sender, fish: Fish, room: tuple[float, float], now: float, note: str = ""
+) -> dict[str, Any]:
+    """Everything at `now` [s]; None stands where nothing is known. `note` is about the camera."""
+    status, frame = sender.status, sender.seen
+    return {
+        "room": room,
+        "fish": _fish(sender, fish, frame) if frame else None,
+        "target": _target(sender),
+        "operator": sender.target is not None,
+        "said": sender.said,
+        "note": note,
+        "status": _status(status, now - sender.heard) if status else None,
+        "loss_back": sender.loss.share(),
+        "limits": asdict(Limits()),
+    }
+
+
+def _fish(sender: Sender, fish: Fish, frame: Frame) -> dict[str, Any]:
+    assert frame.fish is not None
+    motor = sender.status.numbers.angle if sender.status else 0.0
+    return {
+        "pose": frame.fish,
+        "age": (sender.clock() - frame.captured) / SECOND,
+        "body": body(fish, frame.fish, motor if np.isfinite(motor) else 0.0),
+    }
+
+
+def _target(sender: Sender) -> tuple[float, float] | None:
+    """The one that is sent."""
+    newest = sender.frames[-1].target if sender.frames else None
+    return sender.target or newest
+
+
+def _status(status: Status, age: float) -> dict[str, Any]:
+    numbers = asdict(status.numbers)
+    target = numbers.pop("target_x"), numbers.pop("target_y")
+    return {
+        "state": status.state.value,
+        "reason": status.reason,
+        "age": age,
+        "missed": status.missed,
+        "rejects": status.rejects,
+        "offset": status.offset,
+        "target": target if np.isfinite(target).all() else None,
+        **numbers,
+    }
+
+
+def body(fish: Fish, pose: tuple[float, float, float], motor: float) -> list[list[float]]:
+    """The fish from above, nose to fin: x, y and half the width [m] at each place. Only the tag's
+    pose and the motor angle are known, so the hinges share the bend alike: a picture, no estimate.
+    """
+    x, y, yaw = pose
+    tag = fish.tracked
+    root = [x - tag[0] * np.cos(yaw) + tag[1] * np.sin(yaw),
+            y - tag[0] * np.sin(yaw) - tag[1] * np.cos(yaw), yaw, motor]  # fmt: skip
+    links = fish.tail.links
+    line = outline(fish, np.array([*root, *[_bend(fish, motor)] * len(links)]))
+    head = max(part.size[1] for part in fish.head.parts) / 2
+    tail = [max(part.size[1] for part in one.parts) / 2 for one in links]
+    along = np.array([share for share, _ in HEAD])[:, None]
+    shell = line[0] + along * (line[1] - line[0])
+    widths = [FIN, *(wide * head for _, wide in HEAD), *tail, FIN]
+    return np.column_stack([np.concatenate([line[:1], shell, line[1:]]), widths]).tolist()
+
+
+def _bend(fish: Fish, motor: float) -> float:
+    """Of each hinge [rad], where the pulley's pull is shared alike."""
+    arms = sum(np.mean([abs(guide[1]) for guide in one.guides] or [0.0]) for one in fish.tail.links)
+    return float(fish.motor.radius * motor / arms) if arms else motor / len(fish.tail.links)

@@ -1,0 +1,511 @@
+"""The operator's page in a real browser, with the emulated bench and the robot's loop behind it.
+
+Rig and loop are threads here and share an interpreter with the test, so limits are wide. What the
+page asks for is looked up where it ends: in the frames that the fish got and in its servo.
+"""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("serial", reason="the robot extra is not installed")
+pytest.importorskip("fastapi", reason="the robot extra is not installed")
+pytest.importorskip("websockets", reason="the robot extra is not installed")
+pytest.importorskip("selenium", reason="the dev extra is not installed")
+
+import websockets.sync.client as ws
+from selenium import webdriver
+from selenium.webdriver import ActionChains, Keys
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from websockets.exceptions import InvalidStatus
+
+from tailbeat import laptop_cli, robot_cli, robot_tasks
+from tailbeat.control.policy import load_policy
+from tailbeat.files import BadInput
+from tailbeat.fish.store import load_fish
+from tailbeat.pool import rig as bench
+from tailbeat.swim import link
+from tailbeat.swim.console.desk import Desk, announce, is_local, open_desk, turn
+from tailbeat.swim.console.snapshot import body
+from tailbeat.swim.imu import connect as connect_imu
+from tailbeat.swim.loop import Devices, Loop
+from tailbeat.swim.safety import Limits, State
+from tailbeat.swim.servo import connect as connect_servo
+
+KEY, ROOM, TAG = bytes(32), (5.5, 2.7), (1.5, 0.5)
+FISH, POLICY = load_fish("pulley-fish"), load_policy("pulley-fish-pool-generator")
+WIDE = Limits(pose_hold=4.0, pose_stop=8.0, imu_hold=4.0, servo_hold=4.0, servo_stop=6.0,
+              clock_doubt=2.0, overruns_hold=10**6)  # fmt: skip
+PATIENT = 1.0
+SOON = 40.0  # s: what takes a tenth of a second may take that on a busy machine
+# A picture to be found again: one grey pixel.
+JPEG = bytes.fromhex(
+    "ffd8ffe000104a46494600010100000100010000ffdb004300" + "08" * 64 + "ffc0000b080001000101011100"
+    "ffc4001f0000010501010101010100000000000000000102030405060708090a0b"
+    "ffc400b5100002010303020403050504040000017d01020300041105122131410613516107227114328191a1082342b1"
+    "c11552d1f02433627282090a161718191a25262728292a3435363738393a434445464748494a535455565758595a6364"
+    "65666768696a737475767778797a838485868788898a92939495969798999aa2a3a4a5a6a7a8a9aab2b3b4b5b6b7b8b9"
+    "bac2c3c4c5c6c7c8c9cad2d3d4d5d6d7d8d9dae1e2e3e4e5e6e7e8e9eaf1f2f3f4f5f6f7f8f9fa"
+    "ffda0008010100003f00fbd0ffd9"
+)
+
+
+@dataclass
+class Lab:
+    """A loop that ticks, the rig under it, and the rig's console."""
+
+    loop: Loop
+    rig: bench.Rig
+    desk: Desk
+    picture: bytes = b""
+
+    @property
+    def torque(self) -> int:
+        return self.rig.servo.get(64)
+
+    @property
+    def target(self) -> tuple[float, float] | None:
+        """The one that the fish got."""
+        frames = self.loop.devices.receiver.frames
+        return frames[0].target if frames else None
+
+    @property
+    def page(self) -> str:
+        return self.desk.url.partition("#")[0]
+
+    def order(self, **words: Any) -> None:
+        """As a page with the token does."""
+        with ws.connect(f"{self.page.replace('http', 'ws')}live") as page:
+            page.send(json.dumps({"token": self.desk.token, **words}))
+            json.loads(page.recv())
+
+    def rest(self) -> None:
+        """Back to a disarmed fish that follows its tag."""
+        self.order(do="disarm")
+        self.order(do="tag")
+        self.stands(State.DISARMED)
+
+    def swim(self) -> None:
+        self.rest()
+        for word, state in (("arm", State.ARMED), ("swim", State.RUN)):
+            self.order(do=word)
+            self.stands(state)
+
+    def stands(self, state: State) -> None:
+        until(lambda: self.loop.stand.state is state)
+
+
+def until(holds: Callable[[], Any], seconds: float = SOON) -> None:
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def lab() -> Iterator[Lab]:
+    heard = link.bind("127.0.0.1", 0)
+    rig = bench.open_rig(FISH, KEY, heard.getsockname(), TAG)
+    rig.shaft.advance(0.0, 0.01)
+    desk, ended = open_desk(("127.0.0.1", 0), ROOM), threading.Event()
+    made = Lab(None, rig, desk)  # type: ignore[arg-type]
+
+    def over() -> bool:
+        turn(desk, rig.laptop.sender, FISH, time.monotonic(), picture=made.picture)
+        return ended.is_set()
+
+    def tick() -> None:
+        while not ended.is_set():
+            made.loop.tick(time.monotonic())
+            time.sleep(0.02)
+
+    serving = threading.Thread(target=bench.serve, args=(rig, over), daemon=True)
+    serving.start()
+    servo, imu = (
+        connect_servo(rig.ports[0], deadline=PATIENT),
+        connect_imu(rig.ports[1], None, PATIENT),
+    )
+    imu.prepare()
+    arming = servo.arm
+    servo.arm = lambda watchdog=0.1: arming(2.5)  # type: ignore[method-assign]
+    receiver = link.Receiver(KEY, ROOM)
+    devices = Devices(servo, imu, receiver, heard, rig.laptop.socket.getsockname())
+    made.loop = Loop(POLICY, devices, lambda row: None, WIDE)
+    ticking = threading.Thread(target=tick, daemon=True)
+    ticking.start()
+    until(lambda: receiver.clock.offset(0) is not None and made.loop.seen)
+    yield made
+    ended.set()
+    for thread in (ticking, serving):
+        thread.join(10)
+    servo.close()
+    imu.close()
+    desk.close()
+    bench.close_rig(rig)
+    heard.close()
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[webdriver.Chrome]:
+    driver, binary = shutil.which("chromedriver"), shutil.which("chromium")
+    if not driver or not binary:
+        pytest.skip("no chromium or chromedriver: make browser")
+    options = webdriver.ChromeOptions()
+    options.binary_location = binary
+    for word in ("--headless=new", "--disable-gpu", "--disable-dev-shm-usage"):
+        options.add_argument(word)
+    if os.geteuid() == 0:
+        options.add_argument("--no-sandbox")  # it refuses to start as root with one
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    made = webdriver.Chrome(options, Service(driver))
+    made.set_window_size(1400, 1000)
+    yield made
+    made.quit()
+
+
+@pytest.fixture
+def page(lab: Lab, chromium: webdriver.Chrome) -> Iterator[webdriver.Chrome]:
+    """The page with the token, at a swimming fish; in the end the browser has nothing to say."""
+    lab.swim()
+    visit(chromium, lab.desk.url)
+    shows(chromium, State.RUN)
+    until(lambda: not chromium.find_element(By.ID, "key").is_displayed())  # the token was taken
+    yield chromium
+    assert chromium.get_log("browser") == []
+
+
+def visit(browser: webdriver.Chrome, url: str) -> None:
+    browser.get("about:blank")  # another fragment alone would not load the page anew
+    browser.get_log("browser")
+    browser.get(url)
+
+
+def shown(browser: webdriver.Chrome, name: str) -> str:
+    return browser.find_element(By.ID, name).text
+
+
+def shows(browser: webdriver.Chrome, state: State) -> None:
+    until(lambda: shown(browser, "state").lower() == state.value)
+
+
+def scale(browser: webdriver.Chrome) -> float:
+    """Pixels of a metre on the map."""
+    box = browser.execute_script(
+        "const m = document.getElementById('map');"
+        "return [m.getBoundingClientRect().width, m.viewBox.baseVal.width]"
+    )
+    return box[0] / box[1]
+
+
+def near(lab: Lab, x: float, y: float) -> bool:
+    at = lab.target
+    return at is not None and abs(at[0] - x) < 0.03 and abs(at[1] - y) < 0.03
+
+
+# ---- in the browser -----------------------------------------------------------------------------
+
+
+def test_the_state_its_reason_and_the_readings_are_shown(lab, page):
+    assert shown(page, "reason") == "swimming"
+    assert "target by its tag at x 1.50, y 0.50" in shown(page, "where")
+    until(lambda: "30 °C" in shown(page, "gauges") and "12.0 V" in shown(page, "gauges"))
+    readings = shown(page, "gauges")
+    for name in ("Pose age", "Poses lost", "Loop late", "Periods missed", "inside the band",
+                 "Servo current", "Clocks known"):  # fmt: skip
+        assert name in readings
+    assert page.find_element(By.ID, "fish").get_attribute("d").count("Q") > 10
+    assert shown(page, "dark") == "No camera picture."
+
+
+def test_a_target_dragged_by_mouse_is_where_the_fish_swims_to(lab, page):
+    metre, target = scale(page), page.find_element(By.CSS_SELECTOR, "#target .touch")
+    drag = ActionChains(page).move_to_element(target).click_and_hold()
+    for _ in range(4):
+        drag.move_by_offset(round(-0.5 * metre), round(0.25 * metre))
+    drag.release().perform()
+    x, y = TAG[0] - 4 * round(0.5 * metre) / metre, TAG[1] - 4 * round(0.25 * metre) / metre
+    until(lambda: near(lab, x, y))
+    assert lab.loop.stand.state is State.RUN and "by hand" in shown(page, "where")
+    until(lambda: abs(lab.loop.decided_on[0, 3] - x) < 0.03)  # the policy's input
+    page.find_element(By.ID, "tag").click()
+    until(lambda: near(lab, *TAG))
+
+
+def test_a_target_dragged_by_finger_does_the_same_and_stays_in_the_pool(lab, page):
+    metre = scale(page)
+    box = page.execute_script(
+        "const b = document.querySelector('#target .ring').getBoundingClientRect();"
+        "return [b.x + b.width / 2, b.y + b.height / 2]"
+    )
+    page.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
+    try:
+        for kind, dx in (("touchStart", 0), ("touchMove", -0.4), ("touchMove", -0.8)):
+            place = {"x": box[0] + dx * metre, "y": box[1]}
+            page.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [place]})
+        until(lambda: near(lab, TAG[0] - 0.8, TAG[1]))
+        far = {"x": 1.0, "y": box[1]}
+        page.execute_cdp_cmd(
+            "Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [far]}
+        )
+        page.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+        until(lambda: near(lab, -ROOM[0] / 2, TAG[1]))
+    finally:
+        page.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
+
+
+def test_arrow_keys_move_the_target_too(lab, page):
+    page.execute_script("document.getElementById('target').focus()")
+    ActionChains(page).send_keys(Keys.ARROW_LEFT * 4 + Keys.ARROW_UP * 2).perform()
+    until(lambda: near(lab, TAG[0] - 0.2, TAG[1] + 0.1))
+
+
+def test_the_buttons_arm_swim_and_disarm(lab, page):
+    for name, state in (("disarm", State.DISARMED), ("arm", State.ARMED), ("swim", State.RUN)):
+        button = page.find_element(By.ID, name)
+        until(button.is_enabled)
+        button.click()
+        lab.stands(state)
+        until(lambda: lab.torque == (lab.loop.stand.state is not State.DISARMED))
+        shows(page, state)
+
+
+@pytest.mark.parametrize("how", ["button", "space", "space in the token's field"])
+def test_stop_takes_the_torque_off_even_from_a_page_that_may_only_watch(lab, chromium, how):
+    lab.swim()
+    visit(chromium, lab.page)  # no token
+    shows(chromium, State.RUN)
+    if how == "button":
+        chromium.find_element(By.ID, "stop").click()
+    else:
+        where = "token" if "field" in how else "reason"
+        field_ = chromium.find_element(By.ID, where) if "field" in how else None
+        keys = ActionChains(chromium)
+        (keys.click(field_) if field_ else keys).send_keys(" ").perform()
+    lab.stands(State.STOP)
+    until(lambda: lab.torque == 0)
+    assert lab.loop.stand.reason == "stop asked by the console"
+    shows(chromium, State.STOP)
+    assert "asked by the console" in shown(chromium, "reason")
+    assert chromium.get_log("browser") == []
+
+
+def test_a_wrong_token_is_refused_said_and_moves_nothing(lab, chromium):
+    lab.rest()
+    visit(chromium, lab.page + "#token=wrong")
+    until(lambda: "refused: wrong token" in shown(chromium, "said"))
+    shows(chromium, State.DISARMED)
+    assert not chromium.find_element(By.ID, "arm").is_enabled()
+    drag = ActionChains(chromium).move_to_element(
+        chromium.find_element(By.CSS_SELECTOR, "#target .touch")
+    )
+    drag.click_and_hold().move_by_offset(-200, 50).release().perform()
+    typed = chromium.find_element(By.ID, "token")
+    typed.send_keys("also-wrong", Keys.ENTER)
+    time.sleep(0.3)
+    assert lab.loop.stand.state is State.DISARMED and near(lab, *TAG)
+    typed.clear()
+    typed.send_keys(lab.desk.token, Keys.ENTER)
+    until(lambda: "token accepted" in shown(chromium, "said"))
+    until(lambda: chromium.find_element(By.ID, "arm").is_enabled())
+
+
+def test_the_camera_s_newest_picture_is_shown_and_nothing_comes_from_elsewhere(lab, page):
+    lab.picture = JPEG
+    try:
+        until(lambda: page.find_element(By.ID, "camera").is_displayed())
+    finally:
+        lab.picture = b""
+    loaded = page.execute_script(
+        "return performance.getEntriesByType('resource').map((one) => one.name)"
+    )
+    assert any("camera.jpg" in name for name in loaded)
+    assert all(name.startswith(lab.page) for name in loaded)
+    until(lambda: not page.find_element(By.ID, "camera").is_displayed())  # an old one goes
+
+
+def test_a_server_that_dies_is_started_again_and_the_page_comes_back(lab, page):
+    until(lambda: time.monotonic() > lab.desk.again)
+    process = lab.desk.process
+    process.kill()
+    until(lambda: lab.desk.process is not process)
+    until(lambda: shown(page, "state").lower() == "run" and "waiting" not in shown(page, "reason"))
+    before = lab.loop.devices.receiver.accepted
+    until(lambda: lab.loop.devices.receiver.accepted > before)
+    page.get_log("browser")  # that it was away is said there, rightly
+
+
+# ---- without one --------------------------------------------------------------------------------
+
+
+def live(lab: Lab) -> str:
+    return f"{lab.page.replace('http', 'ws')}live"
+
+
+def ask(page: ws.ClientConnection, **words: Any) -> str:
+    """What the server says to a command."""
+    page.send(json.dumps(words))
+    end = time.monotonic() + SOON
+    while time.monotonic() < end:
+        message = json.loads(page.recv(SOON))
+        page.send("drawn")
+        if message["said"]:
+            return message["said"][0]
+    raise AssertionError("no answer")
+
+
+def test_commands_that_cannot_be_are_refused_with_the_reason(lab):
+    token = lab.desk.token
+    with ws.connect(live(lab)) as page:
+        for words, complaint in (
+            ({"do": "arm"}, "wrong token"),
+            ({"do": "target", "at": [0, 0], "token": token[:-1]}, "wrong token"),
+            ({"do": "target", "at": [9, 0], "token": token}, "outside the pool of 5.5 by 2.7 m"),
+            ({"do": "target", "at": [1], "token": token}, "two numbers"),
+            ({"do": "target", "at": ["1", None], "token": token}, "two numbers"),
+            ({"do": "dance", "token": token}, "not a command"),
+            ({"token": token}, "not a command"),
+        ):
+            assert complaint in ask(page, **words), words
+
+
+def test_another_site_s_page_and_another_s_name_for_this_machine_are_kept_out(lab):
+    for words in (
+        {"origin": "http://elsewhere.example"},
+        {"additional_headers": {"Host": "elsewhere.example"}},
+    ):
+        with pytest.raises(InvalidStatus), ws.connect(live(lab), **words):
+            pass
+
+
+def test_a_browser_that_does_not_draw_gets_the_newest_when_it_does(lab):
+    """It holds up neither the sender nor itself with old news."""
+    lab.order(do="tag")
+    with ws.connect(live(lab)) as slow:
+        slow.recv(SOON)
+        before = lab.loop.devices.receiver.accepted
+        lab.order(do="target", at=[-1.0, 0.25])
+        until(lambda: near(lab, -1.0, 0.25))
+        until(lambda: lab.loop.devices.receiver.accepted > before + 30)
+        with pytest.raises(TimeoutError):
+            slow.recv(0.3)
+        slow.send("drawn")
+        assert json.loads(slow.recv(SOON))["now"]["target"] == [-1.0, 0.25]
+    lab.order(do="tag")
+
+
+def test_where_a_console_cannot_be_is_one_sentence_and_an_open_one_is_warned_of(lab, monkeypatch):
+    with pytest.raises(BadInput, match="choose another address or port"):
+        open_desk(lab.desk.listening.getsockname(), ROOM)
+    with pytest.raises(BadInput, match="not all of them"):
+        open_desk(("0.0.0.0", 0), ROOM)
+    assert len(announce(lab.desk)) == 1 and lab.desk.token in announce(lab.desk)[0]
+    assert not is_local("192.168.4.1") and is_local("127.0.0.1")
+    monkeypatch.setattr("tailbeat.swim.console.desk.is_local", lambda host: False)
+    assert "open to this network" in announce(lab.desk)[1]
+
+
+def test_the_fish_is_drawn_where_its_tag_is_and_bends_to_the_motor_s_side():
+    straight, left = body(FISH, (1.0, 0.5, 0.0), 0.0), body(FISH, (1.0, 0.5, 0.0), 0.5)
+    nose, fin = straight[0], straight[-1]
+    tag = FISH.tracked[0]
+    assert nose[0] == pytest.approx(1.0 - tag + 0.12) and nose[1] == pytest.approx(0.5)
+    assert fin[0] < nose[0] - 0.4 and left[-1][1] > fin[1] + 0.02
+
+
+# ---- the laptop's verb --------------------------------------------------------------------------
+
+
+def test_the_laptop_answers_orders_and_stops_the_fish_when_it_ends(tmp_path: Path):
+    """The test is the fish here: it asks, hears and reports over real sockets."""
+    from tailbeat.swim.status import Numbers, Status, status_datagram
+
+    link.make_key(tmp_path / "fish.key")
+    key, fish, probe = link.read_key(tmp_path / "fish.key"), link.bind("127.0.0.1", 0), None
+    probe = link.bind("127.0.0.1", 0)
+    there = probe.getsockname()
+    probe.close()
+    robot, listen = (f"{host}:{port}" for host, port in (fish.getsockname(), there))
+    words = ["laptop", "--robot", robot, "--listen", listen, "--console", "127.0.0.1:0"]
+    command = [sys.executable, "-m", "tailbeat", *words, "--key", str(tmp_path / "fish.key")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    url = process.stdout.readline().split()[-1]
+    to, count, orders = link.Receiver(key, ROOM), 0, list[link.Order]()
+
+    def hear() -> None:
+        nonlocal count
+        count += 1
+        status = Status(State.RUN, "swimming", 0, 0, to.ordered.get(to.run, 0), 0.0, Numbers())
+        fish.sendto(link.ask_datagram(key, to.nonce, count, time.monotonic_ns()), there)
+        fish.sendto(status_datagram(key, to.run, to.nonce, count, status), there)
+        for data, _ in link.drain(fish):
+            to.take(data, time.monotonic_ns())
+        orders.extend(to.take_orders())
+
+    try:
+        until(lambda: hear() or to.clock.offset(time.monotonic_ns()) is not None)  # type: ignore[func-returns-value]
+        page, token = url.split("#token=")
+        with ws.connect(f"{page.replace('http', 'ws')}live") as browser:
+            browser.send(json.dumps({"do": "arm", "token": token}))
+            until(lambda: hear() or orders == [link.Order.ARM])  # type: ignore[func-returns-value]
+            assert "No camera given" in json.loads(browser.recv(SOON))["now"]["note"]
+        process.send_signal(signal.SIGINT)
+        until(lambda: hear() or link.Order.STOP in orders)  # type: ignore[func-returns-value]
+        until(lambda: hear() or process.poll() == 0)  # type: ignore[func-returns-value]
+        assert "run: swimming" in process.stdout.read()
+    finally:
+        process.kill()
+        process.wait(10)
+        process.stdout.close()
+        fish.close()
+
+
+def test_a_drive_waits_for_orders_and_ends_with_the_torque_off(tmp_path: Path):
+    """All of it in processes of its own; a busy machine may refuse to arm, and says why."""
+    words = ["drive", "pulley-fish-pool-generator", "--rig", "--wait", "--console", "127.0.0.1:0",
+             "--log", tmp_path / "a.mcap", "--json", tmp_path / "a.json"]  # fmt: skip
+    command = [sys.executable, "-m", "tailbeat", *map(str, words)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        page, token = process.stdout.readline().split()[-1].split("#token=")
+        with ws.connect(f"{page.replace('http', 'ws')}live") as browser:
+
+            def status() -> dict[str, Any]:
+                browser.send("drawn")
+                return json.loads(browser.recv(SOON))["now"]["status"] or {}
+
+            until(lambda: status().get("reason") == "not armed yet")
+            time.sleep(2.0)  # by itself it would arm after one
+            assert status()["state"] == "disarmed"
+            browser.send(json.dumps({"do": "arm", "token": token}))
+            until(lambda: status()["reason"] != "not armed yet")
+        process.send_signal(signal.SIGINT)
+        said, _ = process.communicate(timeout=60)
+        assert process.returncode in (0, 1) and "Traceback" not in said
+        assert json.loads((tmp_path / "a.json").read_text())["rejected_datagrams"] == {}
+    finally:
+        process.kill()
+        process.wait(10)
+
+
+def test_what_a_console_cannot_have_is_one_sentence(tmp_path: Path):
+    words = {"servo": "a", "imu": "b", "listen": "c:1", "laptop": "d:1", "key": tmp_path}
+    with pytest.raises(BadInput, match="the laptop shows it"):
+        robot_cli.drive("p", tmp_path / "a", console_at="127.0.0.1:0", **words)  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="give its --calibration"):
+        laptop_cli.laptop("a:1", tmp_path, "b:1", camera="/dev/video0")
+    with pytest.raises(BadInput, match="give host:port"):
+        robot_tasks.open_console("8080")
