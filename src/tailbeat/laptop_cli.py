@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from tailbeat import console, laptop_tasks, robot_tasks
+from tailbeat.files import refuse_existing, write_json
 
 
 def laptop(
@@ -24,10 +25,24 @@ def laptop(
     fish: Annotated[
         str, typer.Option("--fish", help="The fish as drawn: a file or a name.")
     ] = "pulley-fish",
+    targets: Annotated[
+        int, typer.Option("--tour", help="Lead the fish to so many drawn targets, then stop it.")
+    ] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of those targets.")] = 0,
+    json: Annotated[
+        Path | None, typer.Option("--json", help="Write what became of the tour here as JSON.")
+    ] = None,
 ) -> None:
     """Stand above the pool: find the fish, send its pose, and show the operator's page."""
     robot_tasks.need_extra()
+    if json is not None:
+        refuse_existing(json)
     there = robot_tasks.address(robot, "--robot")
     ours = robot_tasks.address(listen, "--listen")
     with laptop_tasks.open_tracker(camera, calibration) as tracker:
-        laptop_tasks.laptop(there, ours, key, console_at, tracker, fish, console.say)
+        tour = laptop_tasks.drawn_tour(targets, seed)
+        laptop_tasks.laptop(there, ours, key, console_at, tracker, fish, console.say, tour)
+    if json is not None:
+        write_json(json, {"targets": tour.rows if tour else []})
+    if tour is not None and tour.target is not None:
+        raise typer.Exit(1)

@@ -5,16 +5,22 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from tailbeat.evaluate.pool_swim import draw_targets
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.robot_tasks import open_console
+from tailbeat.swim.safety import State
+from tailbeat.swim.tour import Pose, Tour
 
 Say = Callable[[str], None]
 TURN = 0.002  # s that a turn waits for the fish's word: the clock's answer must not
+STARTING, STUCK, AGAIN = 30.0, 10.0, 2.0  # s: to begin, not to swim, between two orders
+REARMED = 5  # times that a tour arms a fish that holds
 FAREWELL = 1.0  # s to have the order to stop taken at the end
 NO_CAMERA = "No camera given: the fish gets no poses."
 
@@ -36,6 +42,55 @@ def open_tracker(camera: str, calibration: Path | None) -> Iterator[Any]:
         tracker.close()
 
 
+@dataclass(eq=False)
+class Leader:
+    """Leads a fish through a tour as an operator would: sends the targets, arms a fish that holds
+    anew (`rearmed` so many times), gives up one that does not swim. `ran` is when it last swam."""
+
+    tour: Tour
+    ran: float = field(default_factory=lambda: time.monotonic() + STARTING)
+    rearmed: int = 0
+    asked: float = 0.0
+
+    def lead(self, sender: Any, pose: Pose | None, now: float, say: Say) -> None:
+        """Take what was seen, send what is next."""
+        tour, done = self.tour, len(self.tour.rows)
+        state = sender.status.state if sender.status is not None else State.DISARMED
+        if state is State.RUN:
+            self.ran = max(self.ran, now)
+            if pose is not None:
+                tour.see(pose, now)
+        elif state in (State.HOLD, State.ARMED) and now - self.asked > AGAIN:
+            self._again(sender, state, now)
+        for row in tour.rows[done:]:
+            far, took = row["closest [cm]"], row["time [s]"]
+            say(f"target {row['target']} of {len(tour.targets)}: {far:.1f} cm after {took:.1f} s")
+        sender.target = tour.target or sender.target
+
+    def _again(self, sender: Any, state: State, now: float) -> None:
+        from tailbeat.swim.link import Order
+
+        self.asked = now
+        if state is State.ARMED:
+            sender.order(Order.SWIM, now)
+        elif self.rearmed < REARMED:
+            self.rearmed += 1
+            sender.order(Order.ARM, now)
+
+    def over(self) -> bool:
+        """Whether all is swum, or the fish will not."""
+        return self.tour.target is None or time.monotonic() - self.ran > STUCK
+
+
+def drawn_tour(count: int, seed: int) -> Tour | None:
+    """A tour of so many targets in the paper's pool, or None for none."""
+    if not 0 <= count <= 1000:
+        raise BadInput(f"--tour {count}: allowed are 0 to 1000 targets.")
+    if not count:
+        return None
+    return Tour([(float(x), float(y)) for x, y in draw_targets(count, seed)])
+
+
 def laptop(
     robot: tuple[str, int],
     listen: tuple[str, int],
@@ -44,9 +99,10 @@ def laptop(
     tracker: Any,
     fish: str,
     say: Say,
+    tour: Tour | None = None,
 ) -> None:
-    """Send what the tracker sees and serve the page until told to end; then order the fish to
-    stop, for nobody watches it any more. Raises BadInput."""
+    """Send what the tracker sees and serve the page until told to end, or a tour is over; then
+    order the fish to stop, for nobody watches it any more. Raises BadInput."""
     from tailbeat.swim import link  # needs the extra
     from tailbeat.swim.console.desk import announce
     from tailbeat.swim.sender import Sender
@@ -61,7 +117,9 @@ def laptop(
         signal.signal(number, lambda n, _: ended.append(n))
     sender = Sender(secret, made, robot)
     try:
-        _work(sender, tracker, desk, described, lambda: bool(ended), say)
+        leader = Leader(tour) if tour else None
+        over = lambda: bool(ended) or (leader is not None and leader.over())  # noqa: E731
+        _work(sender, tracker, desk, described, over, say, leader)
         _farewell(sender, say)
     finally:
         made.close()
@@ -70,7 +128,13 @@ def laptop(
 
 
 def _work(
-    sender: Any, tracker: Any, desk: Any, fish: Any, over: Callable[[], bool], say: Say
+    sender: Any,
+    tracker: Any,
+    desk: Any,
+    fish: Any,
+    over: Callable[[], bool],
+    say: Say,
+    leader: Leader | None,
 ) -> None:
     """Turn by turn; says every change of the fish's state."""
     from tailbeat.swim.console.desk import turn
@@ -82,6 +146,8 @@ def _work(
         sighting = tracker.newest() if tracker else None
         if sighting is not None and sighting.frame.captured != sent:
             sent = sighting.frame.captured
+            if leader is not None:
+                leader.lead(sender, sighting.frame.fish, now, say)
             sender.show(sighting.frame)
         sender.work(now)
         if desk is not None:

@@ -28,16 +28,25 @@ def key(path: Annotated[Path, typer.Argument(help="The key file to write.")]) ->
 
 
 def rig(
-    key: Annotated[Path, typer.Option("--key", help="The shared key.")],
-    robot: Annotated[str, typer.Option("--robot", help="host:port where the loop listens.")],
+    key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
+    robot: Annotated[str, typer.Option("--robot", help="host:port where the loop listens.")] = "",
+    camera: Annotated[
+        Path | None, typer.Option("--camera", help="Film at this socket; then no poses are sent.")
+    ] = None,
     fish: FishOption = "pulley-fish",
     target: TargetOption = "1.5,0.5",
     console_at: ConsoleOption = "",
     seed: SeedOption = 0,
 ) -> None:
-    """An emulated bench in real time: servo and IMU on pseudo-terminals, poses over the network."""
+    """An emulated bench in real time: servo and IMU on pseudo-terminals; poses over the network, or
+    pictures in which `tailbeat laptop --camera` finds them."""
     say = lambda line: print(line, flush=True)  # noqa: E731
-    robot_tasks.rig(fish, key, robot, target, console_at, seed, say)
+    if camera is not None:
+        robot_tasks.filmed_rig(fish, camera, target, seed, say)
+    elif key is None or not robot:
+        raise BadInput("rig: give --key and --robot for poses, or --camera for pictures.")
+    else:
+        robot_tasks.rig(fish, key, robot, target, console_at, seed, say)
 
 
 def drive(

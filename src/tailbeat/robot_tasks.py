@@ -80,6 +80,39 @@ def open_console(console: str) -> Any:
     return open_desk(address(console, "--console"), (LENGTH, WIDTH))
 
 
+def filmed_rig(fish: str, camera: Path, target: str, seed: int, say: Say) -> None:
+    """Serve an emulated bench that gives pictures at a socket instead of poses, until told to stop;
+    says where it is as one line of JSON."""
+    need_extra()
+    from tailbeat.pool import rig as bench  # needs the extra
+    from tailbeat.pool.film import Filming, start_camera
+
+    described, aim = load_fish(fish), place(target)
+    eye = start_camera(camera, Filming(seed=seed))
+    made, ended = bench.open_filmed_rig(described, eye, aim), _told_to_end()
+    _hurry(made)
+    say(json.dumps({"servo": made.ports[0], "imu": made.ports[1], "camera": eye.where}))
+    try:
+        bench.serve(made, lambda: bool(ended))
+    finally:
+        bench.close_rig(made)
+
+
+def _told_to_end() -> list[int]:
+    """Fills with the signals that ask for the end."""
+    ended: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda n, _: ended.append(n))
+    return ended
+
+
+def _hurry(made: Any) -> None:
+    """Compile before anyone waits for it, and collect no more: that would hold up the bus."""
+    made.shaft.advance(0.0, 0.01)
+    gc.freeze()
+    gc.disable()
+
+
 def rig(fish: str, key: Path, robot: str, target: str, console: str, seed: int, say: Say) -> None:
     """Serve an emulated bench until told to stop; says where it is as one line of JSON."""
     need_extra()
@@ -91,12 +124,8 @@ def rig(fish: str, key: Path, robot: str, target: str, console: str, seed: int, 
     described, secret = load_fish(fish), read_key(key)
     desk = open_console(console)
     made = bench.open_rig(described, secret, there, aim, seed)
-    ended: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda n, _: ended.append(n))
-    made.shaft.advance(0.0, 0.01)  # compiled before anyone waits for it
-    gc.freeze()
-    gc.disable()  # a collection would hold up the bus
+    ended = _told_to_end()
+    _hurry(made)
     host, port = made.laptop.socket.getsockname()
     ports = {"servo": made.ports[0], "imu": made.ports[1], "laptop": f"{host}:{port}"}
     say(json.dumps({**ports, "console": announce(desk) if desk else []}))

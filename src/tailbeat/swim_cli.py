@@ -1,5 +1,6 @@
 """The verbs of the trials: `swim`, `evaluate`, `compare`, `report`. Parse, call, print."""
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,28 +27,39 @@ def swim(
     policy: Annotated[str, typer.Option(help="A policy's file or a shipped one's name.")] = SHIPPED,
     pool_fish: Annotated[str, typer.Option(help="The pool's fish.")] = "pulley-fish",
     twin: TwinOption = None,
+    headless: Annotated[
+        bool, typer.Option("--headless", help="Swim to drawn targets and end, with a page.")
+    ] = False,
+    direct: Annotated[
+        bool, typer.Option("--direct", help="The same without bytes, faster than real time.")
+    ] = False,
+    console_at: Annotated[
+        str, typer.Option("--console", help="host:port to show the operator's page at.")
+    ] = "127.0.0.1:8080",
     targets: Annotated[int, typer.Option(help="How many, one after the other.")] = 8,
     seed: SeedOption = 0,
-    out: Annotated[Path, typer.Option(help="Folder for page, film and summary.")] = Path("runs"),
+    out: Annotated[Path, typer.Option(help="Folder for page, film, log, summary.")] = Path("runs"),
     json: JsonOption = None,
 ) -> None:
-    """The main job: a trained policy swims to targets in the virtual pool; exit code 1 if it missed
-    one by more than 20 cm."""
+    """The main job: fish, camera and laptop over a virtual pool, in real time. Drag the target on
+    the page; or --headless (so too without a terminal): a tour of targets, then a page; exit code 1
+    if it missed one by more than 20 cm."""
     if json is not None:
         refuse_existing(json)
-    done = (
-        tasks.open_loop(fish, out)
-        if fish is not None
-        else swim_tasks.swim(policy, pool_fish, twin, targets, seed, out)
-    )
+    if fish is not None:
+        done = tasks.open_loop(fish, out)
+        console.summary(done)
+    elif not (headless or direct) and sys.stdout.isatty():
+        swim_tasks.attended(policy, pool_fish, twin, seed, console_at, out, console.say)
+        return
+    else:
+        asked = (policy, pool_fish, twin, targets, seed, out)
+        done = swim_tasks.swim(*asked) if direct else swim_tasks.live(*asked, console.say)
+        console.tables({f"{done['fish']} in the virtual pool, {done['policy']}": done["targets"]})
+        console.say(f"{done['within_5cm']} of {targets} within 5 cm; page: {out / 'report.html'}")
     if json is not None:
         write_json(json, done)
-    if fish is not None:
-        console.summary(done)
-        return
-    console.tables({f"{done['fish']} in the virtual pool, {done['policy']}": done["targets"]})
-    console.say(f"{done['within_5cm']} of {targets} within 5 cm; page: {out / 'report.html'}")
-    if done["within_20cm"] < targets:
+    if fish is None and done["within_20cm"] < targets:
         raise typer.Exit(1)
 
 

@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from tailbeat import live_tasks
 from tailbeat.control.policy import Policy, check_fits, load_policy
 from tailbeat.evaluate import compare as comparison
 from tailbeat.evaluate import evaluation, pool_swim
 from tailbeat.evaluate import report as pages
+from tailbeat.evaluate.live_swim import tour_of
 from tailbeat.evaluate.trial import Pool, Progress
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
@@ -132,19 +134,58 @@ def report(
 
 
 def swim(policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path) -> Any:
-    """The main job: a policy swims to targets in the pool; film, picture and page in a folder."""
+    """A policy swims to targets in the pool's plant, without bytes and faster than real time; film,
+    picture and page in a folder."""
+    loaded, own, drawn = _entered(policy, fish, twin, targets, seed)
+    where = pool_of(loaded, fish, twin, "full", 2, seed)
+    swum = pool_swim.tour(loaded, own, where.waters[0], drawn, seed)
+    return _told(swum, loaded, own, {"policy": policy, "seed": seed}, out)
+
+
+def live(
+    policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path, say: Any
+) -> Any:
+    """The same in real time, through camera, network, servo and IMU; told from the fish's log."""
+    loaded, own, drawn = _entered(policy, fish, twin, targets, seed)
+    log = out / "swim.mcap"
+    log.unlink(missing_ok=True)
+    out.mkdir(parents=True, exist_ok=True)
+    live_tasks.swim(policy, fish, targets, seed, "127.0.0.1:0", log, say)
+    swum = tour_of(log, own, drawn)
+    return _told(swum, loaded, own, {"policy": policy, "seed": seed, "log": str(log)}, out)
+
+
+def attended(
+    policy: str, fish: str, twin: str | None, seed: int, console: str, out: Path, say: Any
+) -> None:
+    """In real time after the target that the operator drags, until Ctrl-C; the log is kept."""
+    _entered(policy, fish, twin, 1, seed)
+    out.mkdir(parents=True, exist_ok=True)
+    log = out / "swim.mcap"
+    log.unlink(missing_ok=True)
+    live_tasks.swim(policy, fish, 0, seed, console, log, say)
+    say(f"log: {log}; `tailbeat export {log} --out swim.csv` makes a recording of it")
+
+
+def _entered(
+    policy: str, fish: str, twin: str | None, targets: int, seed: int
+) -> tuple[Policy, Fish, Any]:
+    """What was asked for, checked."""
     if not 1 <= targets <= 100:
         raise BadInput(f"--targets {targets}: allowed are 1 to 100.")
-    loaded, own = load_policy(policy), load_fish(fish)
-    where = pool_of(loaded, fish, twin, "full", 2, seed)
-    swum = pool_swim.tour(loaded, own, where.waters[0], pool_swim.draw_targets(targets, seed), seed)
+    loaded = load_policy(policy)
+    pool_of(loaded, fish, twin, "full", 2, seed)
+    return loaded, load_fish(fish), pool_swim.draw_targets(targets, seed)
+
+
+def _told(swum: Any, loaded: Policy, own: Fish, asked: dict[str, Any], out: Path) -> dict[str, Any]:
+    """Film, picture, page and summary of a swim."""
     pool_swim.film(swum, own, out / "swim.mp4")
     contract = loaded.contract
     data = {
-        "policy": policy,
+        **asked,
         "fish": own.name,
-        "water": fingerprint(where.waters),
-        "seed": seed,
+        "water": fingerprint(evaluation.waters_of("full")),
         **pool_swim.as_json(swum),
         "training": contract.training,
         "provenance": evaluation.provenance(),

@@ -1,5 +1,7 @@
 """The fish as a line from nose to tail, for pictures from above."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,3 +23,19 @@ def outline(fish: Fish, qpos: Array) -> Array:
     behind = np.array([x, y]) + np.cumsum(ends[:, None] * direction, axis=0)
     nose = np.array([x, y]) + max(head) * direction[0]
     return np.concatenate([[nose], behind])
+
+
+def guessed_shape(fish: Fish, pose: Any, motor: float) -> Array:
+    """Generalised coordinates (nv,) where only the tag's x, y, yaw and the motor's angle are known:
+    the hinges share the pulley's pull alike. A picture, no estimate."""
+    x, y, yaw = pose
+    c, s, (ahead, left) = np.cos(yaw), np.sin(yaw), fish.tracked[:2]
+    root = [x - ahead * c + left * s, y - ahead * s - left * c, yaw, motor]
+    return np.array([*root, *[_bend(fish, motor)] * len(fish.tail.links)])
+
+
+def _bend(fish: Fish, motor: float) -> float:
+    """Of each hinge [rad]."""
+    links = fish.tail.links
+    arms = sum(np.mean([abs(guide[1]) for guide in one.guides] or [0.0]) for one in links)
+    return float(fish.motor.radius * motor / arms) if arms else motor / len(links)

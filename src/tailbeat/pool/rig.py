@@ -2,7 +2,7 @@
 
 One process that a robot's loop cannot tell from a lab: the plant turns the servo's shaft and the
 IMU, and the laptop's end sends signed poses at sixty frames a second, late, noisy and now and then
-without a tag, on a clock of its own. Poses come from the plant, not yet from rendered pictures.
+without a tag, on a clock of its own; or a camera films the plant, and the poses are another's work.
 """
 
 import os
@@ -17,8 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.fish.description import Fish
+from tailbeat.fish.outline import outline
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.learn.sensors import SensorModel
+from tailbeat.pool.camera import Scene
+from tailbeat.pool.film import CameraProcess
 from tailbeat.pool.imu import Bno055
 from tailbeat.pool.plant import LENGTH, WIDTH, Surroundings, at_rest, build_plant, step_plant
 from tailbeat.pool.servo import Dynamixel, Line, Shaft, close_line, open_line
@@ -31,6 +34,7 @@ Array = NDArray[np.float64]
 SECOND = 1_000_000_000
 CLOCK_AHEAD, CLOCK_FAST = 37 * SECOND, 20e-6  # the laptop's clock against the fish's
 BAUD = 1_000_000
+SHOWN = 0.004  # s between two scenes for the camera
 LONGEST = 0.2  # s that the plant is stepped at once; a rig that was stopped does not catch up
 
 
@@ -91,15 +95,19 @@ class Laptop:
         """Where it sends to."""
         return self.sender.fish
 
-    def work(self, now: float, pose: Array) -> None:
+    def work(self, now: float, shaft: PlantShaft) -> None:
         """Take a frame when it is time, send what has travelled long enough, hear the fish."""
         if now >= self.due:
             self.due = max(self.due + 1 / self.model.frame_rate, now)
             late = self.model.latency + self.model.latency_jitter * self.rng.uniform()
-            self.ahead.append((now + late, self._film(pose)))
+            self.ahead.append((now + late, self._film(shaft.pose)))
         while self.ahead and self.ahead[0][0] <= now:
             self.sender.show(self.ahead.popleft()[1])
         self.sender.work(now)
+
+    def close(self) -> None:
+        """Go off the network."""
+        self.socket.close()
 
     def _film(self, pose: Array) -> Frame:
         model, rng = self.model, self.rng
@@ -110,6 +118,30 @@ class Laptop:
 
 
 @dataclass(eq=False)
+class Above:
+    """A camera over the pool instead of the laptop that knows: it films the plant, and another
+    process has to find the fish in its pictures. `tag` is where the target floats."""
+
+    camera: CameraProcess
+    tag: tuple[float, float]
+    due: float = 0.0
+
+    def work(self, now: float, shaft: PlantShaft) -> None:
+        """Show what there is, some times for every frame."""
+        if now < self.due:
+            return
+        self.due = now + SHOWN
+        q, v, (x, y, yaw) = shaft.state.q[0], shaft.state.v[0], shaft.pose.tolist()
+        line = outline(shaft.fish, q)
+        speed = float(v[0]), float(v[1]), float(v[2])
+        self.camera.show(Scene((x, y, yaw), speed, line, (*self.tag, 0.0)))
+
+    def close(self) -> None:
+        """Pull the camera's cable."""
+        self.camera.close()
+
+
+@dataclass(eq=False)
 class Rig:
     """Everything together; see `open_rig` and `serve`."""
 
@@ -117,13 +149,19 @@ class Rig:
     servo: Dynamixel
     imu: Bno055
     lines: tuple[Line, Line]  # of servo and IMU
-    laptop: Laptop
+    watch: Laptop | Above
     began: float = field(default_factory=time.monotonic)
 
     @property
     def ports(self) -> tuple[str, str]:
         """What a driver opens: servo, IMU."""
         return self.lines[0].path, self.lines[1].path
+
+    @property
+    def laptop(self) -> Laptop:
+        """The one that knows; a filmed rig has none."""
+        assert isinstance(self.watch, Laptop)
+        return self.watch
 
 
 def open_rig(
@@ -137,17 +175,26 @@ def open_rig(
     return Rig(shaft, Dynamixel(shaft=shaft), Bno055(), (open_line(), open_line()), laptop)
 
 
+def open_filmed_rig(fish: Fish, camera: CameraProcess, target: tuple[float, float]) -> Rig:
+    """A rig that gives no poses, but pictures."""
+    shaft = PlantShaft(fish=fish)
+    lines = open_line(), open_line()
+    return Rig(shaft, Dynamixel(shaft=shaft), Bno055(), lines, Above(camera, target))
+
+
 def serve(rig: Rig, stop: Callable[[], bool]) -> None:
     """In real time, until `stop` (asked every turn, about a thousand times a second) says so."""
     masters = {rig.lines[0].master: _servo, rig.lines[1].master: _imu}
-    awaited: list[int | socket.socket] = [*masters, rig.laptop.socket]
+    awaited: list[int | socket.socket] = [*masters]
+    if isinstance(rig.watch, Laptop):
+        awaited.append(rig.watch.socket)
     while not stop():
         ready, _, _ = select.select(awaited, [], [], 0.001)
         now = time.monotonic()
         rig.servo.now = max(rig.servo.now, now - rig.began - LONGEST)
         rig.servo.advance(now - rig.began)
         rig.imu.rates = (0.0, 0.0, float(rig.shaft.state.v[0, 2]))
-        rig.laptop.work(now, rig.shaft.pose)
+        rig.watch.work(now, rig.shaft)
         for master, answer in masters.items():
             if master in ready:
                 answer(rig, master)
@@ -169,4 +216,4 @@ def close_rig(rig: Rig) -> None:
     """Pull every cable."""
     for line in rig.lines:
         close_line(line)
-    rig.laptop.socket.close()
+    rig.watch.close()

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.fish.description import Fish
-from tailbeat.fish.outline import outline
+from tailbeat.fish.outline import guessed_shape, outline
 from tailbeat.swim.clock import SECOND
 from tailbeat.swim.link import Frame
 from tailbeat.swim.safety import Limits
@@ -75,21 +75,11 @@ def body(fish: Fish, pose: tuple[float, float, float], motor: float) -> list[lis
     """The fish from above, nose to fin: x, y and half the width [m] at each place. Only the tag's
     pose and the motor angle are known, so the hinges share the bend alike: a picture, no estimate.
     """
-    x, y, yaw = pose
-    tag = fish.tracked
-    root = [x - tag[0] * np.cos(yaw) + tag[1] * np.sin(yaw),
-            y - tag[0] * np.sin(yaw) - tag[1] * np.cos(yaw), yaw, motor]  # fmt: skip
     links = fish.tail.links
-    line = outline(fish, np.array([*root, *[_bend(fish, motor)] * len(links)]))
+    line = outline(fish, guessed_shape(fish, pose, motor))
     head = max(part.size[1] for part in fish.head.parts) / 2
     tail = [max(part.size[1] for part in one.parts) / 2 for one in links]
     along = np.array([share for share, _ in HEAD])[:, None]
     shell = line[0] + along * (line[1] - line[0])
     widths = [FIN, *(wide * head for _, wide in HEAD), *tail, FIN]
     return np.column_stack([np.concatenate([line[:1], shell, line[1:]]), widths]).tolist()
-
-
-def _bend(fish: Fish, motor: float) -> float:
-    """Of each hinge [rad], where the pulley's pull is shared alike."""
-    arms = sum(np.mean([abs(guide[1]) for guide in one.guides] or [0.0]) for one in fish.tail.links)
-    return float(fish.motor.radius * motor / arms) if arms else motor / len(fish.tail.links)

@@ -1,0 +1,47 @@
+"""A swim in real time, read back from the fish's own log: what the camera saw and what it came to.
+
+The log knows the tag's pose and the motor's angle; the hinges are drawn from those.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.evaluate.pool_swim import Tour
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
+from tailbeat.fish.outline import guessed_shape
+from tailbeat.learn.body import PERIOD
+from tailbeat.swim.log import read_rows
+from tailbeat.swim.tour import ARRIVAL
+
+Array = NDArray[np.float64]
+TARGET = slice(3, 5)  # of the newest frame in `decided_on`
+CLOSE = 1e-3  # m: the link sends float32
+
+
+def tour_of(log: Path, fish: Fish, targets: Array) -> Tour:
+    """The swim past targets (m, 2) [m]; those never swum to count as missed. Raises BadInput for a
+    log in which nothing was swum."""
+    rows = [row for row in read_rows(log) if row["state"] == "run" and row["decided_on"]]
+    if not rows:
+        raise BadInput(f"{log}: the fish never swam; its last rows say why (`tailbeat export`).")
+    newest = np.array([row["decided_on"][:6] for row in rows], float)
+    motor = np.array([row["motor_angle_rad"] for row in rows], float)
+    away = np.linalg.norm(newest[:, None, TARGET] - targets, axis=2)
+    known = away.min(axis=1) < CLOSE
+    pose, motor, goal = newest[known, :3], motor[known], away[known].argmin(axis=1)
+    if not known.any():
+        raise BadInput(f"{log}: the fish swam to other targets than these; give its own seed.")
+    reach = np.hypot(*(pose[:, :2] - targets[goal]).T)
+    ends = [_end(reach[goal == number]) for number in range(len(targets))]
+    reached, seconds, nearest = map(np.array, zip(*ends, strict=True))
+    shape = np.stack([guessed_shape(fish, *one) for one in zip(pose, motor, strict=True)])
+    return Tour(targets, shape, pose, goal, reached, seconds, nearest)
+
+
+def _end(reach: Array) -> tuple[bool, float, float]:
+    """Whether, after how long [s] and how near [m] a target was come to."""
+    nearest = float(reach.min()) if reach.size else np.inf
+    return nearest < ARRIVAL, PERIOD * reach.size, nearest
