@@ -60,6 +60,25 @@ def test_the_camera_s_place_is_found_from_points_in_and_above_the_water(lens, he
         assert np.linalg.norm(found - places, axis=1).max() < 0.005
 
 
+@pytest.mark.parametrize(
+    "tilt, position",
+    [
+        ((0, 0, math.pi), (0.2, 0.1, 3.2)),
+        ((0.02, 0.01, -math.pi / 2), (0.1, 0.0, 6.0)),
+        ((-0.25, 0, 0.1), (0.2, -1.1, 3.3)),
+    ],
+    ids=["turned over", "across", "from the side"],
+)
+def test_a_camera_may_hang_turned_or_askew(tilt, position):
+    optics = Optics(tilt=tilt, position=position)
+    points = [Surveyed((x, y, z)) for x, y in GRID for z in (0.0, -0.1)]
+    pixels = project(optics, np.array([point.place for point in points]))
+    assert ((pixels > 0) & (pixels < optics.size)).all()
+    hung = hang(true_calibration(optics).lens, points, pixels)
+    assert hung.position == pytest.approx(optics.position, abs=1e-3)
+    assert hung.rotation == pytest.approx(optics.rotation, abs=1e-3)
+
+
 def test_too_few_views_of_the_board_are_refused(views):
     blank = np.full((720, 1280), 90, np.uint8)
     with pytest.raises(BadInput, match="seen whole enough in 3 of 6 views; 8 are needed"):

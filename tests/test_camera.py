@@ -21,7 +21,7 @@ from tailbeat.pool import film
 from tailbeat.pool.camera import Conditions, Renderer, Scene, calm
 from tailbeat.pool.film import Filming, as_numbers, as_scene, listen, packed, serve
 from tailbeat.pool.optics import Optics, project
-from tailbeat.swim.camera import CameraFault, Drained, open_camera
+from tailbeat.swim.camera import FROZEN, CameraFault, Drained, _from_socket, open_camera
 from tailbeat.swim.detector import open_detector
 
 SCENE = Scene((0.5, -0.4, 0.7), (0.2, 0.1, 1.0), None, (-1.0, 0.5, 2.0))
@@ -203,6 +203,23 @@ def test_a_camera_that_stops_goes_or_talks_nonsense_is_one_fault(tmp_path, tail,
             assert stamp == 8_000_000  # half the exposure earlier
     assert time.monotonic() - began < 5
     camera.close()
+
+
+def test_a_frozen_picture_is_told_from_a_still_pool(tmp_path):
+    rng, number = np.random.default_rng(0), FROZEN + 20
+    noisy = [rng.integers(0, 255, (48, 64), np.uint8) for _ in range(number)]
+    for name, pictures in {"still": noisy, "frozen": noisy[:1] * number}.items():
+        ours, theirs = socket.socketpair()
+        camera = Drained(name, _from_socket(theirs), theirs.close, patience=5.0)
+        for k, picture in enumerate(pictures):
+            ours.sendall(packed(picture, k, k))
+            if name == "frozen" and k == FROZEN:
+                with pytest.raises(CameraFault, match="the same picture 60 times"):
+                    camera.read()
+                break
+            assert np.array_equal(camera.read()[0], picture)
+        ours.close()
+        camera.close()
 
 
 def test_a_film_is_read_frame_by_frame(tmp_path):

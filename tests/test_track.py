@@ -137,6 +137,20 @@ def test_a_lab_s_pictures_make_a_calibration(lab: Path, tmp_path: Path):
     assert made.provenance["points"][0] == "tag 10"
 
 
+def test_views_are_taken_from_a_film_when_the_board_has_moved(lab: Path, tmp_path: Path):
+    film, out = tmp_path / "board.avi", tmp_path / "camera.json"
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (1280, 720))
+    for path in sorted((lab / "views").iterdir()):
+        for _ in range(2):
+            writer.write(np.asarray(cv2.imread(str(path))))
+    writer.release()
+    heard: list[str] = []
+    done = track_tasks.calibrate(str(film), lab / "survey.csv", str(lab / "pool.png"), SHEET, out,
+                                 10, heard.append)  # fmt: skip
+    assert done["views"] == 10 and "view 10 of 10" in heard
+    assert done["focal_px"] == pytest.approx(Optics().focal, rel=0.01)
+
+
 def test_what_is_missing_from_a_calibration_is_said(lab: Path, tmp_path: Path):
     views, pool, survey = str(lab / "views"), str(lab / "pool.png"), lab / "survey.csv"
     out = tmp_path / "camera.json"

@@ -30,6 +30,7 @@ LARGEST = 4096  # px of a side
 SECOND = 1_000_000_000
 PATIENCE = 1.0  # s without a frame: sixty of them
 FIRST = 10.0  # s for the first one: cameras set their exposure
+FROZEN = 60  # times the same picture: a still pool still has noise
 
 
 class CameraFault(Exception):
@@ -60,6 +61,8 @@ class Drained:
     skipped: int = 0
     newest: Stamped | None = None
     fault: str = ""
+    same: int = 0
+    last: bytes = b""  # every eighth pixel of the last one
     changed: threading.Condition = field(default_factory=threading.Condition)
 
     def __post_init__(self) -> None:
@@ -90,7 +93,15 @@ class Drained:
             why = self.fault or f"no frame for {self.wait:g} s"
             raise CameraFault(f"{self.name}: {why}; is the camera plugged in, and not in use?")
         self.wait = self.patience
+        self._check_alive(frame[0])
         return frame[0], frame[1] - self.lag
+
+    def _check_alive(self, image: Picture) -> None:
+        sample = image[::8, ::8].tobytes()
+        self.same = self.same + 1 if sample == self.last else 0
+        self.last = sample
+        if self.same >= FROZEN:
+            raise CameraFault(f"{self.name}: the same picture {FROZEN} times; restart the camera")
 
     def close(self) -> None:
         """See `Camera`."""
