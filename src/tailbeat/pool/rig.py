@@ -72,11 +72,14 @@ class Laptop:
     rng: np.random.Generator
     model: SensorModel = field(default_factory=SensorModel)
     due: float = 0.0
+    stepped: float = 0.0  # s that its clock was set ahead
+    shifted: tuple[float, float, float] = (0.0, 0.0, 0.0)  # what its tracker is wrong by
     ahead: deque[tuple[float, Frame]] = field(default_factory=deque)  # when to send what
 
     def clock(self) -> int:
         """The laptop's own monotonic clock [ns]: neither the fish's nor as fast."""
-        return round(time.monotonic_ns() * (1 + CLOCK_FAST)) + CLOCK_AHEAD
+        set_ahead = CLOCK_AHEAD + round(self.stepped * SECOND)
+        return round(time.monotonic_ns() * (1 + CLOCK_FAST)) + set_ahead
 
     @property
     def socket(self) -> socket.socket:
@@ -102,7 +105,7 @@ class Laptop:
         model, rng = self.model, self.rng
         noise = rng.normal(size=3) * [model.position_noise, model.position_noise, model.yaw_noise]
         seen = rng.uniform() >= model.dropped
-        x, y, yaw = (pose + noise).tolist()
+        x, y, yaw = (pose + noise + self.shifted).tolist()
         return Frame(self.clock(), (x, y, yaw) if seen else None, self.tag)
 
 

@@ -2,12 +2,13 @@
 
 const TRAIL = 30_000; // ms that the fish's path stays
 const FINGER = 24; // px: half of what a finger needs
+const NEWS = 1000; // ms that an operator's own move goes over a snapshot, which may be older
 const STEP = 0.05; // m for an arrow key
 const EDGE = 0.12; // m around the pool
 const map = document.getElementById("map");
 const target = document.getElementById("target");
 const path = [];
-let room = null, held = null, last = null;
+let room = null, held = null, last = null, moved = -Infinity;
 
 const element = (name, attributes) => {
   const made = document.createElementNS("http://www.w3.org/2000/svg", name);
@@ -84,7 +85,7 @@ function place([x, y]) {
 export function draw(now) {
   if (!room || room[0] !== now.room[0] || room[1] !== now.room[1]) drawPool(now.room);
   if (now.fish) drawFish(now.fish);
-  last = now.target ?? last ?? [0, 0];
+  if (performance.now() - moved > NEWS) last = now.target ?? last ?? [0, 0];
   target.classList.toggle("ghost", !now.target);
   if (!held) place(last);
   const aim = now.status?.target;
@@ -94,14 +95,14 @@ export function draw(now) {
   set("way", { d: aim && nose ? `M${nose[0]} ${-nose[1]}L${aim[0]} ${-aim[1]}` : "" });
 }
 
-// `moved([x, y])` is called where the operator puts the target; `may()` says whether he may.
-export function draggable(moved, may) {
+// `tell([x, y])` is called where the operator puts the target; `may()` says whether he may.
+export function draggable(tell, may) {
   const inside = (at, half) => Math.min(Math.max(at, -half), half);
   const there = (event) => {
     const { x, y } = new DOMPoint(event.clientX, event.clientY).matrixTransform(map.getScreenCTM().inverse());
     return [inside(x, room[0] / 2), inside(-y, room[1] / 2)];
   };
-  const put = (at) => { last = at; place(at); moved(at); };
+  const put = (at) => { last = at; moved = performance.now(); place(at); tell(at); };
   target.addEventListener("pointerdown", (event) => {
     if (!may() || !room) return;
     event.preventDefault();
