@@ -104,13 +104,13 @@ class Lab:
             self.stands(state)
 
     def stands(self, state: State) -> None:
-        until(lambda: self.loop.stand.state is state)
+        until(lambda: self.loop.stand.state is state, what=lambda: self.loop.stand)
 
 
-def until(holds: Callable[[], Any], seconds: float = SOON) -> None:
-    end = time.monotonic() + seconds
+def until(holds: Callable[[], Any], what: Callable[[], Any] = lambda: "") -> None:
+    end = time.monotonic() + SOON
     while not holds():
-        assert time.monotonic() < end, "waited in vain"
+        assert time.monotonic() < end, f"waited in vain: {what()}"
         time.sleep(0.02)
 
 

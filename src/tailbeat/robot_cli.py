@@ -86,7 +86,7 @@ def drive(
     if emulated:
         with robot_tasks.temporary() as folder:
             floats = target or "1.5,0.5"
-            bench = robot_tasks.own_rig(fish, floats, console_at, seed, Path(folder), console.say)
+            bench = robot_tasks.own_rig(fish, floats, seed, Path(folder), console_at, console.say)
             aim = None if stay else aim  # the tag floats there; the operator may drag it
             with bench as (ports, secret):
                 done = swim(policy, ports, secret, aim, seconds, log, console.say)

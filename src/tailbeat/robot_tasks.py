@@ -145,7 +145,7 @@ def rig(fish: str, key: Path, robot: str, target: str, console: str, seed: int, 
 
 @contextmanager
 def own_rig(
-    fish: str, target: str, console: str, seed: int, folder: Path, say: Say
+    fish: str, target: str, seed: int, folder: Path, console: str = "", say: Say = print
 ) -> Iterator[tuple[Ports, Path]]:
     """A bench of our own in a process beside, and its key; says where its console is."""
     from tailbeat.swim import link

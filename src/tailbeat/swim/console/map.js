@@ -8,7 +8,7 @@ const EDGE = 0.12; // m around the pool
 const map = document.getElementById("map");
 const target = document.getElementById("target");
 const path = [];
-let room = null, held = null, last = null, moved = 0;
+let room = null, held = null, last = null, moved = -Infinity;
 
 const element = (name, attributes) => {
   const made = document.createElementNS("http://www.w3.org/2000/svg", name);
