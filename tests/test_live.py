@@ -96,10 +96,11 @@ def test_a_leader_arms_anew_a_fish_that_holds_and_gives_up_in_the_end():
     for step in range(100):
         leader.lead(sender, (0.0, 0.0, 0.0), 100.0 + step, lambda _: None)
     assert sender.orders == laptop_tasks.REARMED and sender.pending[-1].order is Order.ARM
-    assert sender.target == (1.0, 0.0) and not leader.over() and not leader.tour.way
+    assert sender.target == (1.0, 0.0) and not leader.tour.way
+    began = leader.over()
     sender.status = stands(State.ARMED)
     leader.lead(sender, (0.0, 0.0, 0.0), 300.0, lambda _: None)
     assert sender.pending[-1].order is Order.SWIM
     leader.ran = time.monotonic() - laptop_tasks.STUCK - 1
-    assert leader.over()
+    assert [began, leader.over()] == [False, True]
     sender.socket.close()
