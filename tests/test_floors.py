@@ -19,8 +19,8 @@ SOURCE = Path(__file__).parents[1] / "src" / "tailbeat"
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("__main__",),
     ("cli",),
-    ("learn_cli", "robot_cli", "swim_cli"),
-    ("chain_tasks",),
+    ("learn_cli", "robot_cli", "safety_cli", "swim_cli"),
+    ("chain_tasks", "doctor_tasks", "safety_tasks"),
     ("bench_tasks", "console", "learn_tasks", "robot_tasks", "swim_tasks", "tasks"),
     ("evaluate",),
     ("pool",),

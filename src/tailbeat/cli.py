@@ -6,7 +6,16 @@ from typing import Annotated
 
 import typer
 
-from tailbeat import bench_tasks, chain_tasks, console, learn_cli, robot_cli, swim_cli, tasks
+from tailbeat import (
+    bench_tasks,
+    chain_tasks,
+    console,
+    learn_cli,
+    robot_cli,
+    safety_cli,
+    swim_cli,
+    tasks,
+)
 from tailbeat.files import BadInput, write_json
 
 app = typer.Typer(
@@ -31,8 +40,13 @@ for verb in (
     robot_cli.rig,
     robot_cli.drive,
     robot_cli.export,
+    safety_cli.faults,
+    safety_cli.pace,
+    safety_cli.let_go,
+    safety_cli.doctor,
+    safety_cli.unit,
 ):
-    app.command(verb.__name__)(verb)
+    app.command(verb.__name__.replace("_", "-"))(verb)
 
 LISTS = (
     "--fit",

@@ -1,5 +1,6 @@
 """The robot's verbs: `key`, `rig`, `drive`, `export`. Parse, call, print."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -36,7 +37,7 @@ def rig(
 
 def drive(
     policy: Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")],
-    log: Annotated[Path, typer.Option("--log", help="The log to write, .mcap.")],
+    log: Annotated[Path, typer.Option("--log", help="The log to write, .mcap, or a folder.")],
     emulated: Annotated[
         bool, typer.Option("--rig", help="Start an emulated bench and drive that.")
     ] = False,
@@ -50,25 +51,30 @@ def drive(
         str | None, typer.Option("--target", help="x,y [m] instead of the target's tag.")
     ] = None,
     seconds: Annotated[float, typer.Option(help="How long.")] = 30.0,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Stay disarmed until ordered; else arm and swim.")
+    ] = False,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
     """Drive the fish fifty times a second: arm, swim, let go; exit code 1 if it stopped itself."""
     robot_tasks.need_extra()
+    log = robot_tasks.log_in(log)
     for path in filter(None, (log, json)):
         refuse_existing(path)
     aim = None if target is None else robot_tasks.place(target)
+    swim = partial(robot_tasks.drive, by_itself=not wait)
     if emulated:
         with robot_tasks.temporary() as folder:
             bench = robot_tasks.own_rig(fish, target or "1.5,0.5", seed, Path(folder))
             with bench as (ports, secret):
-                done = robot_tasks.drive(policy, ports, secret, aim, seconds, log, console.say)
+                done = swim(policy, ports, secret, aim, seconds, log, console.say)
     else:
         if not (servo and imu and listen and laptop and key):
             raise BadInput("drive: give --servo, --imu, --listen, --laptop and --key, or --rig.")
         ends = robot_tasks.address(listen, "--listen"), robot_tasks.address(laptop, "--laptop")
         ports = robot_tasks.Ports(servo, imu, *ends)
-        done = robot_tasks.drive(policy, ports, key, aim, seconds, log, console.say)
+        done = swim(policy, ports, key, aim, seconds, log, console.say)
     console.tables({"drive": [done]})
     if json is not None:
         write_json(json, done)

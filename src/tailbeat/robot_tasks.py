@@ -71,6 +71,7 @@ def rig(fish: str, key: Path, robot: str, target: str, seed: int, say: Say) -> N
     """Serve an emulated bench until told to stop; says where it is as one line of JSON."""
     need_extra()
     from tailbeat.pool import rig as bench  # needs the extra
+    from tailbeat.swim import timing
     from tailbeat.swim.link import read_key
 
     there, aim = address(robot, "--robot"), place(target)
@@ -78,7 +79,9 @@ def rig(fish: str, key: Path, robot: str, target: str, seed: int, say: Say) -> N
     ended: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda n, _: ended.append(n))
+    timing.claim()  # a bench that is late looks like a servo that is
     made.shaft.advance(0.0, 0.01)  # compiled before anyone waits for it
+    _ = made.shaft.pose
     gc.freeze()
     gc.disable()  # a collection would hold up the bus
     host, port = made.laptop.socket.getsockname()
@@ -114,6 +117,11 @@ def own_rig(fish: str, target: str, seed: int, folder: Path) -> Iterator[tuple[P
         process.wait(10)
 
 
+def log_in(path: Path) -> Path:
+    """A log's path; in a folder one that is named by day and time, as a service needs it."""
+    return path / time.strftime("swim-%Y%m%d-%H%M%S.mcap") if path.is_dir() else path
+
+
 def drive(
     policy: str,
     ports: Ports,
@@ -122,12 +130,18 @@ def drive(
     seconds: float,
     log: Path,
     say: Say,
+    each: Callable[[Any], None] = lambda loop: None,
+    by_itself: bool = True,
 ) -> dict[str, Any]:
-    """Arm, swim so long, disarm; every period in the log."""
+    """Arm (`by_itself`, or when ordered to), swim so long, disarm; every period in the log. A
+    warden beside lets go if this process dies, and systemd hears that the loop turns. `each` is
+    given the loop every period."""
     need_extra()
-    from tailbeat.swim import imu, link, loop, servo
+    from tailbeat.swim import imu, link, loop, servo, systemd, timing, warden
     from tailbeat.swim import log as logs
 
+    for refused in timing.claim():
+        say(f"        {refused}")
     loaded, secret = load_policy(policy), link.read_key(key)
     refuse_existing(log)
     motor, gyro = servo.connect(ports.servo), None
@@ -141,32 +155,60 @@ def drive(
         own = loop.Loop(
             loaded, devices, written.put, logging=lambda: not written.failed, target=target
         )
-        _swim(own, seconds, say)
-        written.close()
+        with warden.guard(ports.servo) as watcher:
+            own.alive = _alive(own, watcher, systemd.from_environment())
+            try:
+                _swim(own, seconds, say, each, by_itself)
+            finally:
+                if not own.owing:
+                    watcher.farewell()
+        written.close({"pace": json.dumps(own.pace.report())})
         heard.close()
-        return summary(logs.read_rows(log), own.stand.reason, dict(receiver.rejected))
+        told = summary(logs.read_rows(log), own.stand.reason, dict(receiver.rejected))
+        return {**told, **paces(own.pace)}
     finally:
         motor.close()
         if gyro is not None:
             gyro.close()
 
 
-def _swim(own: Any, seconds: float, say: Say) -> None:
+def _alive(own: Any, watcher: Any, notifier: Any) -> Callable[[bool], bool]:
+    """What the loop calls every period: warden and systemd hear that it turns."""
+
+    def alive(torque: bool) -> bool:
+        notifier.beat(time.monotonic(), f"{own.stand.state.value}: {own.stand.reason}")
+        return bool(watcher.beat(torque))
+
+    return alive
+
+
+def paces(pace: Any) -> dict[str, Any]:
+    """How punctual the loop was, flat: p50 … max [ms] of every quantity."""
+    found = {
+        f"{quantity}_{name}": value
+        for quantity, row in pace.report().items()
+        for name, value in row.items()
+    }
+    return {**found, "periods": pace.periods, "periods_skipped": pace.skipped}
+
+
+def _swim(own: Any, seconds: float, say: Say, each: Callable[[Any], None], by_itself: bool) -> None:
     """Wait until it may be armed, arm, swim, and say every change of state."""
     from tailbeat.swim.safety import State
 
     told = [""]
 
     def over(since: float) -> bool:
-        if own.stand.state is State.DISARMED and since > 1.0:
+        each(own)
+        if by_itself and own.stand.state is State.DISARMED and since > 1.0:
             own.arm(time.monotonic())
-        if own.stand.state is State.ARMED:
+        if by_itself and own.stand.state is State.ARMED:
             own.swim()
         line = f"{own.stand.state.value}: {own.stand.reason}"
         if line != told[0]:
             told[0] = line
             say(f"{since:6.2f} s  {line}")
-        waited = own.stand.state is State.DISARMED and since > WAIT_TO_ARM
+        waited = by_itself and own.stand.state is State.DISARMED and since > WAIT_TO_ARM
         return waited or since >= seconds or own.stand.state is State.STOP
 
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -180,13 +222,10 @@ def summary(rows: list[dict[str, Any]], reason: str, rejected: dict[str, int]) -
     time_ = np.array([row["time_s"] for row in rows])
     away = [_away(row) for row in swum if row["decided_on"]]
     ages = [row["pose_age_s"] for row in swum if row["pose_age_s"] is not None]
-    busy = np.array([row["busy_s"] for row in rows])
     return {
         "seconds": float(time_[-1] - time_[0]),
         "swum_s": 0.02 * len(swum),
         "rate_hz": float((len(rows) - 1) / (time_[-1] - time_[0])),
-        "busy_ms_median": float(1e3 * np.median(busy)),
-        "busy_ms_p999": float(1e3 * np.quantile(busy, 0.999)),
         "pose_age_ms_median": float(1e3 * np.median(ages)) if ages else None,
         "nearest_m": min(away) if away else None,
         "rejected_datagrams": rejected,

@@ -21,7 +21,7 @@ from tailbeat.identify.runs import tracked_pose
 from tailbeat.learn.sensors import SensorModel
 from tailbeat.pool.imu import Bno055
 from tailbeat.pool.plant import LENGTH, WIDTH, Surroundings, at_rest, build_plant, step_plant
-from tailbeat.pool.servo import Dynamixel, Line, Shaft, close_line, open_line
+from tailbeat.pool.servo import Dynamixel, Line, Shaft, close_line, hears, open_line
 from tailbeat.pool.water import Water
 from tailbeat.swim import link
 from tailbeat.swim.link import Frame
@@ -75,12 +75,14 @@ class Laptop:
     nonce: int | None = None
     sequence: int = 0
     due: float = 0.0
+    stepped: float = 0.0  # s that its clock was set ahead
+    shifted: tuple[float, float, float] = (0.0, 0.0, 0.0)  # what its tracker is wrong by
     taken: deque[Frame] = field(default_factory=lambda: deque(maxlen=link.FRAMES))
     ahead: deque[tuple[float, bytes]] = field(default_factory=deque)  # when to send what
 
     def clock(self, now: float) -> int:
         """Its own monotonic clock [ns] at a time [s] of this machine's."""
-        return round(now * (1 + CLOCK_FAST) * SECOND) + CLOCK_AHEAD
+        return round(now * (1 + CLOCK_FAST) * SECOND) + CLOCK_AHEAD + round(self.stepped * SECOND)
 
     def work(self, now: float, pose: Array) -> None:
         """Answer, take a frame when it is time, send what has travelled long enough."""
@@ -102,7 +104,7 @@ class Laptop:
         model, rng = self.model, self.rng
         noise = rng.normal(size=3) * [model.position_noise, model.position_noise, model.yaw_noise]
         seen = rng.uniform() >= model.dropped
-        x, y, yaw = (pose + noise).tolist()
+        x, y, yaw = (pose + noise + self.shifted).tolist()
         self.taken.append(Frame(self.clock(now), (x, y, yaw) if seen else None, self.target))
         if self.nonce is None:
             return
@@ -157,7 +159,7 @@ def serve(rig: Rig, stop: Callable[[], bool]) -> None:
 
 def _servo(rig: Rig, master: int) -> None:
     data = os.read(master, 1024)
-    reply = rig.servo.answer(data)
+    reply = rig.servo.answer(data) if hears(rig.servo, rig.lines[0]) else b""
     time.sleep(10 * (len(data) + len(reply)) / BAUD)
     os.write(master, reply)
 
