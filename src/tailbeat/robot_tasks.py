@@ -147,7 +147,7 @@ def drive(
     motor, gyro = servo.connect(ports.servo), None
     try:
         gyro = imu.connect(ports.imu)
-        gyro.prepare()
+        _prepare(gyro, ports.imu)
         receiver = link.Receiver(secret, (LENGTH, WIDTH))
         heard = link.bind(*ports.listen)
         written = logs.start(log, {"policy": policy, "contract": loaded.contract.fish})
@@ -170,6 +170,16 @@ def drive(
         motor.close()
         if gyro is not None:
             gyro.close()
+
+
+def _prepare(gyro: Any, path: str) -> None:
+    """Set the IMU up. Raises BadInput where it does not take it."""
+    from tailbeat.swim.imu import ImuFault
+
+    try:
+        gyro.prepare()
+    except ImuFault as fault:
+        raise BadInput(f"{path}: {fault}; look what tailbeat doctor says.") from None
 
 
 def _alive(own: Any, watcher: Any, notifier: Any) -> Callable[[bool], bool]:

@@ -302,13 +302,21 @@ def measure(case: Case, bench: Bench, policy: str, drive: Drive, tries: int = 3)
     is tried again, and `tries` says so: on a busy machine a loop may hold by itself."""
     row: Row = {}
     for attempt in range(1, tries + 1):
-        with swimming(bench, policy, drive) as swim:
-            _wait(swim, lambda: False, SWIMMING)
-            if swim.state == "run" or attempt == tries:
+        try:
+            with swimming(bench, policy, drive) as swim:
+                _wait(swim, lambda: False, SWIMMING)
                 row = {**_row(case, bench, swim, _break(case, bench, swim)), "tries": attempt}
-        if row.get("ok"):
+        except RuntimeError as error:
+            row = {**_nothing(case, str(error)), "tries": attempt}
+        if row["ok"]:
             break
     return row
+
+
+def _nothing(case: Case, why: str) -> Row:
+    """The row of a fish that did not come to swim."""
+    times = {"told_s": None, "safe_s": None, "ok": False, "log_lost_s": None}
+    return {"fault": case.title, "operator sees": why, "safe state": case.safe, **times}
 
 
 def _break(case: Case, bench: Bench, swim: Swim) -> float:
@@ -382,8 +390,8 @@ def kill_at_random(
 ) -> list[Row]:
     """The loop's process is killed with -9, each time at another moment of its swim; one row each:
     when, how soon the torque was off, how much of the log is missing."""
-    rows = []
-    for _ in range(times):
+    rows: list[Row] = []
+    while len(rows) < times:
         with swimming(bench, policy, drive) as swim:
             swum = float(rng.uniform(0.0, 1.0))
             _wait(swim, lambda: False, swum)

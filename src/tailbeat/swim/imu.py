@@ -115,14 +115,20 @@ class Imu:
         raise self._refused(reply)
 
     def set(self, register: int, value: int, tries: int = 5) -> None:
-        """Write one register, again while the sensor is busy. Raises ImuFault."""
-        for attempt in range(tries):
-            reply = self._exchange(bytes([0xAA, 0x00, register, 1, value]), 2)
-            if reply == b"\xee\x01":
-                return
-            if attempt < tries - 1:
-                time.sleep(0.01)
-        raise self._refused(reply)
+        """Write one register, again while the sensor is busy or silent. Raises ImuFault."""
+        for _ in range(tries):
+            try:
+                reply = self._exchange(bytes([0xAA, 0x00, register, 1, value]), 2)
+            except ImuFault as silent:
+                if silent.kind == "gone":
+                    raise
+                fault = silent
+            else:
+                if reply == b"\xee\x01":
+                    return
+                fault = self._refused(reply)
+            time.sleep(0.01)
+        raise fault
 
     def _refused(self, reply: bytes) -> ImuFault:
         code = reply[1] if reply[0] == 0xEE else -1

@@ -35,6 +35,7 @@ FRAMES = 3
 CURRENT_TIME = 0.5  # s over which the servo's current is averaged
 FOLLOWING = 0.4  # s within which a shaft that is asked to move must have moved
 CHECK_EVERY = 2  # periods between two looks at the servo's torque and watchdog, in turn
+BAND_EVERY = 10  # periods between two looks at the band, which take longer than a decision
 REOPEN_EVERY = 0.5  # s between two tries to open a port whose cable was out
 SECOND = 1_000_000_000
 Row = dict[str, Any]
@@ -87,6 +88,7 @@ class Loop:
         self.travelled: deque[tuple[float, float]] = deque(maxlen=following)  # asked, seen
         self.owing, self.reopened, self.gone = False, NEVER, {"servo": False, "imu": False}
         self.lost, self.hardware, self.turn, self.late = False, "", 0, 0.0
+        self.share: float | None = None
         self.decided_on = np.zeros((FRAMES, 6))
 
     # ---- one period -----------------------------------------------------------------------------
@@ -111,10 +113,11 @@ class Loop:
             self._let_go(tries=1)
         if self.stand.state is not State.RUN:
             self._mend(now)
-        busy, compute = time.monotonic() - began, time.thread_time() - worked
-        self.pace.busy.add(busy)
-        self.pace.compute.add(compute)
-        self.put(self._row(now, health, decision, busy, compute))
+        row = self._row(now, health, decision)
+        row["busy_s"], row["compute_s"] = time.monotonic() - began, time.thread_time() - worked
+        self.pace.busy.add(row["busy_s"])
+        self.pace.compute.add(row["compute_s"])
+        self.put(row)
 
     def _listen(self, now: float) -> None:
         """Datagrams of this period, and a question for the laptop's clock now and then."""
@@ -356,8 +359,11 @@ class Loop:
         gc.freeze()
         gc.disable()  # a collection takes longer than a period may
         start = due = time.monotonic()
+        stood = self.stand
         try:
             while not over(due - start):
+                if self.stand is not stood:  # arming took time, and is no miss
+                    due += self.period * max((time.monotonic() - due) // self.period, 0.0)
                 self.late = time.monotonic() - due
                 self.pace.late.add(self.late)
                 self.tick(due)
@@ -369,22 +375,18 @@ class Loop:
                     self.missed.extend([due] * skipped)
                     self.pace.skipped += skipped
                     due += skipped * self.period
+                stood = self.stand
                 sleep_until(due)
         finally:
             self._let_go()
             gc.enable()
 
-    def _row(
-        self,
-        now: float,
-        health: Health,
-        decision: pilot.Decision | None,
-        busy: float,
-        compute: float,
-    ) -> Row:
+    def _row(self, now: float, health: Health, decision: pilot.Decision | None) -> Row:
+        """For the log; `tick` adds how long it took."""
         servo, frame = self.servo, self.seen[-1] if self.seen else None
         x, y, yaw = (frame.fish if frame and frame.fish else None) or (math.nan,) * 3
-        share = self.monitor.share()
+        if self.pace.periods % BAND_EVERY == 0:
+            self.share = self.monitor.share()
         return {
             "time_s": now,
             "state": self.stand.state.value,
@@ -401,9 +403,7 @@ class Loop:
             "temperature_deg_c": health.temperature,
             "voltage_v": health.voltage,
             "current_a": health.current,
-            "band_share": math.nan if share is None else share,
-            "busy_s": busy,
-            "compute_s": compute,
+            "band_share": math.nan if self.share is None else self.share,
             "late_s": self.late,
             "missed": health.overruns,
             "spikes": self.gate.count,
