@@ -69,6 +69,19 @@ def test_a_fault_that_is_none_is_refused():
     assert done.returncode == 2 and "no such fault" in done.stderr
 
 
+def test_the_loop_s_punctuality_is_measured_and_judged(tmp_path: Path):
+    """What is measured depends on the machine; that it is judged does not."""
+    for allowed, code in ((1e6, 0), (0.0, 1)):
+        out = tmp_path / f"{allowed}.json"
+        command = [sys.executable, "-m", "tailbeat", "pace", "--minutes", "0.05", "--allowed",
+                   str(allowed), "--json", str(out)]  # fmt: skip
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        assert done.returncode == code, done.stderr
+        found = json.loads(out.read_text())
+        assert 0 < found["compute_p50_ms"] < found["busy_max_ms"] and found["periods"] > 20
+        assert found["late_p50_ms"] <= found["late_p99_ms"] <= found["late_max_ms"]
+
+
 @pytest.mark.slow
 def test_every_fault_in_real_time(tmp_path: Path):
     """Within the times that docs/deploy.md states; wants a machine that is not busy otherwise."""

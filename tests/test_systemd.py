@@ -9,8 +9,12 @@ from pathlib import Path
 
 import pytest
 
+pytest.importorskip("serial", reason="the robot extra is not installed")
+pytest.importorskip("mcap", reason="the robot extra is not installed")
+
 from tailbeat.files import BadInput
 from tailbeat.swim import systemd
+from tailbeat.swim.log import read_rows
 
 
 @pytest.fixture
@@ -84,3 +88,18 @@ def test_systemd_itself_takes_the_unit(tmp_path):
         ["systemd-analyze", "verify", str(path)], capture_output=True, text=True, timeout=60
     )
     assert "nothing" in worse.stderr  # it does look
+
+
+def test_the_loop_itself_says_that_it_turns_and_stays_disarmed_until_ordered(manager, tmp_path):
+    command = [sys.executable, "-m", "tailbeat", "drive", "pulley-fish-pool-generator", "--rig",
+               "--wait", "--seconds", "inf", "--log", str(tmp_path)]  # fmt: skip
+    service = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    manager.settimeout(60)
+    assert manager.recv(999).startswith(b"READY=1")
+    words = [manager.recv(999).decode() for _ in range(8)]  # two seconds: it would have armed
+    assert all("WATCHDOG=1" in word and "STATUS=disarmed" in word for word in words)
+    service.terminate()
+    _, said = service.communicate(timeout=60)
+    assert service.returncode == 0, said  # to systemd a stop that was asked for is no failure
+    (log,) = tmp_path.glob("swim-*.mcap")
+    assert {row["state"] for row in read_rows(log)} == {"disarmed"}

@@ -78,7 +78,8 @@ def drive(
     console.tables({"drive": [done]})
     if json is not None:
         write_json(json, done)
-    if done["ended"] != "swimming":
+    asked = {"not armed yet", f"stop asked by {robot_tasks.OPERATOR}"} if wait else set()
+    if done["ended"] not in {"swimming", *asked}:
         raise typer.Exit(1)
 
 

@@ -25,6 +25,7 @@ from tailbeat.recording import Recording, write_recording
 
 Say = Callable[[str], None]
 READY = 60.0  # s that a bench may take to start
+OPERATOR = "the operator"  # who asked to stop, where a signal did
 WAIT_TO_ARM = 10.0  # s for the first poses and the laptop's clock
 
 
@@ -164,12 +165,21 @@ def drive(
                     watcher.farewell()
         written.close({"pace": json.dumps(own.pace.report())})
         heard.close()
-        told = summary(logs.read_rows(log), own.stand.reason, dict(receiver.rejected))
-        return {**told, **paces(own.pace)}
+        return {**_outcome(own, log, by_itself), **paces(own.pace)}
     finally:
         motor.close()
         if gyro is not None:
             gyro.close()
+
+
+def _outcome(own: Any, log: Path, by_itself: bool) -> dict[str, Any]:
+    """A swim's numbers; of a service, whose log may hold days, how it ended alone."""
+    from tailbeat.swim.log import read_rows
+
+    rejected = dict(own.devices.receiver.rejected)
+    if not by_itself:
+        return {"rejected_datagrams": rejected, "ended": own.stand.reason}
+    return summary(read_rows(log), own.stand.reason, rejected)
 
 
 def _prepare(gyro: Any, path: str) -> None:
@@ -218,11 +228,13 @@ def _swim(own: Any, seconds: float, say: Say, each: Callable[[Any], None], by_it
         if line != told[0]:
             told[0] = line
             say(f"{since:6.2f} s  {line}")
-        waited = by_itself and own.stand.state is State.DISARMED and since > WAIT_TO_ARM
-        return waited or since >= seconds or own.stand.state is State.STOP
+        waited = own.stand.state is State.DISARMED and since > WAIT_TO_ARM
+        ended = own.stand.state is State.STOP or waited
+        told_to = own.stop_asked == OPERATOR and own.stand.state in (State.STOP, State.DISARMED)
+        return since >= seconds or told_to or (by_itself and ended)
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: setattr(own, "stop_asked", "the operator"))
+        signal.signal(number, lambda *_: setattr(own, "stop_asked", OPERATOR))
     own.run(over)
 
 

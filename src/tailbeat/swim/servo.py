@@ -111,6 +111,10 @@ class Servo:
 
     def prepare(self, low: float, high: float) -> None:
         """Torque off, position mode, limits [rad] as the last defence, quick replies to all."""
+        with self._patient():
+            self._prepare(low, high)
+
+    def _prepare(self, low: float, high: float) -> None:
         self.torque_off()
         ends = sorted(CENTRE + self.sign * round(end / COUNT) for end in (low, high))
         wanted = {OPERATING_MODE: POSITION_MODE, RETURN_DELAY: 0, LOWEST: ends[0], HIGHEST: ends[1]}
@@ -122,9 +126,19 @@ class Servo:
     def arm(self, watchdog: float = 0.1) -> float:
         """Hold where it stands: the goal first, the servo's own watchdog [s] (at most 2.54), and
         torque last, so that it never is on unwatched; the angle held."""
-        held = self.release(watchdog)
-        self.set(TORQUE, 1)
+        with self._patient():
+            held = self.release(watchdog)
+            self.set(TORQUE, 1)
         return held
+
+    @contextlib.contextmanager
+    def _patient(self) -> Iterator[None]:
+        """Longer for a reply: nothing moves yet, and EEPROM takes its time."""
+        usual, self.deadline = self.deadline, max(self.deadline, PATIENCE)
+        try:
+            yield
+        finally:
+            self.deadline = usual
 
     def release(self, watchdog: float = 0.1) -> float:
         """After its own watchdog stopped it: goals are taken again, the first one where the shaft
