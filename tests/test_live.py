@@ -95,12 +95,12 @@ def test_a_leader_arms_anew_a_fish_that_holds_and_gives_up_in_the_end():
     sender.status = stands(State.HOLD)
     for step in range(100):
         leader.lead(sender, (0.0, 0.0, 0.0), 100.0 + step, lambda _: None)
-    assert sender.orders == laptop_tasks.REARMED and sender.pending[-1].order is Order.ARM
+    assert sender.orders == laptop_tasks.REARMED
     assert sender.target == (1.0, 0.0) and not leader.tour.way
-    began = leader.over()
+    first, began = sender.pending[-1].order, leader.over()
     sender.status = stands(State.ARMED)
     leader.lead(sender, (0.0, 0.0, 0.0), 300.0, lambda _: None)
-    assert sender.pending[-1].order is Order.SWIM
+    assert [first, sender.pending[-1].order] == [Order.ARM, Order.SWIM]
     leader.ran = time.monotonic() - laptop_tasks.STUCK - 1
     assert [began, leader.over()] == [False, True]
     sender.socket.close()

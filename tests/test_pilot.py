@@ -84,10 +84,17 @@ HOLDS: dict[str, dict[str, Any]] = {
     "supply 9.0 V": {"voltage": 9.0},
     "12 periods missed": {"overruns": 12},
     "log cannot be written": {"logging": False},
+    "clock jumped by 5.00 s": {"clock_step": 5.0},
+    "from 4000 ms ahead": {"pose_age": -4.0},
+    "7 poses in a row": {"jumps": 7},
+    "numbers stand still": {"imu_frozen": True},
+    "warden is gone": {"guarded": False},
 }
 STOPS: dict[str, dict[str, Any]] = {
     "asked by the console": {"stop_asked": "the console"},
     "hardware error": {"alert": True},
+    "error: overload": {"hardware": "overload"},
+    "does not follow": {"follows": False},
     "lost its torque": {"torque_lost": True},
     "servo at 76": {"temperature": 76.0},
     "current 4.2 A": {"current": -4.2},

@@ -13,6 +13,7 @@ from tailbeat import (
     laptop_cli,
     learn_cli,
     robot_cli,
+    safety_cli,
     swim_cli,
     tasks,
     track_cli,
@@ -46,8 +47,13 @@ for verb in (
     track_cli.track,
     track_cli.camera,
     laptop_cli.laptop,
+    safety_cli.faults,
+    safety_cli.pace,
+    safety_cli.let_go,
+    safety_cli.doctor,
+    safety_cli.unit,
 ):
-    app.command(verb.__name__)(verb)
+    app.command(verb.__name__.replace("_", "-"))(verb)
 
 LISTS = (
     "--fit",

@@ -51,7 +51,7 @@ def rig(
 
 def drive(
     policy: Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")],
-    log: Annotated[Path, typer.Option("--log", help="The log to write, .mcap.")],
+    log: Annotated[Path, typer.Option("--log", help="The log to write, .mcap, or a folder.")],
     emulated: Annotated[
         bool, typer.Option("--rig", help="Start an emulated bench and drive that.")
     ] = False,
@@ -76,6 +76,7 @@ def drive(
 ) -> None:
     """Drive the fish fifty times a second: arm, swim, let go; exit code 1 if it stopped itself."""
     robot_tasks.need_extra()
+    log = robot_tasks.log_in(log)
     for path in filter(None, (log, json)):
         refuse_existing(path)
     aim = None if target is None else robot_tasks.place(target)
@@ -101,7 +102,7 @@ def drive(
     console.tables({"drive": [done]})
     if json is not None:
         write_json(json, done)
-    by_hand = done["swum_s"] > 0 and done["ended"] in robot_tasks.BY_HAND
+    by_hand = done.get("swum_s", 1) > 0 and done["ended"] in robot_tasks.BY_HAND
     if done["ended"] != "swimming" and not (stay and by_hand):
         raise typer.Exit(1)
 

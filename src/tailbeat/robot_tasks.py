@@ -25,7 +25,8 @@ from tailbeat.recording import Recording, write_recording
 
 Say = Callable[[str], None]
 READY = 60.0  # s that a bench may take to start
-BY_HAND = ("not armed yet", "stop asked by the operator", "stop asked by the console")
+OPERATOR = "the operator"  # who asked to stop, where a signal did
+BY_HAND = ("not armed yet", f"stop asked by {OPERATOR}", "stop asked by the console")
 WAIT_TO_ARM = 10.0  # s for the first poses and the laptop's clock
 
 
@@ -107,8 +108,13 @@ def _told_to_end() -> list[int]:
 
 
 def _hurry(made: Any) -> None:
-    """Compile before anyone waits for it, and collect no more: that would hold up the bus."""
+    """Compile before anyone waits for it, and collect no more: that would hold up the bus; a bench
+    that is late looks like a servo that is."""
+    from tailbeat.swim import timing
+
+    timing.claim()
     made.shaft.advance(0.0, 0.01)
+    _ = made.shaft.pose
     gc.freeze()
     gc.disable()
 
@@ -174,6 +180,11 @@ def own_rig(
         process.wait(10)
 
 
+def log_in(path: Path) -> Path:
+    """A log's path; in a folder one that is named by day and time, as a service needs it."""
+    return path / time.strftime("swim-%Y%m%d-%H%M%S.mcap") if path.is_dir() else path
+
+
 def drive(
     policy: str,
     ports: Ports,
@@ -182,21 +193,26 @@ def drive(
     seconds: float,
     log: Path,
     say: Say,
+    each: Callable[[Any], None] = lambda loop: None,
     by_itself: bool = True,
     stay: bool = False,
 ) -> dict[str, Any]:
     """Arm (`by_itself`, or when ordered to), swim so long, disarm; every period in the log. A
-    fish that stopped ends the drive, unless it is to `stay` for orders."""
+    fish that stopped ends the drive, unless it is to `stay` for orders. A warden beside lets go if
+    this process dies, and systemd hears that the loop turns. `each` is given the loop every
+    period."""
     need_extra()
-    from tailbeat.swim import imu, link, loop, servo
+    from tailbeat.swim import imu, link, loop, servo, systemd, timing, warden
     from tailbeat.swim import log as logs
 
+    for refused in timing.claim():
+        say(f"        {refused}")
     loaded, secret = load_policy(policy), link.read_key(key)
     refuse_existing(log)
     motor, gyro = servo.connect(ports.servo), None
     try:
         gyro = imu.connect(ports.imu)
-        _prepare(gyro)
+        _prepare(gyro, ports.imu)
         receiver = link.Receiver(secret, (LENGTH, WIDTH))
         heard = link.bind(*ports.listen)
         written = logs.start(log, {"policy": policy, "contract": loaded.contract.fish})
@@ -204,17 +220,33 @@ def drive(
         own = loop.Loop(
             loaded, devices, written.put, logging=lambda: not written.failed, target=target
         )
-        _swim(own, seconds, say, by_itself, stay)
-        written.close()
+        with warden.guard(ports.servo) as watcher:
+            own.alive = _alive(own, watcher, systemd.from_environment())
+            try:
+                _swim(own, seconds, say, each, by_itself, stay)
+            finally:
+                if not own.owing:
+                    watcher.farewell()
+        written.close({"pace": json.dumps(own.pace.report())})
         heard.close()
-        return summary(logs.read_rows(log), own.stand.reason, dict(receiver.rejected))
+        return {**_outcome(own, log, by_itself), **paces(own.pace)}
     finally:
         motor.close()
         if gyro is not None:
             gyro.close()
 
 
-def _prepare(gyro: Any) -> None:
+def _outcome(own: Any, log: Path, by_itself: bool) -> dict[str, Any]:
+    """A swim's numbers; of a service, whose log may hold days, how it ended alone."""
+    from tailbeat.swim.log import read_rows
+
+    rejected = dict(own.devices.receiver.rejected)
+    if not by_itself:
+        return {"rejected_datagrams": rejected, "ended": own.stand.reason}
+    return summary(read_rows(log), own.stand.reason, rejected)
+
+
+def _prepare(gyro: Any, path: str) -> None:
     """Set the IMU up without haste. Raises BadInput."""
     from tailbeat.swim.imu import PATIENCE, ImuFault
 
@@ -222,17 +254,45 @@ def _prepare(gyro: Any) -> None:
     try:
         gyro.prepare()
     except ImuFault as fault:
-        raise BadInput(f"{gyro.port.port}: {fault}; check the IMU's cable and power.") from None
+        raise BadInput(f"{path}: {fault}; see what `tailbeat doctor` says.") from None
     gyro.deadline = usual
 
 
-def _swim(own: Any, seconds: float, say: Say, by_itself: bool, stay: bool) -> None:
+def _alive(own: Any, watcher: Any, notifier: Any) -> Callable[[bool], bool]:
+    """What the loop calls every period: warden and systemd hear that it turns."""
+
+    def alive(torque: bool) -> bool:
+        notifier.beat(time.monotonic(), f"{own.stand.state.value}: {own.stand.reason}")
+        return bool(watcher.beat(torque))
+
+    return alive
+
+
+def paces(pace: Any) -> dict[str, Any]:
+    """How punctual the loop was, flat: p50 … max [ms] of every quantity."""
+    found = {
+        f"{quantity}_{name}": value
+        for quantity, row in pace.report().items()
+        for name, value in row.items()
+    }
+    return {**found, "periods": pace.periods, "periods_skipped": pace.skipped}
+
+
+def _swim(
+    own: Any,
+    seconds: float,
+    say: Say,
+    each: Callable[[Any], None],
+    by_itself: bool,
+    stay: bool,
+) -> None:
     """Wait until it may be armed, arm, swim, and say every change of state."""
     from tailbeat.swim.safety import State
 
     told, ended = [""], list[int]()
 
     def over(since: float) -> bool:
+        each(own)
         if by_itself and not (ended or own.ordered):
             _begin(own, since)
         line = f"{own.stand.state.value}: {own.stand.reason}"
@@ -244,7 +304,7 @@ def _swim(own: Any, seconds: float, say: Say, by_itself: bool, stay: bool) -> No
         return since >= seconds or (rests and (bool(ended) or (not stay and waited)))
 
     def end(number: int, _: Any) -> None:
-        own.stop_asked = "the operator"
+        own.stop_asked = OPERATOR
         ended.append(number)
 
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -268,13 +328,10 @@ def summary(rows: list[dict[str, Any]], reason: str, rejected: dict[str, int]) -
     time_ = np.array([row["time_s"] for row in rows])
     away = [_away(row) for row in swum if row["decided_on"]]
     ages = [row["pose_age_s"] for row in swum if row["pose_age_s"] is not None]
-    busy = np.array([row["busy_s"] for row in rows])
     return {
         "seconds": float(time_[-1] - time_[0]),
         "swum_s": 0.02 * len(swum),
         "rate_hz": float((len(rows) - 1) / (time_[-1] - time_[0])),
-        "busy_ms_median": float(1e3 * np.median(busy)),
-        "busy_ms_p999": float(1e3 * np.quantile(busy, 0.999)),
         "pose_age_ms_median": float(1e3 * np.median(ages)) if ages else None,
         "nearest_m": min(away) if away else None,
         "rejected_datagrams": rejected,

@@ -50,7 +50,10 @@ def velocity_spectrum(time: Array, angle: Array, highest: float = HIGHEST) -> Sp
     window = (1 - np.cos(phase)) / 2 * np.gradient(time)
     trend = np.polynomial.polynomial.polyfit(time - time[0], angle, 1, w=np.sqrt(window + 1e-12))
     still = angle - np.polynomial.polynomial.polyval(time - time[0], trend)
-    lines = np.exp(-2j * np.pi * np.outer(frequency, time - time[0])) @ (window * still)
+    waves = np.exp(-2j * np.pi * np.outer(frequency, time - time[0]))
+    # Not `@`: the robot's loop asks for this, and a library's threads wait 100 ms for each other
+    # where another process has a core.
+    lines = (waves * (window * still)).sum(axis=1)
     power = 2 * np.square(np.abs(lines) * 2 * np.pi * frequency) / np.square(window).sum()
     return Spectrum(frequency, power * np.median(np.gradient(time)))
 

@@ -23,11 +23,12 @@ WRITABLE = {0x07, 0x3B, 0x3D, 0x3E, 0x3F, 0x40, 0x41, 0x42, *range(0x55, 0x6B)}
 @dataclass
 class Faults:
     """What goes wrong: replies of "bus over-run" and none at all, a spike [rad/s] in the next
-    reading, numbers that no longer change."""
+    reading, or in every second one (`spiking`), numbers that no longer change."""
 
     busy: int = 0
     mute: int = 0
     spike: float = 0.0
+    spiking: float = 0.0
     frozen: bool = False
 
 
@@ -70,7 +71,8 @@ class Bno055:
         """Rates into their registers; none while it is being configured."""
         if self.faults.frozen:
             return
-        spike, self.faults.spike = self.faults.spike, 0.0
+        faults = self.faults
+        spike, faults.spike = faults.spike, 0.0 if faults.spike else faults.spiking
         for axis, rate in enumerate(self.rates):
             count = (rate + spike) * COUNT + 16 * NOISE * self.rng.normal()
             whole = round(count) if self.table[0x3D] & 0x0F != CONFIG else 0

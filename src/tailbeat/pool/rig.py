@@ -24,7 +24,7 @@ from tailbeat.pool.camera import Scene
 from tailbeat.pool.film import CameraProcess
 from tailbeat.pool.imu import Bno055
 from tailbeat.pool.plant import LENGTH, WIDTH, Surroundings, at_rest, build_plant, step_plant
-from tailbeat.pool.servo import Dynamixel, Line, Shaft, close_line, open_line
+from tailbeat.pool.servo import Dynamixel, Line, Shaft, close_line, hears, open_line
 from tailbeat.pool.water import Water
 from tailbeat.swim import link
 from tailbeat.swim.link import Frame
@@ -202,7 +202,7 @@ def serve(rig: Rig, stop: Callable[[], bool]) -> None:
 
 def _servo(rig: Rig, master: int) -> None:
     data = os.read(master, 1024)
-    reply = rig.servo.answer(data)
+    reply = rig.servo.answer(data) if hears(rig.servo, rig.lines[0]) else b""
     time.sleep(10 * (len(data) + len(reply)) / BAUD)
     os.write(master, reply)
 

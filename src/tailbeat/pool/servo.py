@@ -8,6 +8,7 @@ not checked on a real servo.
 import os
 import select
 import struct
+import termios
 import time
 import tty
 from collections.abc import Callable
@@ -31,6 +32,10 @@ REGISTERS = {
 }  # fmt: skip
 READ_ONLY = {0, 2, 6, 69, 70, 120, 122, 123, 124, 126, 128, 132, 136, 140, 144, 146, 147}
 RAM, GOALS = 64, range(100, 120)
+SPEEDS = {
+    0: termios.B9600, 1: termios.B57600, 2: termios.B115200, 3: termios.B1000000,
+    4: termios.B2000000, 5: termios.B3000000, 6: termios.B4000000,
+}  # fmt: skip
 FAIL, INSTRUCTION, RANGE, LIMIT, ACCESS = 1, 2, 4, 6, 7
 ALERT = 0x80
 
@@ -105,12 +110,13 @@ class Shaft:
 @dataclass
 class Faults:
     """What goes wrong: `mute` replies to swallow, `corrupt` to damage, `garbage` before a reply,
-    `late` [s] for the next reply, `frozen` encoder."""
+    `late` [s] for the next reply, `slow` [s] for each, `frozen` encoder."""
 
     mute: int = 0
     corrupt: int = 0
     garbage: bytes = b""
     late: float = 0.0
+    slow: float = 0.0
     frozen: bool = False
 
 
@@ -144,8 +150,7 @@ class Dynamixel:
         dt, self.now = max(now - self.now, 0.0), now
         limit = self.get(98)
         if self.get(64) and 0 < limit < 128 and now - self.heard > limit * WATCHDOG:
-            self.put(98, 0xFF)
-            self.put(116, self._counts())  # it stops where it is
+            self.trip()
         goal = (self.get(116, True) - 2048) * 2 * 3.141592653589793 / STEPS
         while dt > 0:
             self.shaft.advance(goal if self.get(64) else None, min(dt, TICK))
@@ -157,6 +162,11 @@ class Dynamixel:
 
     def _counts(self) -> int:
         return 2048 + round(self.shaft.angle * STEPS / (2 * 3.141592653589793))
+
+    def trip(self) -> None:
+        """Its bus watchdog: it stops where it is and refuses goals until 0 is written there."""
+        self.put(98, 0xFF)
+        self.put(116, self._counts())
 
     def fail(self, bit: int) -> None:
         """A hardware error; those in the shutdown mask take the torque away."""
@@ -301,6 +311,11 @@ def close_line(line: Line) -> None:
         os.close(end)
 
 
+def hears(device: Dynamixel, line: Line) -> bool:
+    """Whether the driver's end of the line is set to the servo's baud rate; else it hears noise."""
+    return termios.tcgetattr(line.slave)[5] == SPEEDS.get(device.get(8))
+
+
 def serve(device: Dynamixel, line: Line, stop: Callable[[], bool], baud: int = 1_000_000) -> None:
     """Answer until `stop` says so: the wire's time both ways and the return delay are waited."""
     began = time.monotonic()
@@ -310,8 +325,8 @@ def serve(device: Dynamixel, line: Line, stop: Callable[[], bool], baud: int = 1
         if not ready:
             continue
         data = os.read(line.master, 1024)
-        reply = device.answer(data)
+        reply = device.answer(data) if hears(device, line) else b""
         if reply:
-            late, device.faults.late = device.faults.late, 0.0
+            late, device.faults.late = device.faults.late + device.faults.slow, 0.0
             time.sleep(10 * (len(data) + len(reply)) / baud + 2e-6 * device.get(9) + late)
             os.write(line.master, reply)

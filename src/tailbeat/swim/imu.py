@@ -8,13 +8,13 @@ a real one). Only the gyroscope is used: its heading drifts and starts anywhere,
 import contextlib
 import math
 import struct
-import termios
 import time
 from dataclasses import dataclass
 
 import serial
 
 from tailbeat.files import BadInput
+from tailbeat.swim.wire import GONE, heard
 
 CHIP_ID, GYRO, STATUS, UNITS, MODE, TRIGGER, PAGE = 0x00, 0x14, 0x39, 0x3B, 0x3D, 0x3F, 0x07
 CHIP = 0xA0
@@ -30,12 +30,12 @@ ERRORS = {
     0x06: "wrong start byte", 0x07: "bus over-run", 0x08: "too long", 0x09: "too short",
     0x0A: "time-out",
 }  # fmt: skip
-GONE = (serial.SerialException, OSError, termios.error)
-FROZEN = 50  # the same three numbers so many times in a row: a still sensor still has noise
+FROZEN = 10  # the same three numbers so often in a row: a still sensor has noise of several counts
 
 
 class ImuFault(Exception):
-    """The sensor did not answer as it should; `kind`: "silent", "gone" or "refused"."""
+    """The sensor did not answer as it should; `kind`: "silent", "gone", "refused", or
+    "frozen" where it answers and its numbers no longer change."""
 
     def __init__(self, kind: str, text: str) -> None:
         super().__init__(text)
@@ -93,7 +93,7 @@ class Imu:
         self.same = self.same + 1 if data == self.last else 0
         self.last = data
         if self.same >= FROZEN:
-            raise ImuFault("refused", f"the IMU gave the same numbers {FROZEN} times; restart it")
+            raise ImuFault("frozen", f"the IMU gave the same numbers {FROZEN} times; restart it")
 
     def prepare(self) -> None:
         """Degrees per second, accelerometer and gyroscope alone."""
@@ -115,14 +115,20 @@ class Imu:
         raise self._refused(reply)
 
     def set(self, register: int, value: int, tries: int = 5) -> None:
-        """Write one register, again while the sensor is busy. Raises ImuFault."""
-        for attempt in range(tries):
-            reply = self._exchange(bytes([0xAA, 0x00, register, 1, value]), 2)
-            if reply == b"\xee\x01":
-                return
-            if attempt < tries - 1:
-                time.sleep(0.01)
-        raise self._refused(reply)
+        """Write one register, again while the sensor is busy or silent. Raises ImuFault."""
+        for _ in range(tries):
+            try:
+                reply = self._exchange(bytes([0xAA, 0x00, register, 1, value]), 2)
+            except ImuFault as silent:
+                if silent.kind == "gone":
+                    raise
+                fault = silent
+            else:
+                if reply == b"\xee\x01":
+                    return
+                fault = self._refused(reply)
+            time.sleep(0.01)
+        raise fault
 
     def _refused(self, reply: bytes) -> ImuFault:
         code = reply[1] if reply[0] == 0xEE else -1
@@ -136,14 +142,23 @@ class Imu:
             self.port.write(question)
             end, reply = time.monotonic() + self.deadline, b""
             while len(reply) < (2 if reply[:1] == b"\xee" else length):
-                left = end - time.monotonic()
-                if left <= 0:
+                data = heard(self.port, end, length - len(reply))
+                if not data:
                     raise ImuFault("silent", f"no reply within {1e3 * self.deadline:g} ms")
-                self.port.timeout = left
-                reply += self.port.read(1 if len(reply) < 2 else length - len(reply))
+                reply += data
         except GONE as error:
             raise ImuFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
         return reply
+
+    def reopen(self) -> None:
+        """Open the port anew, after the cable was out; set up as before. Raises ImuFault."""
+        with contextlib.suppress(*GONE):
+            self.port.close()
+        try:
+            self.port.open()
+        except GONE as error:
+            raise ImuFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
+        self.prepare()
 
     def close(self) -> None:
         """Close the port."""

@@ -11,7 +11,7 @@ import queue
 import struct
 import threading
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -54,6 +54,7 @@ class Log:
     thread: threading.Thread | None = None
     dropped: int = 0
     failed: str = ""
+    last_notes: dict[str, str] = field(default_factory=dict)
 
     def put(self, row: Mapping[str, Any]) -> None:
         """Take a row for writing; `time_s` is the loop's monotonic time."""
@@ -62,8 +63,9 @@ class Log:
         except queue.Full:
             self.dropped += 1
 
-    def close(self) -> None:
-        """Write what waits, and the file's end."""
+    def close(self, notes: Mapping[str, str] | None = None) -> None:
+        """Write what waits, `notes` that were known at the end only, and the file's end."""
+        self.last_notes = dict(notes or {})
         self.waiting.put(None)
         if self.thread is not None:
             self.thread.join(10)
@@ -95,6 +97,8 @@ def _write(log: Log, notes: dict[str, str]) -> None:
         while (row := log.waiting.get()) is not None:
             at = round(row["time_s"] * SECOND)
             writer.add_message(channel, at, _text(row).encode(), at)
+        if log.last_notes:
+            writer.add_metadata(NOTES, log.last_notes)
         writer.finish()
     except (OSError, ValueError) as error:  # a full disk, or the file closed under it
         log.failed = str(error)

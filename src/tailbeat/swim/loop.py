@@ -12,7 +12,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,18 +21,24 @@ from numpy.typing import NDArray
 from tailbeat.control import pilot
 from tailbeat.control.band import Monitor
 from tailbeat.control.policy import Policy
-from tailbeat.swim import link, safety
+from tailbeat.swim import link, plausible, safety
 from tailbeat.swim.imu import Imu, ImuFault, YawRate
 from tailbeat.swim.link import Frame, Order, Receiver
+from tailbeat.swim.plausible import Bounds, Gate
 from tailbeat.swim.safety import Health, Limits, Stand, State
 from tailbeat.swim.servo import Servo, ServoFault, ServoState
 from tailbeat.swim.status import Reporter
+from tailbeat.swim.timing import Pace, sleep_until
 
 Array = NDArray[np.float64]
 NEVER = -math.inf
 ASK_EVERY = 0.25  # s between two questions for the laptop's clock
 FRAMES = 3
 CURRENT_TIME = 0.5  # s over which the servo's current is averaged
+FOLLOWING = 0.4  # s within which a shaft that is asked to move must have moved
+CHECK_EVERY = 2  # periods between two looks at the servo's torque and watchdog, in turn
+BAND_EVERY = 10  # periods between two looks at the band, which take longer than a decision
+REOPEN_EVERY = 0.5  # s between two tries to open a port whose cable was out
 SECOND = 1_000_000_000
 Row = dict[str, Any]
 
@@ -51,7 +57,8 @@ class Devices:
 @dataclass(eq=False)
 class Loop:
     """The robot's loop; `tick` is one period, `run` many. `target` [m], if set, is a place in the
-    pool that stands in for the target's tag. `put` takes a row for the log."""
+    pool that stands in for the target's tag. `put` takes a row for the log. `alive` hears
+    once a period whether torque is on, and says whether anyone would let go if the loop died."""
 
     policy: Policy
     devices: Devices
@@ -61,6 +68,9 @@ class Loop:
     stand: Stand = field(default_factory=Stand)
     target: tuple[float, float] | None = None
     stop_asked: str = ""
+    bounds: Bounds = field(default_factory=Bounds)
+    alive: Callable[[bool], bool] = lambda torque: True
+    pace: Pace = field(default_factory=Pace)
 
     def __post_init__(self) -> None:
         space = self.policy.contract.actions
@@ -75,15 +85,25 @@ class Loop:
         self.sent, self.finite, self.watchdog, self.torque = 0.0, True, False, False
         self.asked, self.questions = NEVER, 0
         self.reporter, self.ordered = Reporter(), False
+        self.gate, self.imu_said, self.guarded = Gate(), "", True
+        self.jumps, self.jumped_at, self.clock_step, self.compared = 0, 0, 0.0, -1
+        following = round(FOLLOWING / self.period)
+        self.travelled: deque[tuple[float, float]] = deque(maxlen=following)  # asked, seen
+        self.owing, self.reopened, self.gone = False, NEVER, {"servo": False, "imu": False}
+        self.lost, self.hardware, self.turn, self.late = False, "", 0, 0.0
+        self.share: float | None = None
         self.decided_on = np.zeros((FRAMES, 6))
 
     # ---- one period -----------------------------------------------------------------------------
 
     def tick(self, now: float) -> None:
         """One period that begins at `now` [s], monotonic."""
-        began = time.monotonic()
+        began, worked = time.monotonic(), time.thread_time()
+        self.guarded = self.alive(self.torque)
         self._listen(now)
         self._read()
+        if self.torque:
+            self._look_after()
         health = self.health(now)
         before = self.stand
         self.stand = safety.judge(self.stand, health, self.limits)
@@ -92,20 +112,28 @@ class Loop:
             self._let_go()
         elif self.stand.state in (State.ARMED, State.RUN, State.HOLD):
             self._send(decision)
-        row = self._row(now, health, decision, time.monotonic() - began)
+        elif self.owing:
+            self._let_go(tries=1)
+        if self.stand.state is not State.RUN:
+            self._mend(now)
+        row = self._row(now, health, decision)
+        row["busy_s"], row["compute_s"] = time.monotonic() - began, time.thread_time() - worked
+        self.pace.busy.add(row["busy_s"])
+        self.pace.compute.add(row["compute_s"])
         self.put(row)
-        self._report(row, began - now)
+        self._report(row, self.late)
 
     def _listen(self, now: float) -> None:
         """Datagrams of this period, and a question for the laptop's clock now and then."""
         receiver = self.devices.receiver
         for data, _ in link.drain(self.devices.socket):
             receiver.take(data, time.monotonic_ns())
+        self._compare_clocks()
         for frame in reversed(receiver.frames):
             if frame.fish is not None and (
                 not self.seen or frame.captured > self.seen[-1].captured
             ):
-                self.seen.append(frame)
+                self._take(frame)
         for order in receiver.take_orders():
             self._obey(order, now)
         if now - self.asked >= ASK_EVERY:
@@ -126,17 +154,88 @@ class Loop:
         if said is not None:
             self._to_laptop(said)
 
+    def _take(self, frame: Frame) -> None:
+        """A newer frame, if the fish can have come there; one that is old anyway is replaced."""
+        if self.seen and not plausible.pose_follows(self.seen[-1], frame, self.bounds):
+            self.jumps += frame.captured > self.jumped_at
+            self.jumped_at = max(frame.captured, self.jumped_at)
+            return
+        self.jumps = 0
+        self.seen.append(frame)
+
+    def _compare_clocks(self) -> None:
+        """Where the laptop's clock stepped: only the echo since counts, and the frames' stamps are
+        put on the new clock unless they are on it already."""
+        receiver = self.devices.receiver
+        if receiver.told == self.compared:
+            return
+        self.compared = receiver.told
+        step = plausible.clock_step(receiver.clock.echoes, self.bounds)
+        if not step:
+            return
+        self.clock_step += step / SECOND
+        newest = receiver.clock.echoes[-1]
+        receiver.clock.echoes.clear()
+        receiver.clock.echoes.append(newest)
+        receiver.frames.clear()  # else frames of a clock set back would be refused as old
+        now = time.monotonic_ns()
+        for _ in range(len(self.seen)):
+            frame = self.seen.popleft()
+            age = receiver.age(frame, now) or 0.0
+            shifted = replace(frame, captured=max(frame.captured + step, 0))
+            on_it = -self.limits.clock_doubt < age < self.limits.pose_hold
+            self.seen.append(frame if on_it else shifted)
+
     def _read(self) -> None:
         try:
             self.servo = self.devices.servo.read()
+            self.gone["servo"] = False
             self.currents.append(self.servo.current)
             self.monitor.add(self.servo.time, self.servo.angle)
-        except ServoFault:
-            pass  # silence shows in its age
+            self.travelled.append((self.sent, self.servo.angle))
+        except ServoFault as fault:  # silence shows in its age
+            self.gone["servo"] = fault.kind == "gone"
         try:
-            self.yaw = self.devices.imu.read() or self.yaw
-        except ImuFault:
+            self._believe(self.devices.imu.read())
+            self.gone["imu"], self.imu_said = False, ""
+        except ImuFault as fault:
+            self.gone["imu"], self.imu_said = fault.kind == "gone", fault.kind
+
+    def _believe(self, yaw: YawRate | None) -> None:
+        if yaw is None:
+            return
+        self.gate, believed = plausible.gated(self.gate, yaw.rate, self.bounds)
+        if believed:
+            self.yaw = yaw
+
+    def _look_after(self) -> None:
+        """Whether the servo still holds torque, and whether its watchdog stopped it: one question
+        in every second period, so that the bus stays free. Silence shows in its age."""
+        self.turn += 1
+        servo, due = self.devices.servo, self.turn % CHECK_EVERY == 0
+        try:
+            if self.servo is not None and self.servo.alert and not self.hardware:
+                self.hardware = ", ".join(servo.hardware_errors())
+            elif due and self.turn // CHECK_EVERY % 2:
+                self.lost = not servo.is_on()
+            elif due:
+                self.watchdog = self.watchdog or servo.stopped_itself()
+        except ServoFault:
             pass
+
+    def _mend(self, now: float) -> None:
+        """A port whose cable was out is opened again, never while the policy swims."""
+        broken = self.gone["servo"] or self.gone["imu"] or self.imu_said == "frozen"
+        if not broken or now - self.reopened < REOPEN_EVERY:
+            return
+        self.reopened = now
+        try:
+            if self.gone["servo"]:
+                self.devices.servo.reopen()
+            else:
+                self.devices.imu.reopen()
+        except (ServoFault, ImuFault):
+            pass  # again in a moment
 
     def health(self, now: float) -> Health:
         """What is known at this moment."""
@@ -155,20 +254,24 @@ class Loop:
             voltage=servo.voltage if servo else 12.0,
             current=float(np.mean(np.abs(self.currents))) if self.currents else 0.0,
             alert=bool(servo and servo.alert),
-            torque_lost=self.torque and self._torque_lost(),
+            torque_lost=self.torque and self.lost,
             watchdog=self.watchdog,
             overruns=len(self.missed),
             finite=self.finite,
             logging=self.logging(),
             stop_asked=self.stop_asked,
+            hardware=self.hardware,
+            imu_frozen=self.imu_said == "frozen",
+            follows=not self.torque or self._follows(),
+            jumps=self.jumps,
+            clock_step=self.clock_step,
+            guarded=self.guarded,
         )
 
-    def _torque_lost(self) -> bool:
-        """Whether the servo let go by itself; asked for while it should hold."""
-        try:
-            return not self.devices.servo.is_on()
-        except ServoFault:
-            return False  # silence shows in its age
+    def _follows(self) -> bool:
+        whole = len(self.travelled) == self.travelled.maxlen
+        asked, seen = zip(*self.travelled, strict=True) if whole else ((), ())
+        return plausible.shaft_follows(asked, seen, self.bounds)
 
     def _target_of(self, frame: Frame) -> tuple[float, float] | None:
         return self.target or frame.target
@@ -197,7 +300,8 @@ class Loop:
         return decision
 
     def _send(self, decision: pilot.Decision | None) -> None:
-        """The policy's setpoint; held while armed, straight and slowly on hold."""
+        """The policy's setpoint; held while armed, straight and slowly on hold. A servo that its
+        own watchdog stopped is, on hold, brought back from where it stands."""
         limits = self.limits
         if decision is not None:
             wanted, speed = decision.setpoint, limits.slew
@@ -206,9 +310,17 @@ class Loop:
             speed = limits.ramp
         angle = safety.shaped(wanted, self.sent, self.low, self.high, speed, self.period)
         try:
+            if self.watchdog and self.stand.state is State.HOLD:
+                self.sent = self.devices.servo.release()
+                self.watchdog = False
+                return
             self.sent = self.devices.servo.write(angle)
         except ServoFault as fault:
             self.watchdog = self.watchdog or fault.kind == "watchdog"
+        if decision is not None:
+            self.pace.latency.add(
+                self.devices.receiver.age(self.seen[-1], time.monotonic_ns()) or 0
+            )
 
     # ---- what an operator does ------------------------------------------------------------------
 
@@ -226,13 +338,15 @@ class Loop:
 
     def arm(self, now: float) -> Stand:
         """Torque on where the tail stands, if nothing speaks against it."""
-        self.finite, self.stop_asked = True, ""
+        self.finite, self.stop_asked, self.clock_step, self.hardware = True, "", 0.0, ""
         self.stand = safety.arm(self.stand, self.health(now), self.limits)
         if self.stand.state is State.ARMED:
             try:
                 self.devices.servo.prepare(self.low, self.high)
+                self.alive(True)  # the warden knows before torque is on
                 self.sent = self.devices.servo.arm()
-                self.torque, self.watchdog = True, False
+                self.torque, self.watchdog, self.lost = True, False, False
+                self.travelled.clear()
                 self.course = pilot.begin(self.policy)
             except ServoFault as fault:
                 self._let_go()
@@ -250,14 +364,16 @@ class Loop:
         self.stop_asked, self.stand = "", safety.disarm(self.stand)
         return self.stand
 
-    def _let_go(self) -> None:
-        self.torque = False
-        for _ in range(3):
+    def _let_go(self, tries: int = 3) -> None:
+        """Torque off; `owing` until the servo confirmed it, and tried again every period."""
+        self.torque, self.owing = False, True
+        for _ in range(tries):
             try:
                 self.devices.servo.torque_off()
+                self.owing = False
                 return
-            except ServoFault:
-                continue  # in the end its own watchdog stops it
+            except ServoFault as fault:
+                self.gone["servo"] = fault.kind == "gone"
 
     # ---- many periods ---------------------------------------------------------------------------
 
@@ -267,24 +383,34 @@ class Loop:
         gc.freeze()
         gc.disable()  # a collection takes longer than a period may
         start = due = time.monotonic()
+        stood = self.stand
         try:
             while not over(due - start):
+                if self.stand is not stood:  # arming took time, and is no miss
+                    due += self.period * max((time.monotonic() - due) // self.period, 0.0)
+                self.late = time.monotonic() - due
+                self.pace.late.add(self.late)
                 self.tick(due)
+                self.pace.periods += 1
                 due += self.period
                 late = time.monotonic() - due
                 if late > 0:
                     skipped = math.ceil(late / self.period)
                     self.missed.extend([due] * skipped)
+                    self.pace.skipped += skipped
                     due += skipped * self.period
-                time.sleep(max(due - time.monotonic(), 0.0))
+                stood = self.stand
+                sleep_until(due)
         finally:
             self._let_go()
             gc.enable()
 
-    def _row(self, now: float, health: Health, decision: pilot.Decision | None, busy: float) -> Row:
+    def _row(self, now: float, health: Health, decision: pilot.Decision | None) -> Row:
+        """For the log; `tick` adds how long it took."""
         servo, frame = self.servo, self.seen[-1] if self.seen else None
         x, y, yaw = (frame.fish if frame and frame.fish else None) or (math.nan,) * 3
-        share = self.monitor.share()
+        if self.pace.periods % BAND_EVERY == 0:
+            self.share = self.monitor.share()
         return {
             "time_s": now,
             "state": self.stand.state.value,
@@ -301,9 +427,11 @@ class Loop:
             "temperature_deg_c": health.temperature,
             "voltage_v": health.voltage,
             "current_a": health.current,
-            "band_share": math.nan if share is None else share,
-            "busy_s": busy,
+            "band_share": math.nan if self.share is None else self.share,
+            "late_s": self.late,
             "missed": health.overruns,
+            "spikes": self.gate.count,
+            "pose_jumps": self.jumps,
             "observation": decision.observation if decision else [],
             "action": decision.action if decision else [],
             "setpoint_rad": decision.setpoint if decision else math.nan,

@@ -36,6 +36,7 @@ class Limits:
     voltage_high: float = 16.0
     current_stop: float = 4.0  # A, for longer than a beat
     overruns_hold: int = 10  # periods missed within a second
+    jumps_hold: int = 6  # frames in a row whose pose the fish cannot have come to
     slew: float = 20.0  # rad/s of the setpoint: above what the generator asks
     ramp: float = 1.0  # rad/s on the way to straight
 
@@ -46,7 +47,12 @@ class Health:
     `clock_doubt` [s] (infinite: clocks not compared), whether the fish and a target were seen,
     servo temperature [deg C], voltage [V], mean current [A], hardware alert, whether it holds the
     torque it was told to, whether its own watchdog stopped it; periods missed within a second;
-    whether the policy gave a number; whether the log still writes; who asked to stop, if anyone."""
+    whether the policy gave a number; whether the log still writes; who asked to stop, if anyone.
+
+    `hardware` names the servo's errors and `imu_frozen` says that the IMU's numbers stand still;
+    `follows`: whether the shaft moves when asked; `jumps`: frames in a row with an impossible pose;
+    `clock_step` [s] of the laptop's clock since arming; `guarded`: whether someone lets go if the
+    loop dies."""
 
     pose_age: float = math.inf
     imu_age: float = math.inf
@@ -63,6 +69,12 @@ class Health:
     finite: bool = True
     logging: bool = True
     stop_asked: str = ""
+    hardware: str = ""
+    imu_frozen: bool = False
+    follows: bool = True
+    jumps: int = 0
+    clock_step: float = 0.0
+    guarded: bool = True
 
 
 @dataclass(frozen=True)
@@ -77,9 +89,14 @@ def stops(health: Health, limits: Limits) -> str:
     """Why the torque must go, or "" if it need not."""
     found = {
         f"stop asked by {health.stop_asked}": bool(health.stop_asked),
-        "the servo reports a hardware error": health.alert,
+        f"the servo reports a hardware error: {health.hardware or 'not named yet'}": (
+            health.alert or bool(health.hardware)
+        ),
         "the servo lost its torque: it restarted or shut down": health.torque_lost,
         f"servo at {health.temperature:.0f} deg C": health.temperature >= limits.temperature_stop,
+        "the shaft does not follow: the tail is jammed, or the encoder stands still": (
+            not health.follows
+        ),
         f"servo current {abs(health.current):.1f} A": abs(health.current) >= limits.current_stop,
         f"no servo for {health.servo_age:.1f} s": health.servo_age >= limits.servo_stop,
         f"no pose for {health.pose_age:.1f} s": health.pose_age >= limits.pose_stop,
@@ -96,6 +113,14 @@ def holds(health: Health, limits: Limits) -> str:
         f"no servo for {1e3 * health.servo_age:.0f} ms": not health.servo_age < limits.servo_hold,
         f"no yaw rate for {1e3 * health.imu_age:.0f} ms": not health.imu_age < limits.imu_hold,
         f"no pose for {1e3 * health.pose_age:.0f} ms": not health.pose_age < limits.pose_hold,
+        f"the laptop's clock jumped by {health.clock_step:.2f} s": health.clock_step != 0,
+        f"a pose from {-1e3 * health.pose_age:.0f} ms ahead: a clock jumped": (
+            health.pose_age < -limits.clock_doubt
+        ),
+        f"{health.jumps} poses in a row that the fish cannot have come to": (
+            health.jumps >= limits.jumps_hold
+        ),
+        "the IMU's numbers stand still": health.imu_frozen,
         "the clocks are not compared": not health.clock_doubt < limits.clock_doubt,
         "no target": not health.target,
         f"servo at {health.temperature:.0f} deg C": not health.temperature
@@ -104,6 +129,7 @@ def holds(health: Health, limits: Limits) -> str:
         f"{health.overruns} periods missed within a second": health.overruns
         >= limits.overruns_hold,
         "the log cannot be written": not health.logging,
+        "the warden is gone: nobody would let go if the loop died": not health.guarded,
     }
     return next((reason for reason, holds in found.items() if holds), "")
 

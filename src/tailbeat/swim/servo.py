@@ -7,7 +7,6 @@ at. Addresses, units and limits: e-manual XW430-T200 (not tried on a real one).
 
 import contextlib
 import math
-import termios
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -26,6 +25,7 @@ from tailbeat.swim.packet import (
     Parser,
     encode,
 )
+from tailbeat.swim.wire import GONE, heard
 
 MODEL = 1280  # XW430-T200
 COUNT = 2 * math.pi / 4096  # rad
@@ -41,7 +41,6 @@ POSITION_MODE = 3
 WATCHDOG_UNIT = 0.020  # s
 DEADLINE = 0.005  # s for a reply
 PATIENCE = 0.1  # s for the first one: nothing moves yet
-GONE = (serial.SerialException, OSError, termios.error)  # what a pulled cable raises
 HARDWARE = {0: "voltage", 2: "overheat", 3: "encoder", 4: "electrical shock", 5: "overload"}
 
 
@@ -103,7 +102,7 @@ class Servo:
         try:
             self.set(GOAL, counts)
         except ServoFault as fault:
-            if fault.kind == "refused" and self.get(BUS_WATCHDOG) == 0xFF:
+            if fault.kind == "refused" and self.stopped_itself():
                 raise ServoFault("watchdog", "the servo's bus watchdog stopped it") from None
             raise
         return self.sign * COUNT * (counts - CENTRE)
@@ -112,6 +111,10 @@ class Servo:
 
     def prepare(self, low: float, high: float) -> None:
         """Torque off, position mode, limits [rad] as the last defence, quick replies to all."""
+        with self._patient():
+            self._prepare(low, high)
+
+    def _prepare(self, low: float, high: float) -> None:
         self.torque_off()
         ends = sorted(CENTRE + self.sign * round(end / COUNT) for end in (low, high))
         wanted = {OPERATING_MODE: POSITION_MODE, RETURN_DELAY: 0, LOWEST: ends[0], HIGHEST: ends[1]}
@@ -123,17 +126,36 @@ class Servo:
     def arm(self, watchdog: float = 0.1) -> float:
         """Hold where it stands: the goal first, the servo's own watchdog [s] (at most 2.54), and
         torque last, so that it never is on unwatched; the angle held."""
+        with self._patient():
+            held = self.release(watchdog)
+            self.set(TORQUE, 1)
+        return held
+
+    @contextlib.contextmanager
+    def _patient(self) -> Iterator[None]:
+        """Longer for a reply: nothing moves yet, and EEPROM takes its time."""
+        usual, self.deadline = self.deadline, max(self.deadline, PATIENCE)
+        try:
+            yield
+        finally:
+            self.deadline = usual
+
+    def release(self, watchdog: float = 0.1) -> float:
+        """After its own watchdog stopped it: goals are taken again, the first one where the shaft
+        stands, and the watchdog [s] is set anew; the angle held. Torque is as it was."""
         self.set(BUS_WATCHDOG, 0)
-        here = self.read().angle
-        held = self.write(here)
-        self.set(BUS_WATCHDOG, min(max(round(watchdog / WATCHDOG_UNIT), 1), 127))
-        self.set(TORQUE, 1)
+        held = self.write(self.read().angle)
+        self.set(BUS_WATCHDOG, _periods(watchdog))
         return held
 
     def torque_off(self) -> None:
         """Let go, whatever state it is in; then the watchdog off, so that it can be set up."""
         self.set(TORQUE, 0)
         self.set(BUS_WATCHDOG, 0)
+
+    def stopped_itself(self) -> bool:
+        """Whether its own watchdog stopped it, and goals are refused until `release`."""
+        return self.get(BUS_WATCHDOG) == 0xFF
 
     def is_on(self) -> bool:
         """Whether the servo holds torque."""
@@ -160,6 +182,15 @@ class Servo:
         address, size = register
         body = address.to_bytes(2, "little") + (value % (1 << 8 * size)).to_bytes(size, "little")
         self._ask(WRITE, body, 0, tries=1)
+
+    def reopen(self) -> None:
+        """Open the port anew, after the cable was out. Raises ServoFault."""
+        with contextlib.suppress(*GONE):
+            self.port.close()
+        try:
+            self.port.open()
+        except GONE as error:
+            raise ServoFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
 
     def close(self) -> None:
         """Let go as far as it can still be told, and close the port."""
@@ -199,9 +230,8 @@ class Servo:
 
     def _replies(self) -> Iterator[Packet]:
         end = time.monotonic() + self.deadline
-        while (left := end - time.monotonic()) > 0:
-            self.port.timeout = left
-            yield from self.parser.feed(self.port.read(max(self.port.in_waiting, 1)))
+        while time.monotonic() < end and (data := heard(self.port, end)):
+            yield from self.parser.feed(data)
 
 
 def connect(
@@ -228,6 +258,11 @@ def connect(
         port.close()
         raise BadInput(f"{path}: model {model}; an XW430-T200 says {MODEL}. Give its port.")
     return servo
+
+
+def _periods(watchdog: float) -> int:
+    """A bus watchdog [s] in its own unit."""
+    return min(max(round(watchdog / WATCHDOG_UNIT), 1), 127)
 
 
 def _pair(address: int, length: int) -> bytes:

@@ -1,0 +1,148 @@
+"""What does `tailbeat doctor` do? Goes through the checks, in the order in which things fail."""
+
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tailbeat import robot_tasks, swim_tasks
+from tailbeat.control.policy import check_fits, load_policy
+from tailbeat.evaluate.evaluation import check_same_body
+from tailbeat.files import BadInput
+from tailbeat.fish.store import digest, load_fish
+from tailbeat.learn.body import PERIOD
+from tailbeat.pool.plant import LENGTH, WIDTH
+
+if TYPE_CHECKING:
+    from tailbeat.swim.doctor import Finding  # needs the extra
+
+Check = Callable[[], "list[Finding]"]
+BAD = "bad"
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Where the parts are; "" or None: not given, not looked at."""
+
+    servo: str = ""
+    imu: str = ""
+    listen: tuple[str, int] | None = None
+    laptop: tuple[str, int] | None = None
+    key: Path | None = None
+
+
+def examine(
+    emulated: bool,
+    policy: str,
+    fish: str,
+    parts: Parts,
+    logs: Path,
+    seed: int,
+    cameras: Sequence[Check] = (),
+) -> "list[Finding]":
+    """Every check that applies; `cameras` are those of a camera. With `emulated`, of a bench that
+    is started for it."""
+    robot_tasks.need_extra()
+    with ExitStack() as stack:
+        if emulated:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tailbeat-")))
+            bench = robot_tasks.own_rig(fish, "1.5,0.5", seed, folder)
+            ports, key = stack.enter_context(bench)
+            parts = Parts(ports.servo, ports.imu, ports.listen, ports.laptop, key)
+        return [
+            *check_policy(policy, fish),
+            *of_computer(logs),
+            *of_servo(parts),
+            *of_imu(parts),
+            *of_link(parts),
+            *(finding for check in cameras for finding in check()),
+        ]
+
+
+def check_policy(policy: str, fish: str) -> "list[Finding]":
+    """Whether the policy may run, and on this fish."""
+    from tailbeat.swim.doctor import finding
+
+    try:
+        loaded = load_policy(policy)
+    except BadInput as error:
+        do = "export it again, or name a shipped one"
+        return [finding("policy", str(error), bad=True, do=do)]
+    contract = loaded.contract
+    found = [finding("policy", f"trained for {contract.fish}")]
+    try:
+        trained, own = swim_tasks.twin_of(loaded, None), load_fish(fish)
+        check_same_body(trained, own)
+        check_fits(contract, trained.name, digest(trained), own.band, PERIOD)
+    except BadInput as error:
+        do = "train one for this fish, or give the fish that it was trained for"
+        return [*found, finding("policy fits the fish", str(error), bad=True, do=do)]
+    return [*found, finding("policy fits the fish", fish)]
+
+
+def of_computer(logs: Path) -> "list[Finding]":
+    """Disk, rights, clock rate, wireless."""
+    from tailbeat.swim import doctor
+
+    return [
+        doctor.check_disk(logs),
+        *doctor.check_scheduling(),
+        doctor.check_governor(),
+        doctor.check_wireless(),
+    ]
+
+
+def of_servo(parts: Parts) -> "list[Finding]":
+    """From its port to its last register."""
+    from tailbeat.swim import doctor
+
+    if not parts.servo:
+        return []
+    found = doctor.check_port("servo's port", parts.servo)
+    if any(finding.verdict == BAD for finding in found[:1]):
+        return found
+    servo, answer = doctor.find_servo(parts.servo)
+    if servo is None:
+        return [*found, answer]
+    try:
+        return [*found, answer, *doctor.check_servo(servo)]
+    finally:
+        servo.port.close()  # looked at, not touched
+
+
+def of_imu(parts: Parts) -> "list[Finding]":
+    """From its port to its noise."""
+    from tailbeat.swim import doctor
+
+    if not parts.imu:
+        return []
+    found = doctor.check_port("IMU's port", parts.imu)
+    if any(finding.verdict == BAD for finding in found[:1]):
+        return found
+    imu, answer = doctor.find_imu(parts.imu)
+    if imu is None:
+        return [*found, answer]
+    try:
+        return [*found, answer, *doctor.check_imu(imu)]
+    finally:
+        imu.close()
+
+
+def of_link(parts: Parts) -> "list[Finding]":
+    """Key, address, laptop."""
+    from tailbeat.swim import doctor, link
+
+    if parts.listen is None and parts.key is None:
+        return []
+    key = doctor.check_key(parts.key)
+    if key.verdict == BAD or parts.key is None or parts.listen is None or parts.laptop is None:
+        return [key]
+    try:
+        made = link.bind(*parts.listen)
+    except BadInput as error:
+        return [key, doctor.finding("own address", str(error), bad=True, do="give another")]
+    with made:
+        receiver = link.Receiver(link.read_key(parts.key), (LENGTH, WIDTH))
+        return [key, *doctor.check_link(made, parts.laptop, receiver)]

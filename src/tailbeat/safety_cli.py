@@ -1,0 +1,136 @@
+"""Verbs of safety: `faults`, `pace`, `let-go`, `doctor`, `unit`. Parse, call, print."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tailbeat import console, doctor_tasks, robot_tasks, safety_tasks
+from tailbeat.files import BadInput, new_file, refuse_existing, write_json
+
+POLICY = "pulley-fish-pool-generator"
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
+FishOption = Annotated[str, typer.Option("--fish", help="The pool's fish: a file or a name.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
+PolicyOption = Annotated[str, typer.Option("--policy", help="A policy, .onnx, or a shipped name.")]
+ServoPort = Annotated[str, typer.Option("--servo", help="The servo's serial port.")]
+
+
+def faults(
+    policy: PolicyOption = POLICY,
+    fish: FishOption = "pulley-fish",
+    only: Annotated[list[str] | None, typer.Option(help="Faults by name; default: all.")] = None,
+    kills: Annotated[int, typer.Option(help="Kill the loop so often, at random moments.")] = 0,
+    table: Annotated[
+        Path | None, typer.Option("--table", help="Also write the table here, Markdown.")
+    ] = None,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Break everything that can break, in real time on the emulated bench, and time the way to
+    safety; exit code 1 where a fault does not lead there."""
+    for path in filter(None, (table, json)):
+        refuse_existing(path)
+    done = safety_tasks.faults(policy, fish, only or [], kills, seed, console.say)
+    console.tables(dict(done))
+    if table is not None:
+        with new_file(table) as beside:
+            beside.write_text(safety_tasks.markdown(done["faults"]), encoding="utf-8")
+    if json is not None:
+        write_json(json, done)
+    if not all(row["ok"] for row in done["faults"]):
+        raise typer.Exit(1)
+
+
+def pace(
+    policy: PolicyOption = POLICY,
+    fish: FishOption = "pulley-fish",
+    minutes: Annotated[float, typer.Option(help="How long.")] = 10.0,
+    allowed: Annotated[float, typer.Option(help="Lateness p99.9 asked for, ms.")] = 2.0,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """How punctual the loop is on this machine, on the emulated bench: lateness, work, latency,
+    drift; exit code 1 where p99.9 of the lateness is beyond what is asked."""
+    if json is not None:
+        refuse_existing(json)
+    done = safety_tasks.pace(policy, fish, minutes, seed, console.say)
+    console.tables({"pace": [done]})
+    if json is not None:
+        write_json(json, done)
+    if not done["late_p99.9_ms"] <= allowed:
+        raise typer.Exit(1)
+
+
+def let_go(
+    servo: ServoPort,
+    ident: Annotated[int, typer.Option("--id", help="The servo's id.")] = 1,
+    baud: Annotated[int, typer.Option(help="Its baud rate.")] = 1_000_000,
+) -> None:
+    """Take the torque away, whoever left it on; exit code 2 where the servo does not confirm."""
+    safety_tasks.let_go(servo, ident, baud)
+    console.say(f"{servo}: torque is off")
+
+
+def doctor(
+    emulated: Annotated[
+        bool, typer.Option("--rig", help="Look at an emulated bench, started for this.")
+    ] = False,
+    policy: PolicyOption = POLICY,
+    fish: FishOption = "pulley-fish",
+    servo: Annotated[str, typer.Option("--servo", help="The servo's serial port.")] = "",
+    imu: Annotated[str, typer.Option("--imu", help="The IMU's serial port.")] = "",
+    listen: Annotated[str, typer.Option(help="host:port to listen on for poses.")] = "",
+    laptop: Annotated[str, typer.Option(help="host:port of the laptop.")] = "",
+    key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
+    logs: Annotated[Path, typer.Option(help="Folder that logs are written to.")] = Path(),
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """What keeps the fish from moving, and what to do about it; nothing is moved. Exit code 1
+    where something is bad."""
+    if json is not None:
+        refuse_existing(json)
+    if not emulated and not any((servo, imu, listen, key)):
+        raise BadInput("doctor: give --servo, --imu, --listen with --laptop, --key, or --rig.")
+    ends = [
+        robot_tasks.address(text, option) if text else None
+        for text, option in ((listen, "--listen"), (laptop, "--laptop"))
+    ]
+    parts = doctor_tasks.Parts(servo, imu, ends[0], ends[1], key)
+    found = doctor_tasks.examine(emulated, policy, fish, parts, logs, seed)
+    rows = [vars(finding) for finding in found]
+    console.tables({"doctor": rows})
+    if json is not None:
+        write_json(json, {"findings": rows})
+    if any(finding.verdict == "bad" for finding in found):
+        raise typer.Exit(1)
+
+
+def unit(
+    out: Annotated[Path, typer.Option("--out", help="The unit to write, .service.")],
+    policy: Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")],
+    servo: ServoPort,
+    imu: Annotated[str, typer.Option("--imu", help="The IMU's serial port.")],
+    listen: Annotated[str, typer.Option(help="host:port to listen on for poses.")],
+    laptop: Annotated[str, typer.Option(help="host:port of the laptop.")],
+    key: Annotated[Path, typer.Option("--key", help="The shared key.")],
+    logs: Annotated[Path, typer.Option(help="Folder for the logs, one for each start.")],
+    user: Annotated[str, typer.Option(help="Whom it runs as, not root.")] = "fish",
+) -> None:
+    """Write a systemd unit that runs `tailbeat drive` with these words, disarmed until ordered."""
+    held = Path(policy)
+    words = [
+        str(held.resolve()) if held.is_file() else policy,
+        "--wait",
+        "--seconds",
+        "inf",
+        "--servo",
+        servo,
+        "--imu",
+        imu,
+    ]
+    words += ["--listen", listen, "--laptop", laptop, "--key", str(key.resolve())]
+    words += ["--log", str(logs.resolve())]
+    safety_tasks.unit(out, user, servo, words)
+    console.say(f"wrote {out}; copy it to /etc/systemd/system, then systemctl daemon-reload")

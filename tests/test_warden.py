@@ -1,0 +1,164 @@
+"""The warden: who lets go when the loop is killed, hangs, or leaves half a packet on the bus."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import pytest
+
+pytest.importorskip("serial", reason="the robot extra is not installed")
+
+from lines import served
+from tailbeat.files import BadInput
+from tailbeat.pool.servo import Dynamixel, serve
+from tailbeat.swim import warden
+from tailbeat.swim.packet import WRITE, Packet, encode
+from tailbeat.swim.servo import connect
+
+PATIENT = 0.25
+# A loop in miniature: it arms, keeps the servo's watchdog at bay, and tells the warden.
+LOOP = """
+import sys, time
+from tailbeat.swim import servo, warden
+motor = servo.connect(sys.argv[1], deadline=0.25)
+with warden.guard(sys.argv[1]) as watcher:
+    motor.prepare(-1.4, 1.4)
+    watcher.beat(True)
+    motor.arm(2.5)
+    print("armed", flush=True)
+    while True:
+        watcher.beat(True)
+        motor.write(0.3)
+        time.sleep(0.02)
+"""
+
+
+@dataclass
+class Bench:
+    device: Dynamixel
+    path: str
+    pull: Callable[[], None]
+
+    @property
+    def on(self) -> bool:
+        return bool(self.device.get(64))
+
+    def armed(self) -> None:
+        servo = connect(self.path, deadline=PATIENT)
+        servo.prepare(-1.4, 1.4)
+        servo.arm(2.5)
+        servo.port.close()
+        assert self.on
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    device = Dynamixel()
+    with served(serve, device) as (path, pull):
+        yield Bench(device, path, pull)
+
+
+@pytest.fixture
+def loop(bench) -> Iterator[subprocess.Popen]:
+    process = subprocess.Popen([sys.executable, "-c", LOOP, bench.path], stdout=subprocess.PIPE)
+    assert process.stdout is not None and process.stdout.readline() == b"armed\n" and bench.on
+    yield process
+    if process.poll() is None:
+        process.kill()
+    process.wait()
+    process.stdout.close()
+
+
+def off_within(bench: Bench, seconds: float) -> float:
+    began = time.monotonic()
+    while bench.on:
+        assert time.monotonic() - began < seconds, "torque is still on"
+        time.sleep(0.002)
+    return time.monotonic() - began
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGTERM, signal.SIGINT])
+def test_whatever_ends_the_loop_the_torque_goes(bench, loop, number):
+    os.kill(loop.pid, number)
+    off_within(bench, 5.0)
+
+
+def test_a_loop_that_is_stopped_while_it_holds_torque_is_ended_and_the_torque_goes(bench, loop):
+    os.kill(loop.pid, signal.SIGSTOP)
+    off_within(bench, 10.0)
+    loop.wait(5)
+    assert loop.returncode == -signal.SIGKILL
+
+
+def test_half_a_packet_of_the_dead_is_written_over(bench):
+    bench.armed()
+    whole = encode(Packet(1, WRITE, bytes.fromhex("740000080000")))
+    for cut in range(1, len(whole)):
+        bench.device.put(64, 1)
+        bench.device.stream[:] = whole[:cut]
+        assert warden.let_go(bench.path, trying=5.0) == "" and not bench.on, cut
+
+
+def test_a_latched_watchdog_and_replies_that_are_lost_do_not_keep_the_torque_on(bench):
+    bench.armed()
+    bench.device.trip()
+    bench.device.faults.mute = 2
+    assert warden.let_go(bench.path, trying=5.0) == ""
+    assert not bench.on and bench.device.get(98) == 0
+
+
+def test_a_loop_that_says_farewell_is_left_alone_and_one_that_does_not_is_not(bench):
+    for said, torque in ((True, True), (False, False)):
+        bench.armed()
+        with warden.guard(bench.path) as watcher:
+            assert watcher.beat(True)
+            if said:
+                watcher.farewell()
+        assert bench.on is torque
+
+
+def test_a_warden_that_is_gone_is_noticed(bench):
+    with warden.guard(bench.path) as watcher:
+        assert watcher.beat(False)
+        watcher.process.kill()
+        watcher.process.wait()
+        assert not watcher.beat(False)
+
+
+def test_what_cannot_be_told_is_said(bench, tmp_path):
+    bench.armed()
+    bench.pull()
+    assert "could not open" in warden.let_go(str(tmp_path / "nothing"), trying=0.1)
+    words = [sys.executable, "-m", "tailbeat", "let-go", "--servo", str(tmp_path / "nothing")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and "no such port" in done.stderr
+
+
+def test_the_verb_lets_go(bench):
+    bench.armed()
+    words = [sys.executable, "-m", "tailbeat", "let-go", "--servo", bench.path]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and "torque is off" in done.stdout and not bench.on
+
+
+def test_a_release_goes_on_from_where_the_servo_stopped_itself(bench):
+    servo = connect(bench.path, deadline=PATIENT)
+    servo.prepare(-1.4, 1.4)
+    servo.arm(2.5)
+    bench.device.shaft.angle = 0.4
+    bench.device.trip()
+    assert servo.stopped_itself()
+    assert servo.release(2.5) == pytest.approx(0.4, abs=0.05)
+    assert not servo.stopped_itself() and bench.on
+    assert servo.write(0.2) == pytest.approx(0.2, abs=0.01)
+    servo.close()
+
+
+def test_a_warden_that_cannot_start_is_refused(monkeypatch):
+    monkeypatch.setattr(warden.sys, "executable", "/bin/false")
+    with pytest.raises(BadInput, match="did not start"), warden.guard("/dev/null"):
+        pass
