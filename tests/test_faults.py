@@ -41,7 +41,8 @@ def test_a_fault_leads_to_its_safe_state_and_says_why(patient, case):
         assert case.words in row["operator sees"]
 
 
-def test_a_fish_that_goes_on_where_it_should_hold_is_not_called_safe(patient):
+def test_a_fish_that_goes_on_where_it_should_hold_is_not_called_safe(patient, monkeypatch):
+    monkeypatch.setattr(faults, "WAIT", 1.0)
     wrong = faults.Case("nothing is broken", "loop", "nothing", "hold", "no pose for")
     row = faults.measure(wrong, patient, POLICY, DRIVE, tries=1)
     assert not row["ok"]  # it may hold for another reason, and that does not count
@@ -71,15 +72,14 @@ def test_a_fault_that_is_none_is_refused():
 
 def test_the_loop_s_punctuality_is_measured_and_judged(tmp_path: Path):
     """What is measured depends on the machine; that it is judged does not."""
-    for allowed, code in ((1e6, 0), (0.0, 1)):
-        out = tmp_path / f"{allowed}.json"
-        command = [sys.executable, "-m", "tailbeat", "pace", "--minutes", "0.05", "--allowed",
-                   str(allowed), "--json", str(out)]  # fmt: skip
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-        assert done.returncode == code, done.stderr
-        found = json.loads(out.read_text())
-        assert 0 < found["compute_p50_ms"] < found["busy_max_ms"] and found["periods"] > 20
-        assert found["late_p50_ms"] <= found["late_p99_ms"] <= found["late_max_ms"]
+    out = tmp_path / "pace.json"
+    command = [sys.executable, "-m", "tailbeat", "pace", "--minutes", "0.05", "--allowed", "0",
+               "--json", str(out)]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1, done.stderr
+    found = json.loads(out.read_text())
+    assert 0 < found["compute_p50_ms"] < found["busy_max_ms"] and found["periods"] > 20
+    assert found["late_p50_ms"] <= found["late_p99_ms"] <= found["late_max_ms"]
 
 
 @pytest.mark.slow
