@@ -25,6 +25,7 @@ def train(
     resume: Annotated[bool, typer.Option(help="Go on from the folder's checkpoint.")] = False,
     device: Annotated[str, typer.Option(help="cpu, or cuda for the updates.")] = "cpu",
     servo: Annotated[str | None, typer.Option(help="Another of the fish's servos.")] = None,
+    stage: Annotated[str | None, typer.Option(help="Go on in this stage, by hand.")] = None,
     json: JsonOption = None,
 ) -> None:
     """Train a policy through the stages; exit code 1 if it did not pass them all."""
@@ -32,7 +33,18 @@ def train(
         refuse_existing(json)
     with console.training() as report:
         done = learn_tasks.train(
-            fish, out, actions, recipe, seed, hours, resume, device, servo, report, console.say
+            fish,
+            out,
+            actions,
+            recipe,
+            seed,
+            hours,
+            resume,
+            device,
+            servo,
+            stage,
+            report,
+            console.say,
         )
     console.trained(done)
     if json is not None:

@@ -27,6 +27,7 @@ def train(
     resume: bool,
     device: str,
     servo: str | None,
+    stage: str | None,
     report: Report,
     note: Callable[[str], None],
 ) -> dict[str, Any]:
@@ -40,7 +41,7 @@ def train(
     space = action_space(actions, described, chosen.binds)
     plan = Plan(described, space, chosen, seed, out, hours, device)
     note(f"replay buffer: {chosen.buffer_bytes / 1e6:.0f} MB of memory and of every checkpoint")
-    course = run(plan, resume, report)
+    course = run(plan, resume, report, stage)
     courses({f"{actions}, seed {seed}": vars(course)}, out / "curve.png")
     return {
         "folder": str(out),

@@ -15,7 +15,7 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
 from tailbeat.control.policy import Policy, decide
-from tailbeat.evaluate.scenes import CLEAR, TRIES
+from tailbeat.evaluate.scenes import TRIES
 from tailbeat.evaluate.swim_figures import BLUE, GREEN, ORANGE, RED
 from tailbeat.files import BadInput, new_file
 from tailbeat.fish.description import Fish
@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 WALLS = (LENGTH, WIDTH)
 PATIENCE = 30.0  # s for one target
 APART = 0.8  # m between one target and the next
+MARGIN = 0.65  # m that targets keep from the walls: room for the fish to turn behind them
 FILM_RATE, SPEED = 12.5, 4.0  # frames per second, seconds swum per second shown
 
 
@@ -64,7 +65,7 @@ class Tour:
 
 def draw_targets(count: int, seed: int) -> Array:
     """Places (count, 2) inside the paper's pool, each well apart from the one before."""
-    rng, room = np.random.default_rng(seed), np.array(WALLS) / 2 - CLEAR
+    rng, room = np.random.default_rng(seed), np.array(WALLS) / 2 - MARGIN
     places = [np.zeros(2)]
     for _ in range(TRIES * count):
         place = rng.uniform(-room, room)

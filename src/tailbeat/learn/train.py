@@ -23,8 +23,9 @@ from tailbeat.learn.sac import QuickSAC
 FOREVER = 10**12
 
 
-def train(plan: Plan, resume: bool, report: Report) -> Course:
-    """Train until the last stage is passed, the hours are over, a stage stalls or Ctrl-C.
+def train(plan: Plan, resume: bool, report: Report, stage: str | None = None) -> Course:
+    """Train until the last stage is passed, the hours are over, a stage stalls or Ctrl-C. With a
+    `stage` the run goes on in that one, whatever it has passed.
 
     Leaves `policy.onnx`, a checkpoint and `curve.json` in the folder whatever ended it. Raises
     BadInput before anything is built if the plan will not do, and when the disk is full.
@@ -39,6 +40,8 @@ def train(plan: Plan, resume: bool, report: Report) -> Course:
         planned.begin(plan)
     else:
         course = _restored(place, model, env)
+    if stage is not None:
+        _put_into(stage, plan, course)
     coach = Coach(plan, course, env, report)
     model.set_logger(configure(str(plan.out / "tensorboard"), ["tensorboard"]))
     with _stopped_by_signals(coach):
@@ -104,6 +107,15 @@ def _restored(place: Any, model: SAC, env: FishVecEnv) -> Course:
     if course.finished:
         raise BadInput(f"{place.parent}: this run has passed its last stage; nothing to resume.")
     return course
+
+
+def _put_into(stage: str, plan: Plan, course: Course) -> None:
+    """Begin a stage by hand; the stages passed stay what they were."""
+    names = [one.name for one in plan.recipe.stages]
+    if stage not in names:
+        raise BadInput(f"--stage {stage!r}: allowed are {', '.join(names)}.")
+    course.stage, course.stage_began = names.index(stage), course.seconds
+    course.recent.clear()
 
 
 @contextmanager
