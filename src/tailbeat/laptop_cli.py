@@ -22,6 +22,12 @@ def laptop(
     calibration: Annotated[
         Path | None, typer.Option("--calibration", help="A file of `tailbeat calibrate`.")
     ] = None,
+    fish_tag: Annotated[int, typer.Option(help="Id of the fish's tag, 36h11.")] = 0,
+    target_tag: Annotated[int, typer.Option(help="Id of the target's tag.")] = 1,
+    exposure: Annotated[float, typer.Option(help="Of the camera [s].")] = 0.002,
+    latency: Annotated[
+        float, typer.Option(help="From the exposure's end to the frame's stamp [s].")
+    ] = 0.0,
     fish: Annotated[
         str, typer.Option("--fish", help="The fish as drawn: a file or a name.")
     ] = "pulley-fish",
@@ -39,7 +45,8 @@ def laptop(
         refuse_existing(json)
     there = robot_tasks.address(robot, "--robot")
     ours = robot_tasks.address(listen, "--listen")
-    with laptop_tasks.open_tracker(camera, calibration) as tracker:
+    ids = fish_tag, target_tag
+    with laptop_tasks.open_tracker(camera, calibration, ids, exposure, latency) as tracker:
         tour = laptop_tasks.drawn_tour(targets, seed)
         laptop_tasks.laptop(there, ours, key, console_at, tracker, fish, console.say, tour)
     if json is not None:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from tailbeat.fish.store import load_fish
 from tailbeat.robot_tasks import open_console
 from tailbeat.swim.safety import State
 from tailbeat.swim.tour import Pose, Tour
+from tailbeat.track_tasks import need_extra
 
 Say = Callable[[str], None]
 TURN = 0.002  # s that a turn waits for the fish's word: the clock's answer must not
@@ -26,16 +26,22 @@ NO_CAMERA = "No camera given: the fish gets no poses."
 
 
 @contextmanager
-def open_tracker(camera: str, calibration: Path | None) -> Iterator[Any]:
-    """A tracker in a process beside (`newest`, `picture`, `fault`), or None without a camera.
-    Raises BadInput."""
+def open_tracker(
+    camera: str, calibration: Path | None, ids: tuple[int, int], exposure: float, latency: float
+) -> Iterator[Any]:
+    """A tracker in a process beside (`newest`, `picture`, `fault`), or None without a camera; ids
+    of fish and target, exposure and latency of the camera [s]. Raises BadInput."""
     if not camera:
         yield None
         return
     if calibration is None:
         raise BadInput("--camera: give its --calibration, made by `tailbeat calibrate`.")
-    read = import_module("tailbeat.swim.calibration").read_calibration
-    tracker = import_module("tailbeat.swim.tracking").start_tracker(camera, read(calibration))
+    need_extra()
+    from tailbeat.swim.calibration import read_calibration  # needs the extra
+    from tailbeat.swim.tracking import start_tracker
+
+    made = read_calibration(calibration)
+    tracker = start_tracker(camera, made, ids, exposure=exposure, latency=latency)
     try:
         yield tracker
     finally:
