@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tailbeat import robot_tasks, swim_tasks
+from tailbeat import robot_tasks, swim_tasks, track_tasks
 from tailbeat.control.policy import check_fits, load_policy
 from tailbeat.evaluate.evaluation import check_same_body
 from tailbeat.files import BadInput
@@ -59,6 +59,19 @@ def examine(
             *of_link(parts),
             *(finding for check in cameras for finding in check()),
         ]
+
+
+def of_camera(camera: str, calibration: Path | None) -> list[Check]:
+    """The checks of a camera, where one is given."""
+    if not camera:
+        return []
+    if calibration is None:
+        raise BadInput("--camera: give its --calibration, made by `tailbeat calibrate`.")
+    track_tasks.need_extra()
+    from tailbeat.swim.sight import check_camera  # needs the extra
+    from tailbeat.swim.tags import FISH, TARGET
+
+    return [lambda: check_camera(camera, calibration, (FISH, TARGET))]
 
 
 def check_policy(policy: str, fish: str) -> "list[Finding]":

@@ -83,6 +83,10 @@ def doctor(
     listen: Annotated[str, typer.Option(help="host:port to listen on for poses.")] = "",
     laptop: Annotated[str, typer.Option(help="host:port of the laptop.")] = "",
     key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
+    camera: Annotated[str, typer.Option(help="The laptop's camera: /dev/video0, unix:/path.")] = "",
+    calibration: Annotated[
+        Path | None, typer.Option(help="Its calibration, made by `tailbeat calibrate`.")
+    ] = None,
     logs: Annotated[Path, typer.Option(help="Folder that logs are written to.")] = Path(),
     seed: SeedOption = 0,
     json: JsonOption = None,
@@ -91,14 +95,17 @@ def doctor(
     where something is bad."""
     if json is not None:
         refuse_existing(json)
-    if not emulated and not any((servo, imu, listen, key)):
-        raise BadInput("doctor: give --servo, --imu, --listen with --laptop, --key, or --rig.")
+    if not emulated and not any((servo, imu, listen, key, camera)):
+        raise BadInput(
+            "doctor: give --servo, --imu, --listen with --laptop, --key, --camera, or --rig."
+        )
     ends = [
         robot_tasks.address(text, option) if text else None
         for text, option in ((listen, "--listen"), (laptop, "--laptop"))
     ]
     parts = doctor_tasks.Parts(servo, imu, ends[0], ends[1], key)
-    found = doctor_tasks.examine(emulated, policy, fish, parts, logs, seed)
+    cameras = doctor_tasks.of_camera(camera, calibration)
+    found = doctor_tasks.examine(emulated, policy, fish, parts, logs, seed, cameras)
     rows = [vars(finding) for finding in found]
     console.tables({"doctor": rows})
     if json is not None:
