@@ -120,7 +120,7 @@ def test_a_target_that_goes_on_ends_nothing_and_counts_when_it_was_kept(away, ke
     world.reset()
     done = [world.step(np.zeros((2, 6))) for _ in range(100)]
     assert not any(one.terminated.any() for one in done) and done[-1].truncated.all()
-    near = 8.0 * max(1 - away / 0.4, 0)
+    near = 8.0 * (1 - away)
     assert done[50].terms["bonus"] == pytest.approx([near, near], abs=0.05)
     assert not done[-2].reached.any() and (done[-1].reached == kept).all()
 

@@ -49,8 +49,18 @@ RETURNS = 5
 
 @pytest.fixture(scope="module")
 def filled() -> tuple[RelabelBuffer, np.ndarray]:
-    """A buffer of short episodes, some of which arrive, and the target of every transition."""
-    task = Task(seconds=2.0, nearest=0.1, farthest=0.6, arrival=0.08)
+    return fill(0.0)
+
+
+@pytest.fixture(scope="module")
+def followed() -> tuple[RelabelBuffer, Any]:
+    return fill(1.0)
+
+
+def fill(following: float) -> tuple[RelabelBuffer, Any]:
+    """A buffer of short episodes, some of which arrive, and the target of every transition; with
+    `following` 1 all go on after that."""
+    task = Task(seconds=2.0, nearest=0.1, farthest=0.6, arrival=0.08, following=following)
     env = FishVecEnv(FISH, 8, Settings(task=task), seed=0, reward_scale=0.01)
     spaces = env.observation_space, env.action_space
     buffer = RelabelBuffer(
@@ -98,6 +108,16 @@ def test_the_same_target_gives_the_same_sight_reward_and_end(filled):
     before = {name: one.copy() for name, one in parts.items()}
     buffer._retarget(parts, targets[at])
     assert before["ended"].sum() >= 1 and buffer.timeouts.sum() > 10
+    for name in ("seen", "next", "reward", "ended"):
+        assert parts[name] == pytest.approx(before[name], abs=1e-5), name
+
+
+def test_the_same_target_that_goes_on_gives_the_same_reward_and_no_end(followed):
+    buffer, targets = followed
+    at, parts = everything(buffer)
+    before = {name: one.copy() for name, one in parts.items()}
+    buffer._retarget(parts, targets[at])
+    assert not before["ended"].any() and before["reward"].max() > 0.1  # nearness pays
     for name in ("seen", "next", "reward", "ended"):
         assert parts[name] == pytest.approx(before[name], abs=1e-5), name
 

@@ -15,6 +15,7 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
 from tailbeat.control.observation import SCALES, TABLE, relative
 from tailbeat.learn.env import FishVecEnv
+from tailbeat.learn.world import NEAR
 
 Single = NDArray[np.float32]
 FIRST = 12  # observed numbers that depend on the target begin here
@@ -116,13 +117,21 @@ class RelabelBuffer(ReplayBuffer):
         parts["next"][chosen, FIRST:] = _seen(parts["next_frames"][chosen], target)
         world = self.source.world
         away = np.linalg.norm(way - target[:, None], axis=2)
-        hit = away < world.task.arrival  # NaN after an end: no hit
+        follows = self._following(len(away))
+        hit = (away < world.task.arrival) & ~follows[:, None]  # NaN after an end: no hit
         before = np.cumsum(hit, axis=1) - hit == 0
         weights = world.settings.reward
         earned = -weights.distance * np.nansum(away * before, axis=1) + parts["effort"][chosen]
         earned += weights.bonus * hit.any(axis=1)
+        near = np.nansum(np.maximum(1 - away / NEAR, 0.0), axis=1)
+        earned += weights.nearness * near * follows
         parts["reward"][chosen] = self.source.reward_scale * earned
         parts["ended"][chosen] = hit.any(axis=1)
+
+    def _following(self, count: int) -> Any:
+        """Which of the new targets go on after an arrival, as many as in the task."""
+        share = self.source.world.task.following
+        return np.random.random_sample(count) < share if share else np.zeros(count, bool)  # noqa: NPY002
 
     def _later(self, at: Any) -> Single:
         """Where each fish was some time later in the same episode, else at this step's end."""

@@ -26,7 +26,8 @@ Array = NDArray[np.float64]
 TERMS = ("distance", "effort", "bonus")  # of the reward
 PUSH_STEPS = 10  # control steps that a pulse lasts
 TIGHTEST = 0.6  # m, radius of a moving target's bend: as tight as the fish turns (chosen)
-NEAR, KEPT = 0.4, 0.8  # m from a target that goes on, share of the second half within it (chosen)
+NEAR = 1.0  # m from a target that goes on, within which nearness pays: beyond the fish's own circle
+BESIDE, KEPT = 0.4, 0.8  # m from it that count as kept, share of the second half (chosen)
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class Scene:
 @dataclass(frozen=True)
 class Reward:
     """r = -distance - effort ||a|| + bonus [distance < arrival] (paper). With a target that goes on
-    `nearness` (1 - distance / 0.4 m), above 0, stands for the bonus (ours: some seconds beside the
+    `nearness` (1 - distance / 1 m), above 0, stands for the bonus (ours: some seconds beside the
     target are worth what an arrival is)."""
 
     distance: float = 1.0
@@ -313,7 +314,7 @@ class World:
         named = dict(zip(TERMS, terms, strict=False))
         over = self.age >= self.steps_per_episode
         truncated = (over | ends[2]) & ~ends[1]
-        reached = ends[0] | self._kept(terms[2] > 0) & over
+        reached = ends[0] | self._kept(-terms[0] < BESIDE * reward.distance) & over
         return Outcome(seen, self.frames, terms[3], named, ends[1], truncated, reached)
 
     def _kept(self, beside: Flags) -> Flags:
