@@ -55,13 +55,9 @@ for verb in (
 ):
     app.command(verb.__name__.replace("_", "-"))(verb)
 
-LISTS = (
-    "--fit",
-    "--validate",
-    "--commands",
-    "--servo",
-    "--tasks",
-)  # options that take any number of values
+# options that take any number of values; a servo's port, elsewhere, is one
+LISTS = {"--fit": "identify", "--validate": "identify", "--commands": "record"}
+LISTS |= {"--servo": "flutter", "--tasks": "evaluate", "--only": "faults"}
 FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
@@ -305,7 +301,7 @@ def spread_lists(arguments: list[str]) -> list[str]:
     option = None
     for word in arguments:
         if word.startswith("-"):
-            option = word if word in LISTS else None
+            option = word if LISTS.get(word) == arguments[0] else None
         elif option is not None and spread[-1] != option:
             spread.append(option)
         spread.append(word)
@@ -320,5 +316,7 @@ def main() -> None:
         console.complain(str(error))
         sys.exit(2)
     except KeyboardInterrupt:
-        console.complain("interrupted; the same command takes the search up where it stopped.")
+        resumes = sys.argv[1:2] == ["identify"]
+        again = "; the same command takes the search up where it stopped." if resumes else "."
+        console.complain(f"interrupted{again}")
         sys.exit(130)

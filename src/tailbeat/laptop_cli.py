@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tailbeat import console, laptop_tasks, robot_tasks
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import BadInput, refuse_existing, write_json
 
 
 def laptop(
@@ -34,6 +34,9 @@ def laptop(
     targets: Annotated[
         int, typer.Option("--tour", help="Lead the fish to so many drawn targets, then stop it.")
     ] = 0,
+    begin: Annotated[
+        bool, typer.Option("--begin", help="Arm the fish once and let it swim.")
+    ] = False,
     seed: Annotated[int, typer.Option("--seed", help="Seed of those targets.")] = 0,
     json: Annotated[
         Path | None, typer.Option("--json", help="Write what became of the tour here as JSON.")
@@ -46,10 +49,14 @@ def laptop(
     there = robot_tasks.address(robot, "--robot")
     ours = robot_tasks.address(listen, "--listen")
     ids = fish_tag, target_tag
+    tour = laptop_tasks.drawn_tour(targets, seed)
+    if tour is not None and not camera:
+        raise BadInput("--tour: needs the fish's poses; give --camera and its --calibration.")
+    leader = laptop_tasks.Leader(tour) if tour or begin else None
     with laptop_tasks.open_tracker(camera, calibration, ids, exposure, latency) as tracker:
-        tour = laptop_tasks.drawn_tour(targets, seed)
-        laptop_tasks.laptop(there, ours, key, console_at, tracker, fish, console.say, tour)
+        laptop_tasks.laptop(there, ours, key, console_at, tracker, fish, console.say, leader)
     if json is not None:
-        write_json(json, {"targets": tour.rows if tour else []})
+        rows = tour.rows if tour else []
+        write_json(json, {"targets": rows, "armed_anew": leader.rearmed if leader else 0})
     if tour is not None and tour.target is not None:
         raise typer.Exit(1)

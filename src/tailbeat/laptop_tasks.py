@@ -19,7 +19,8 @@ from tailbeat.track_tasks import need_extra
 
 Say = Callable[[str], None]
 TURN = 0.002  # s that a turn waits for the fish's word: the clock's answer must not
-STARTING, STUCK, AGAIN = 30.0, 10.0, 2.0  # s: to begin, not to swim, between two orders
+STARTING, STUCK, AGAIN = 30.0, 15.0, 2.0  # s: to begin, not to swim, between two orders
+FRESH = 1.0  # s: an older status says nothing about now
 REARMED = 5  # times that a tour arms a fish that holds
 FAREWELL = 1.0  # s to have the order to stop taken at the end
 NO_CAMERA = "No camera given: the fish gets no poses."
@@ -50,41 +51,60 @@ def open_tracker(
 
 @dataclass(eq=False)
 class Leader:
-    """Leads a fish through a tour as an operator would: sends the targets, arms a fish that holds
-    anew (`rearmed` so many times), gives up one that does not swim. `ran` is when it last swam."""
+    """Leads a fish as an operator would: arms it once and lets it swim; through a tour, sends the
+    targets, arms a fish that holds anew (`rearmed` so many times), gives up one that does not swim.
+    `ran` is when it last swam. Without a tour the operator leads from then on."""
 
-    tour: Tour
+    tour: Tour | None
     ran: float = field(default_factory=lambda: time.monotonic() + STARTING)
-    rearmed: int = 0
+    armed: int = 0
+    swam: bool = False
     asked: float = 0.0
+
+    @property
+    def rearmed(self) -> int:
+        """How often a fish that had been armed was armed again."""
+        return max(self.armed - 1, 0)
 
     def lead(self, sender: Any, pose: Pose | None, now: float, say: Say) -> None:
         """Take what was seen, send what is next."""
-        tour, done = self.tour, len(self.tour.rows)
-        state = sender.status.state if sender.status is not None else State.DISARMED
+        fresh = sender.status is not None and now - sender.heard < FRESH
+        state = sender.status.state if fresh else None
         if state is State.RUN:
-            self.ran = max(self.ran, now)
-            if pose is not None:
-                tour.see(pose, now)
-        elif state in (State.HOLD, State.ARMED) and now - self.asked > AGAIN:
-            self._again(sender, state, now)
-        for row in tour.rows[done:]:
-            far, took = row["closest [cm]"], row["time [s]"]
-            say(f"target {row['target']} of {len(tour.targets)}: {far:.1f} cm after {took:.1f} s")
-        sender.target = tour.target or sender.target
+            self.ran, self.swam = max(self.ran, now), True
+        elif state is not None and now - self.asked > AGAIN and not (self.swam and not self.tour):
+            self._order(sender, state, now, say)
+        if self.tour is not None:
+            self._tour(self.tour, sender, pose if state is State.RUN else None, now, say)
 
-    def _again(self, sender: Any, state: State, now: float) -> None:
+    def _order(self, sender: Any, state: State, now: float, say: Say) -> None:
         from tailbeat.swim.link import Order
 
         self.asked = now
         if state is State.ARMED:
             sender.order(Order.SWIM, now)
+        elif state is State.STOP and self.rearmed < REARMED:
+            sender.order(Order.DISARM, now)
         elif self.rearmed < REARMED:
-            self.rearmed += 1
+            if self.swam:
+                self.armed += 1
+                say(f"{state.value}: {sender.status.reason}; armed anew, time {self.rearmed}")
+            self.armed = max(self.armed, 1)
             sender.order(Order.ARM, now)
+
+    def _tour(self, tour: Tour, sender: Any, pose: Pose | None, now: float, say: Say) -> None:
+        done = len(tour.rows)
+        if pose is not None:
+            tour.see(pose, now)
+        for row in tour.rows[done:]:
+            far, took = row["closest [cm]"], row["time [s]"]
+            say(f"target {row['target']} of {len(tour.targets)}: {far:.1f} cm after {took:.1f} s")
+        sender.target = tour.target or sender.target
 
     def over(self) -> bool:
         """Whether all is swum, or the fish will not."""
+        if self.tour is None:
+            return False
         return self.tour.target is None or time.monotonic() - self.ran > STUCK
 
 
@@ -105,7 +125,7 @@ def laptop(
     tracker: Any,
     fish: str,
     say: Say,
-    tour: Tour | None = None,
+    leader: Leader | None = None,
 ) -> None:
     """Send what the tracker sees and serve the page until told to end, or a tour is over; then
     order the fish to stop, for nobody watches it any more. Raises BadInput."""
@@ -119,15 +139,14 @@ def laptop(
     for line in announce(desk) if desk else []:
         say(line)
     ended: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda n, _: ended.append(n))
     sender = Sender(secret, made, robot)
+    over = lambda: bool(ended) or (leader is not None and leader.over())  # noqa: E731
     try:
-        leader = Leader(tour) if tour else None
-        over = lambda: bool(ended) or (leader is not None and leader.over())  # noqa: E731
         _work(sender, tracker, desk, described, over, say, leader)
-        _farewell(sender, say)
     finally:
+        _farewell(sender, say)
         made.close()
         if desk is not None:
             desk.close()

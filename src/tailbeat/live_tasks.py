@@ -7,11 +7,13 @@ the others are, and ended.
 
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,7 @@ VIEWS = 20  # of the board, for the lens
 START = 60.0  # s for a process to start
 LINGER = 10.0  # s for one to end
 ALONE = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}  # one fish
-PATIENCE = 40.0  # s for each target, and for the start, before the swim counts as stuck
+TURN = 0.2  # s between two looks whether all are alive
 
 
 def calibrate(folder: Path, seed: int, say: Say) -> Path:
@@ -44,20 +46,36 @@ def calibrate(folder: Path, seed: int, say: Say) -> Path:
     return made
 
 
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A verb of ours as a process; what it says of errors goes to `log`."""
+
+    name: str
+    process: "subprocess.Popen[str]"
+    log: Path
+
+    def last_words(self) -> str:
+        """The last line of its log, or that there is none."""
+        lines = self.log.read_text(encoding="utf-8", errors="replace").split("\n")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
+
+
 @contextmanager
-def started(words: list[str], log: Path) -> Iterator["subprocess.Popen[str]"]:
-    """A verb of ours as a process; ended with us, what it said of errors kept in `log`."""
-    with log.open("w", encoding="utf-8") as errors:
+def started(words: list[str], log: Path, heard: bool = False) -> Iterator[Part]:
+    """Start a verb; where it is not to be `heard`, what it says goes to its log too. It ends with
+    us, however we end."""
+    with log.open("w", encoding="utf-8") as kept:
         process = subprocess.Popen(
             [sys.executable, "-m", "tailbeat", *words],
-            stdout=subprocess.PIPE,
-            stderr=errors,
+            stdout=subprocess.PIPE if heard else kept,
+            stderr=kept,
             text=True,
             env={**os.environ, **ALONE},
             start_new_session=True,  # Ctrl-C is for us; we end them in their order
+            preexec_fn=robot_tasks.end_with_parent,
         )
         try:
-            yield process
+            yield Part(words[0], process, log)
         finally:
             end(process)
 
@@ -73,17 +91,16 @@ def end(process: "subprocess.Popen[str]") -> None:
         process.wait()
 
 
-def bench(fish: str, folder: Path, seed: int, stack: ExitStack) -> dict[str, str]:
-    """Start the emulated bench with its camera; where its ports are."""
+def bench(fish: str, folder: Path, seed: int, log: Path, stack: ExitStack) -> tuple[Part, Any]:
+    """Start the emulated bench with its camera, and where its ports are."""
     words = ["rig", "--fish", fish, "--camera", str(folder / "camera.sock"), "--seed", str(seed)]
-    process = stack.enter_context(started(words, folder / "rig.log"))
-    assert process.stdout is not None
-    line = process.stdout.readline()
+    part = stack.enter_context(started(words, log, heard=True))
+    assert part.process.stdout is not None
+    ready, _, _ = select.select([part.process.stdout], [], [], START)
+    line = part.process.stdout.readline() if ready else ""
     if not line:
-        said = (folder / "rig.log").read_text(encoding="utf-8").strip()
-        raise BadInput(f"the emulated bench did not start: {said or 'it said nothing'}.")
-    found: dict[str, str] = json.loads(line)
-    return found
+        raise BadInput(f"the emulated bench did not start: {part.last_words()}")
+    return part, json.loads(line)
 
 
 def swim(
@@ -92,33 +109,34 @@ def swim(
     targets: int,
     seed: int,
     console: str,
-    log: Path,
+    out: Path,
     say: Say,
-) -> int:
+) -> None:
     """Swim in real time: to `targets` drawn ones (then the end), or with 0 after what the operator
-    drags, until Ctrl-C. The fish's log is left at `log`; the exit code of the laptop."""
+    drags, until Ctrl-C. Leaves the fish's log `swim.mcap` and what each process said in `out`.
+    Raises BadInput where a process ends before its time."""
     robot_tasks.need_extra()
     track_tasks.need_extra()
     from tailbeat.swim import link  # needs the extra
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what we started ends with us
-
+    for number in (signal.SIGTERM, signal.SIGHUP):  # what we started ends with us
+        signal.signal(number, signal.default_int_handler)
     with robot_tasks.temporary() as name, ExitStack() as stack:
         folder = Path(name)
         key = folder / "fish.key"
         link.make_key(key)
         made = calibrate(folder, seed, say)
-        ports = bench(fish, folder, seed, stack)
+        rig, ports = bench(fish, folder, seed, out / "rig.log", stack)
         robot, laptop = free_address(), free_address()
         drive = ["drive", policy, "--servo", ports["servo"], "--imu", ports["imu"], "--fish", fish]
-        drive += ["--listen", robot, "--laptop", laptop, "--key", str(key), "--log", str(log)]
-        drive += ["--seconds", str(PATIENCE * (targets + 1) if targets else 1e9)]
+        drive += ["--listen", robot, "--laptop", laptop, "--key", str(key), "--wait"]
+        drive += ["--log", str(out / "swim.mcap")]
         watch = ["laptop", "--robot", robot, "--listen", laptop, "--key", str(key), "--fish", fish]
         watch += ["--camera", ports["camera"], "--calibration", str(made), "--console", console]
-        watch += ["--tour", str(targets), "--seed", str(seed)]
-        stack.enter_context(started(drive, folder / "drive.log"))
-        above = stack.enter_context(started(watch, folder / "laptop.log"))
-        return _listen(above, say)
+        watch += ["--tour", str(targets), "--seed", str(seed)] if targets else ["--begin"]
+        own = stack.enter_context(started(drive, out / "drive.log"))
+        above = stack.enter_context(started(watch, out / "laptop.log", heard=True))
+        _listen(above, (rig, own), say)
 
 
 def free_address() -> str:
@@ -131,12 +149,24 @@ def free_address() -> str:
     return f"{host}:{port}"
 
 
-def _listen(above: Any, say: Say) -> int:
+def _listen(above: Part, others: tuple[Part, ...], say: Say) -> None:
     """Say what the laptop says, until it ends or Ctrl-C; then it is asked to end."""
+    spoken = above.process.stdout
+    assert spoken is not None
+    os.set_blocking(spoken.fileno(), False)
     try:
-        for line in above.stdout:
-            say(line.rstrip())
+        while above.process.poll() is None:
+            select.select([spoken], [], [], TURN)
+            for line in iter(spoken.readline, ""):
+                say(line.rstrip())
+            for one in others:
+                if (code := one.process.poll()) is not None:
+                    raise BadInput(f"`{one.name}` ended ({code}): {one.last_words()}")
     except KeyboardInterrupt:
         say("ending")
-        end(above)
-    return int(above.wait(LINGER))
+        end(above.process)
+        return
+    for line in iter(spoken.readline, ""):
+        say(line.rstrip())
+    if above.process.returncode not in (0, 1):  # 1: a tour that was not finished
+        raise BadInput(f"`laptop` ended ({above.process.returncode}): {above.last_words()}")

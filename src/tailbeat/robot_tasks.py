@@ -1,5 +1,7 @@
 """What do the robot's verbs do? A key, an emulated bench, a drive, and what its log is worth."""
 
+import contextlib
+import ctypes
 import gc
 import json
 import os
@@ -99,6 +101,13 @@ def filmed_rig(fish: str, camera: Path, target: str, seed: int, say: Say) -> Non
         bench.close_rig(made)
 
 
+def end_with_parent() -> None:
+    """Called in a process that we start, before it is anything: it gets SIGTERM when we die (Linux,
+    prctl(2), PR_SET_PDEATHSIG)."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(1, signal.SIGTERM)
+
+
 def _told_to_end() -> list[int]:
     """Fills with the signals that ask for the end."""
     ended: list[int] = []
@@ -165,7 +174,14 @@ def own_rig(
     words += [f"--target={target}", "--seed", str(seed), "--console", console]
     command = [sys.executable, "-m", "tailbeat", *words]
     alone = {**os.environ, "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # one fish: no pools
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=alone)
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=alone,
+        start_new_session=True,  # Ctrl-C is for the loop: the bench ends after it
+        preexec_fn=end_with_parent,
+    )
     assert process.stdout is not None
     try:
         line = process.stdout.readline()
@@ -293,6 +309,8 @@ def _swim(
 
     def over(since: float) -> bool:
         each(own)
+        if ended:
+            own.stop_asked = OPERATOR  # an order to arm in the same period does not undo it
         if by_itself and not (ended or own.ordered):
             _begin(own, since)
         line = f"{own.stand.state.value}: {own.stand.reason}"
@@ -307,9 +325,13 @@ def _swim(
         own.stop_asked = OPERATOR
         ended.append(number)
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, end)
-    own.run(over)
+    ends = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, end) for number in ends}
+    try:
+        own.run(over)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _begin(own: Any, since: float) -> None:

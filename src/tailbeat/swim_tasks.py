@@ -1,6 +1,7 @@
 """What do the verbs of the trials do? Check what fits, swim, write numbers."""
 
 from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -147,10 +148,8 @@ def live(
 ) -> Any:
     """The same in real time, through camera, network, servo and IMU; told from the fish's log."""
     loaded, own, drawn = _entered(policy, fish, twin, targets, seed)
-    log = out / "swim.mcap"
-    log.unlink(missing_ok=True)
-    out.mkdir(parents=True, exist_ok=True)
-    live_tasks.swim(policy, fish, targets, seed, "127.0.0.1:0", log, say)
+    log = _room(out)
+    live_tasks.swim(policy, fish, targets, seed, "127.0.0.1:0", out, say)
     swum = tour_of(log, own, drawn)
     return _told(swum, loaded, own, {"policy": policy, "seed": seed, "log": str(log)}, out)
 
@@ -160,11 +159,18 @@ def attended(
 ) -> None:
     """In real time after the target that the operator drags, until Ctrl-C; the log is kept."""
     _entered(policy, fish, twin, 1, seed)
+    log = _room(out)
+    live_tasks.swim(policy, fish, 0, seed, console, out, say)
+    say(f"log: {log}; `tailbeat export {log} --out swim.csv` makes a recording of it")
+
+
+def _room(out: Path) -> Path:
+    """Make a folder for a swim; the log that it will have. One that lies there is kept beside."""
     out.mkdir(parents=True, exist_ok=True)
     log = out / "swim.mcap"
-    log.unlink(missing_ok=True)
-    live_tasks.swim(policy, fish, 0, seed, console, log, say)
-    say(f"log: {log}; `tailbeat export {log} --out swim.csv` makes a recording of it")
+    if log.exists():
+        log.rename(out / f"swim-{datetime.now():%Y%m%d-%H%M%S}.mcap")
+    return log
 
 
 def _entered(

@@ -13,7 +13,6 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import guessed_shape
 from tailbeat.learn.body import PERIOD
-from tailbeat.swim.log import read_rows
 from tailbeat.swim.tour import ARRIVAL
 
 Array = NDArray[np.float64]
@@ -24,6 +23,8 @@ CLOSE = 1e-3  # m: the link sends float32
 def tour_of(log: Path, fish: Fish, targets: Array) -> Tour:
     """The swim past targets (m, 2) [m]; those never swum to count as missed. Raises BadInput for a
     log in which nothing was swum."""
+    from tailbeat.swim.log import read_rows  # needs the extra
+
     rows = [row for row in read_rows(log) if row["state"] == "run" and row["decided_on"]]
     if not rows:
         raise BadInput(f"{log}: the fish never swam; its last rows say why (`tailbeat export`).")

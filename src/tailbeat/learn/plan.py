@@ -79,6 +79,13 @@ def check(plan: Plan, resume: bool) -> None:
         )
 
 
+def check_stage(plan: Plan, stage: str) -> None:
+    """Raises BadInput for a stage that the recipe does not have."""
+    names = [one.name for one in plan.recipe.stages]
+    if stage not in names:
+        raise BadInput(f"--stage {stage!r}: allowed are {', '.join(names)}.")
+
+
 def _check_memory(recipe: Recipe) -> None:
     free = psutil.virtual_memory().available
     needed = recipe.buffer_bytes + WORKING_SET

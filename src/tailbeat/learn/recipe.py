@@ -95,6 +95,7 @@ def paper() -> Recipe:
         budget_hours=6.0,
         memory=0.0,
         binds="fundamental",
+        stages=STAGES[:10],
     )
 
 
