@@ -70,6 +70,9 @@ def test_a_shaft_that_is_asked_to_move_must():
     assert shaft_follows(asked, [0.04 * k for k in range(20)], BOUNDS)
     assert shaft_follows([0.3] * 20, [0.1] * 20, BOUNDS)  # held: nothing is asked
     assert shaft_follows([], [], BOUNDS)
+    sudden = [0.0] * 22 + [0.2, 0.4, 0.6]  # a beat that begins: nothing could follow yet
+    assert shaft_follows(sudden, [0.0] * 25, BOUNDS)
+    assert not shaft_follows(sudden + [0.6] * 8, [0.0] * 33, BOUNDS)
 
 
 def test_a_step_of_the_clock_is_told_from_slow_echoes_and_drift():

@@ -21,7 +21,7 @@ Say = Callable[[str], None]
 TURN = 0.002  # s that a turn waits for the fish's word: the clock's answer must not
 STARTING, STUCK, AGAIN = 30.0, 15.0, 2.0  # s: to begin, not to swim, between two orders
 FRESH = 1.0  # s: an older status says nothing about now
-REARMED = 5  # times that a tour arms a fish that holds
+REARMED = 20  # times that a tour arms a fish that holds; each is said and counted
 FAREWELL = 1.0  # s to have the order to stop taken at the end
 NO_CAMERA = "No camera given: the fish gets no poses."
 

@@ -113,7 +113,8 @@ def swim(
     say: Say,
 ) -> None:
     """Swim in real time: to `targets` drawn ones (then the end), or with 0 after what the operator
-    drags, until Ctrl-C. Leaves the fish's log `swim.mcap` and what each process said in `out`.
+    drags, until Ctrl-C. Leaves the fish's log `swim.mcap`, the tour's `tour.json` and what
+    each process said in `out`.
     Raises BadInput where a process ends before its time."""
     robot_tasks.need_extra()
     track_tasks.need_extra()
@@ -133,7 +134,8 @@ def swim(
         drive += ["--log", str(out / "swim.mcap")]
         watch = ["laptop", "--robot", robot, "--listen", laptop, "--key", str(key), "--fish", fish]
         watch += ["--camera", ports["camera"], "--calibration", str(made), "--console", console]
-        watch += ["--tour", str(targets), "--seed", str(seed)] if targets else ["--begin"]
+        tour = ["--tour", str(targets), "--seed", str(seed), "--json", str(out / "tour.json")]
+        watch += tour if targets else ["--begin"]
         own = stack.enter_context(started(drive, out / "drive.log"))
         above = stack.enter_context(started(watch, out / "laptop.log", heard=True))
         _listen(above, (rig, own), say)

@@ -10,7 +10,7 @@ from tailbeat.control.policy import Policy, check_fits, load_policy
 from tailbeat.evaluate import compare as comparison
 from tailbeat.evaluate import evaluation, pool_swim
 from tailbeat.evaluate import report as pages
-from tailbeat.evaluate.live_swim import tour_of
+from tailbeat.evaluate.live_swim import as_seen, tour_of
 from tailbeat.evaluate.trial import Pool, Progress
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
@@ -148,10 +148,13 @@ def live(
 ) -> Any:
     """The same in real time, through camera, network, servo and IMU; told from the fish's log."""
     loaded, own, drawn = _entered(policy, fish, twin, targets, seed)
-    log = _room(out)
+    log, seen = _room(out), out / "tour.json"
+    seen.unlink(missing_ok=True)
     live_tasks.swim(policy, fish, targets, seed, "127.0.0.1:0", out, say)
-    swum = tour_of(log, own, drawn)
-    return _told(swum, loaded, own, {"policy": policy, "seed": seed, "log": str(log)}, out)
+    toured = evaluation.read_json(seen)
+    swum = as_seen(tour_of(log, own, drawn), toured["targets"])
+    asked = {"policy": policy, "seed": seed, "log": str(log), "armed_anew": toured["armed_anew"]}
+    return _told(swum, loaded, own, asked, out)
 
 
 def attended(

@@ -3,7 +3,9 @@
 The log knows the tag's pose and the motor's angle; the hinges are drawn from those.
 """
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +42,19 @@ def tour_of(log: Path, fish: Fish, targets: Array) -> Tour:
     reached, seconds, nearest = map(np.array, zip(*ends, strict=True))
     shape = np.stack([guessed_shape(fish, *one) for one in zip(pose, motor, strict=True)])
     return Tour(targets, shape, pose, goal, reached, seconds, nearest)
+
+
+def as_seen(tour: Tour, rows: list[dict[str, Any]]) -> Tour:
+    """The same with what the laptop saw of its targets: it turns to the next one at the very frame
+    of an arrival, which the fish's log need not hold. Targets without a row were not come to."""
+    count = len(tour.targets)
+    reached, nearest = np.zeros(count, dtype=bool), np.full(count, np.inf)
+    seconds = np.zeros(count)
+    for row in rows:
+        number = row["target"] - 1
+        reached[number], seconds[number] = row["reached"] == "yes", row["time [s]"]
+        nearest[number] = row["closest [cm]"] / 100
+    return replace(tour, reached=reached, nearest=nearest, seconds=seconds)
 
 
 def _end(reach: Array) -> tuple[bool, float, float]:

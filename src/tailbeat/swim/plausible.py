@@ -13,6 +13,9 @@ from tailbeat.swim.link import Frame
 Echo = tuple[int, int, int]  # when, offset, round trip [ns], as `link.Clock` keeps them
 
 
+GRACE = 8  # periods, 0.16 s: the servo's delay, and a standing tail's start (chosen)
+
+
 @dataclass(frozen=True)
 class Bounds:
     """What a fish can do; chosen, against swims of the emulated one (its yaw rate stays below 2
@@ -63,10 +66,12 @@ def pose_follows(last: Frame, new: Frame, bounds: Bounds) -> bool:
 
 
 def shaft_follows(asked: Sequence[float], seen: Sequence[float], bounds: Bounds) -> bool:
-    """Whether a shaft moves when it is asked to: setpoints and angles [rad] of the same periods."""
-    if not asked or not seen:
+    """Whether a shaft moves when it is asked to: setpoints and angles [rad] of the same periods.
+    What was asked for in the last `GRACE` of them it has had no time for."""
+    settled = asked[:-GRACE]
+    if not settled or not seen:
         return True
-    travel = max(asked) - min(asked)
+    travel = max(settled) - min(settled)
     return travel < bounds.travel_asked or max(seen) - min(seen) >= bounds.travel_seen
 
 
