@@ -283,6 +283,8 @@ def test_unknown_names_are_refused():
         recipe_of("soup")
     with pytest.raises(BadInput, match="--actions soup"):
         action_space("soup", FISH)
+    with pytest.raises(BadInput, match="--binds tail"):
+        action_space("generator", FISH, "tail")
     assert recipe_of("paper") == paper() and not paper().relabel
 
 

@@ -25,6 +25,10 @@ def train(
     resume: Annotated[bool, typer.Option(help="Go on from the folder's checkpoint.")] = False,
     device: Annotated[str, typer.Option(help="cpu, or cuda for the updates.")] = "cpu",
     servo: Annotated[str | None, typer.Option(help="Another of the fish's servos.")] = None,
+    binds: Annotated[
+        str | None,
+        typer.Option(help="What the generator's ceiling binds: fundamental (paper) or signal."),
+    ] = None,
     stage: Annotated[str | None, typer.Option(help="Go on in this stage, by hand.")] = None,
     json: JsonOption = None,
 ) -> None:
@@ -42,6 +46,7 @@ def train(
             resume,
             device,
             servo,
+            binds,
             stage,
             report,
             console.say,

@@ -3,7 +3,7 @@
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import psutil
 from torch import cuda
@@ -48,9 +48,7 @@ class Plan:
         }
 
 
-def action_space(
-    kind: str, fish: Fish, binds: Literal["fundamental", "signal"] = "fundamental"
-) -> ActionSpace:
+def action_space(kind: str, fish: Fish, binds: str = "fundamental") -> ActionSpace:
     """A fish's action space by name; the generator's ceiling is the band's edge, and `binds` what
     keeps below it."""
     if kind not in ACTIONS:
@@ -60,7 +58,11 @@ def action_space(
         return Direct(low, high)
     if kind == "filtered":
         return Filtered(low, high)
-    return Generator(low, high, ceiling=fish.band[1], binds=binds)
+    if binds == "signal":
+        return Generator(low, high, ceiling=fish.band[1], binds="signal")
+    if binds != "fundamental":
+        raise BadInput(f"--binds {binds}: allowed are fundamental, signal.")
+    return Generator(low, high, ceiling=fish.band[1])
 
 
 def check(plan: Plan, resume: bool) -> None:

@@ -72,7 +72,6 @@ def quick() -> Recipe:
         window=200,
         budget_hours=1.0,
         memory=0.95,
-        binds="signal",
     )
 
 
@@ -94,7 +93,6 @@ def paper() -> Recipe:
         buffer=1_000_000,
         budget_hours=6.0,
         memory=0.0,
-        binds="fundamental",
         stages=STAGES[:10],
     )
 
@@ -106,7 +104,7 @@ def smoke() -> Recipe:
     ahead = (Stage("ahead", 1, 0.0, 0.0, float(np.radians(20))),)
     return replace(
         quick(), name="smoke", fish=32, batch=128, starts=6_000, buffer=60_000, window=60,
-        rates=(1e-3,), width=64, stages=ahead, task=near,
+        rates=(1e-3,), width=64, stages=ahead, task=near, binds="signal",
     )  # fmt: skip
 
 
