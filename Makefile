@@ -18,7 +18,7 @@ ARGS ?=
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /\1\t/' | expand -t 10
 
-swim: $(READY)  ## the main job: let the fish swim, see runs/
+swim: $(READY)  ## the main job: open the printed address, drag the target
 	$(TAILBEAT) swim $(ARGS)
 
 bench: $(READY)  ## measure speed on this machine
@@ -37,7 +37,7 @@ format: $(READY)  ## put imports and layout right
 	$(VENV)/bin/ruff format
 
 browser:  ## chromium for the console's test, where it is missing (Debian, as root or by sudo)
-	@command -v chromedriver >/dev/null || { command -v apt-get >/dev/null && { \
+	@{ command -v chromedriver && command -v chromium; } >/dev/null || { command -v apt-get >/dev/null && { \
 	  test "$$(id -u)" = 0 || elevated=sudo; \
 	  $$elevated apt-get update -qq && $$elevated apt-get install -qq -y chromium chromium-driver; }; } || \
 	{ echo "make browser: no chromedriver here and apt-get cannot install it: install Chromium and its"; \

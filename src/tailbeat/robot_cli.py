@@ -83,6 +83,8 @@ def drive(
     stay = wait or bool(console_at)
     if seconds is None:
         seconds = float("inf") if stay else 30.0
+    if not seconds > 0:
+        raise BadInput(f"--seconds {seconds:g}: give a time above 0.")
     swim = partial(robot_tasks.drive, by_itself=not wait, stay=stay)
     if emulated:
         with robot_tasks.temporary() as folder:

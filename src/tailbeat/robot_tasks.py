@@ -6,6 +6,7 @@ import gc
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -54,7 +55,10 @@ def address(text: str, option: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not host or not port.isdigit() or not 0 <= int(port) < 65536:
         raise BadInput(f"{option} {text!r}: give host:port, as 127.0.0.1:5151.")
-    return host, int(port)
+    try:
+        return socket.gethostbyname(host), int(port)  # once, not in every period of the loop
+    except OSError as error:
+        raise BadInput(f"{option} {host}: {error.strerror}; give its address.") from None
 
 
 def place(text: str) -> tuple[float, float]:

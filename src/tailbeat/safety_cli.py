@@ -60,6 +60,8 @@ def pace(
     drift; exit code 1 where p99.9 of the lateness is beyond what is asked."""
     if json is not None:
         refuse_existing(json)
+    if not minutes > 0:
+        raise BadInput(f"--minutes {minutes:g}: give a time above 0.")
     done = safety_tasks.pace(policy, fish, minutes, seed, console.say)
     console.tables({"pace": [done]})
     if json is not None:

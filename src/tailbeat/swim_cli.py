@@ -8,7 +8,7 @@ import typer
 
 from tailbeat import console, swim_tasks, tasks
 from tailbeat.evaluate.evaluation import NAMES
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import BadInput, refuse_existing, write_json
 
 SHIPPED = "pulley-fish-pool-generator"
 PolicyFile = Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")]
@@ -34,9 +34,9 @@ def swim(
         bool, typer.Option("--direct", help="The same without bytes, faster than real time.")
     ] = False,
     console_at: Annotated[
-        str, typer.Option("--console", help="host:port to show the operator's page at.")
+        str, typer.Option("--console", help="host:port of the operator's page; a tour takes any.")
     ] = "127.0.0.1:8080",
-    targets: Annotated[int, typer.Option(help="How many, one after the other.")] = 8,
+    targets: Annotated[int, typer.Option(help="Of a tour: how many, one after the other.")] = 8,
     seed: SeedOption = 0,
     out: Annotated[Path, typer.Option(help="Folder for page, film, log, summary.")] = Path("runs"),
     json: JsonOption = None,
@@ -50,6 +50,8 @@ def swim(
         done = tasks.open_loop(fish, out)
         console.summary(done)
     elif not (headless or direct) and sys.stdout.isatty():
+        if json is not None:
+            raise BadInput("--json: a swim that you attend has no result; add --headless.")
         swim_tasks.attended(policy, pool_fish, twin, seed, console_at, out, console.say)
         return
     else:
