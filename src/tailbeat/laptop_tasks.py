@@ -39,9 +39,11 @@ def open_tracker(
         raise BadInput("--camera: give its --calibration, made by `tailbeat calibrate`.")
     need_extra()
     from tailbeat.swim.calibration import read_calibration  # needs the extra
+    from tailbeat.swim.camera import open_camera
     from tailbeat.swim.tracking import start_tracker
 
     made = read_calibration(calibration)
+    open_camera(camera, made.lens.size).close()  # refused here if it is none, not again and again
     tracker = start_tracker(camera, made, ids, exposure=exposure, latency=latency)
     try:
         yield tracker
