@@ -98,8 +98,8 @@ def paper() -> Recipe:
 
 
 def smoke() -> Recipe:
-    """A minute to see that everything works and something is learnt: near and large targets ahead,
-    small networks."""
+    """A minute to see that everything works and, mostly, something is learnt: near and large
+    targets ahead, small networks."""
     near = Task(nearest=0.3, farthest=0.5, arrival=0.15, seconds=6.0, limit=3.0)
     ahead = (Stage("ahead", 1, 0.0, 0.0, float(np.radians(20))),)
     return replace(
