@@ -502,10 +502,16 @@ def test_a_drive_waits_for_orders_and_ends_with_the_torque_off(tmp_path: Path):
 
 
 def test_what_a_console_cannot_have_is_one_sentence(tmp_path: Path):
-    words = {"servo": "a", "imu": "b", "listen": "c:1", "laptop": "d:1", "key": tmp_path}
+    words = {
+        "servo": "a",
+        "imu": "b",
+        "listen": "127.0.0.1:1",
+        "laptop": "127.0.0.1:2",
+        "key": tmp_path,
+    }
     with pytest.raises(BadInput, match="the laptop shows it"):
         robot_cli.drive("p", tmp_path / "a", console_at="127.0.0.1:0", **words)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="give its --calibration"):
-        laptop_cli.laptop("a:1", tmp_path, "b:1", camera="/dev/video0")
+        laptop_cli.laptop("127.0.0.1:1", tmp_path, "127.0.0.1:2", camera="/dev/video0")
     with pytest.raises(BadInput, match="give host:port"):
         robot_tasks.open_console("8080")
