@@ -12,7 +12,7 @@ from typing import Any
 from tailbeat.evaluate.pool_swim import draw_targets
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
-from tailbeat.robot_tasks import open_console
+from tailbeat.robot_tasks import open_console, told_to_end
 from tailbeat.swim.safety import State
 from tailbeat.swim.tour import Pose, Tour
 from tailbeat.track_tasks import need_extra
@@ -140,9 +140,7 @@ def laptop(
     desk = open_console(console)
     for line in announce(desk) if desk else []:
         say(line)
-    ended: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda n, _: ended.append(n))
+    ended = told_to_end(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     sender = Sender(secret, made, robot)
     over = lambda: bool(ended) or (leader is not None and leader.over())  # noqa: E731
     try:

@@ -128,7 +128,7 @@ def swim(
         link.make_key(key)
         made = calibrate(folder, seed, say)
         rig, ports = bench(fish, folder, seed, out / "rig.log", stack)
-        robot, laptop = free_address(), free_address()
+        robot, laptop = ("{}:{}".format(*link.free_address()) for _ in range(2))
         drive = ["drive", policy, "--servo", ports["servo"], "--imu", ports["imu"], "--fish", fish]
         drive += ["--listen", robot, "--laptop", laptop, "--key", str(key), "--wait"]
         drive += ["--log", str(out / "swim.mcap")]
@@ -139,16 +139,6 @@ def swim(
         own = stack.enter_context(started(drive, out / "drive.log"))
         above = stack.enter_context(started(watch, out / "laptop.log", heard=True))
         _listen(above, (rig, own), say)
-
-
-def free_address() -> str:
-    """`host:port` on this machine that nobody uses."""
-    from tailbeat.swim import link
-
-    probe = link.bind("127.0.0.1", 0)
-    host, port = probe.getsockname()
-    probe.close()
-    return f"{host}:{port}"
 
 
 def _listen(above: Part, others: tuple[Part, ...], say: Say) -> None:

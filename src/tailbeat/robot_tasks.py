@@ -27,7 +27,6 @@ from tailbeat.pool.plant import LENGTH, WIDTH
 from tailbeat.recording import Recording, write_recording
 
 Say = Callable[[str], None]
-READY = 60.0  # s that a bench may take to start
 OPERATOR = "the operator"  # who asked to stop, where a signal did
 BY_HAND = ("not armed yet", f"stop asked by {OPERATOR}", "stop asked by the console")
 WAIT_TO_ARM = 10.0  # s for the first poses and the laptop's clock
@@ -96,7 +95,7 @@ def filmed_rig(fish: str, camera: Path, target: str, seed: int, say: Say) -> Non
 
     described, aim = load_fish(fish), place(target)
     eye = start_camera(camera, Filming(seed=seed))
-    made, ended = bench.open_filmed_rig(described, eye, aim), _told_to_end()
+    made, ended = bench.open_filmed_rig(described, eye, aim), told_to_end()
     _hurry(made)
     say(json.dumps({"servo": made.ports[0], "imu": made.ports[1], "camera": eye.where}))
     try:
@@ -112,10 +111,10 @@ def end_with_parent() -> None:
         ctypes.CDLL(None).prctl(1, signal.SIGTERM)
 
 
-def _told_to_end() -> list[int]:
-    """Fills with the signals that ask for the end."""
+def told_to_end(*numbers: signal.Signals) -> list[int]:
+    """Fills with the signals that ask for the end: these, or Ctrl-C and SIGTERM."""
     ended: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in numbers or (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda n, _: ended.append(n))
     return ended
 
@@ -143,7 +142,7 @@ def rig(fish: str, key: Path, robot: str, target: str, console: str, seed: int, 
     described, secret = load_fish(fish), read_key(key)
     desk = open_console(console)
     made = bench.open_rig(described, secret, there, aim, seed)
-    ended = _told_to_end()
+    ended = told_to_end()
     _hurry(made)
     host, port = made.laptop.socket.getsockname()
     ports = {"servo": made.ports[0], "imu": made.ports[1], "laptop": f"{host}:{port}"}
@@ -171,9 +170,7 @@ def own_rig(
 
     key = folder / "rig.key"
     link.make_key(key)
-    probe = link.bind("127.0.0.1", 0)
-    listen = probe.getsockname()
-    probe.close()
+    listen = link.free_address()
     words = ["rig", "--fish", fish, "--key", str(key), "--robot", f"{listen[0]}:{listen[1]}"]
     words += [f"--target={target}", "--seed", str(seed), "--console", console]
     command = [sys.executable, "-m", "tailbeat", *words]

@@ -137,24 +137,23 @@ def report(
 def swim(policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path) -> Any:
     """A policy swims to targets in the pool's plant, without bytes and faster than real time; film,
     picture and page in a folder."""
-    loaded, own, drawn = _entered(policy, fish, twin, targets, seed)
-    where = pool_of(loaded, fish, twin, "full", 2, seed)
-    swum = pool_swim.tour(loaded, own, where.waters[0], drawn, seed)
-    return _told(swum, loaded, own, {"policy": policy, "seed": seed}, out)
+    loaded, where, drawn = _entered(policy, fish, twin, targets, seed)
+    swum = pool_swim.tour(loaded, where.fish, where.waters[0], drawn, seed)
+    return _told(swum, loaded, where, {"policy": policy, "seed": seed}, out)
 
 
 def live(
     policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path, say: Any
 ) -> Any:
     """The same in real time, through camera, network, servo and IMU; told from the fish's log."""
-    loaded, own, drawn = _entered(policy, fish, twin, targets, seed)
+    loaded, where, drawn = _entered(policy, fish, twin, targets, seed)
     log, seen = _room(out), out / "tour.json"
     seen.unlink(missing_ok=True)
     live_tasks.swim(policy, fish, targets, seed, "127.0.0.1:0", out, say)
     toured = evaluation.read_json(seen)
-    swum = as_seen(tour_of(log, own, drawn), toured["targets"])
+    swum = as_seen(tour_of(log, where.fish, drawn), toured["targets"])
     asked = {"policy": policy, "seed": seed, "log": str(log), "armed_anew": toured["armed_anew"]}
-    return _told(swum, loaded, own, asked, out)
+    return _told(swum, loaded, where, asked, out)
 
 
 def attended(
@@ -178,23 +177,26 @@ def _room(out: Path) -> Path:
 
 def _entered(
     policy: str, fish: str, twin: str | None, targets: int, seed: int
-) -> tuple[Policy, Fish, Any]:
-    """What was asked for, checked."""
+) -> tuple[Policy, Pool, Any]:
+    """What was asked for, checked: the policy, where it swims, its targets."""
     if not 1 <= targets <= 100:
         raise BadInput(f"--targets {targets}: allowed are 1 to 100.")
     loaded = load_policy(policy)
-    pool_of(loaded, fish, twin, "full", 2, seed)
-    return loaded, load_fish(fish), pool_swim.draw_targets(targets, seed)
+    where = pool_of(loaded, fish, twin, "full", 2, seed)
+    return loaded, where, pool_swim.draw_targets(targets, seed)
 
 
-def _told(swum: Any, loaded: Policy, own: Fish, asked: dict[str, Any], out: Path) -> dict[str, Any]:
+def _told(
+    swum: Any, loaded: Policy, where: Pool, asked: dict[str, Any], out: Path
+) -> dict[str, Any]:
     """Film, picture, page and summary of a swim."""
+    own = where.fish
     pool_swim.film(swum, own, out / "swim.mp4")
     contract = loaded.contract
     data = {
         **asked,
         "fish": own.name,
-        "water": fingerprint(evaluation.waters_of("full")),
+        "water": fingerprint(where.waters),
         **pool_swim.as_json(swum),
         "training": contract.training,
         "provenance": evaluation.provenance(),

@@ -244,9 +244,7 @@ class Swim:
 @contextmanager
 def swimming(bench: Bench, policy: str, drive: Drive) -> Iterator[Swim]:
     """A loop that swims on a fresh rig. Raises RuntimeError where it does not come to swim."""
-    probe = link.bind("127.0.0.1", 0)
-    robot = probe.getsockname()
-    probe.close()
+    robot = link.free_address()
     laptop = bench.ask("new", robot)
     bench.swims += 1
     log = bench.folder / f"{bench.swims}.mcap"

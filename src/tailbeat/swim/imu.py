@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import serial
 
 from tailbeat.files import BadInput
-from tailbeat.swim.wire import GONE, heard
+from tailbeat.swim.wire import GONE, heard, reopen
 
 CHIP_ID, GYRO, STATUS, UNITS, MODE, TRIGGER, PAGE = 0x00, 0x14, 0x39, 0x3B, 0x3D, 0x3F, 0x07
 CHIP = 0xA0
@@ -152,10 +152,8 @@ class Imu:
 
     def reopen(self) -> None:
         """Open the port anew, after the cable was out; set up as before. Raises ImuFault."""
-        with contextlib.suppress(*GONE):
-            self.port.close()
         try:
-            self.port.open()
+            reopen(self.port)
         except GONE as error:
             raise ImuFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
         self.prepare()

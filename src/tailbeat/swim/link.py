@@ -281,6 +281,13 @@ def bind(host: str, port: int) -> socket.socket:
     return made
 
 
+def free_address() -> tuple[str, int]:
+    """An address on this machine that nobody uses now."""
+    with bind("127.0.0.1", 0) as probe:
+        host, port = probe.getsockname()
+    return host, port
+
+
 def drain(made: socket.socket, most: int = 1000) -> Iterator[tuple[bytes, tuple[str, int]]]:
     """What has arrived, oldest first, at most so many."""
     for _ in range(most):

@@ -25,7 +25,7 @@ from tailbeat.swim.packet import (
     Parser,
     encode,
 )
-from tailbeat.swim.wire import GONE, heard
+from tailbeat.swim.wire import GONE, heard, reopen
 
 MODEL = 1280  # XW430-T200
 COUNT = 2 * math.pi / 4096  # rad
@@ -185,10 +185,8 @@ class Servo:
 
     def reopen(self) -> None:
         """Open the port anew, after the cable was out. Raises ServoFault."""
-        with contextlib.suppress(*GONE):
-            self.port.close()
         try:
-            self.port.open()
+            reopen(self.port)
         except GONE as error:
             raise ServoFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
 

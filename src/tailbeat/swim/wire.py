@@ -4,6 +4,7 @@ pyserial sets the whole line up anew whenever a time-out changes, eight calls of
 reply; here it is one `select` and one `read`.
 """
 
+import contextlib
 import os
 import select
 import termios
@@ -12,6 +13,13 @@ import time
 import serial
 
 GONE = (serial.SerialException, OSError, termios.error)  # what a pulled cable raises
+
+
+def reopen(port: serial.Serial) -> None:
+    """Open a port anew, after its cable was out. Raises one of `GONE`."""
+    with contextlib.suppress(*GONE):
+        port.close()
+    port.open()
 
 
 def heard(port: serial.Serial, end: float, most: int = 4096) -> bytes:
