@@ -5,6 +5,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -83,3 +84,10 @@ def leaves(name: str, value: Any) -> dict[str, Any]:
         parts = [leaves(f"{name}.{key}".lstrip("."), part) for key, part in pairs]
         return {key: leaf for part in parts for key, leaf in part.items()}
     return {name: value}
+
+
+def need(what: str, extra: str, *modules: str) -> None:
+    """Raises BadInput where one of the packages that `what` takes from an extra is missing."""
+    for module in modules:
+        if find_spec(module) is None:
+            raise BadInput(f"{what} needs {module}: pip install 'tailbeat[{extra}]'.")

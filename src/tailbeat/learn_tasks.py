@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import asdict
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from tailbeat.control.policy import check_fits, differences, load_policy
 from tailbeat.evaluate.learning_figures import courses
-from tailbeat.files import BadInput
+from tailbeat.files import BadInput, need
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest, load_fish
 
@@ -65,9 +64,7 @@ def with_servo(fish: Fish, servo: str | None) -> Fish:
 
 
 def _need_extra() -> None:
-    for module in ("stable_baselines3", "onnx", "tensorboard"):
-        if find_spec(module) is None:
-            raise BadInput(f"training needs {module}: pip install 'tailbeat[train]'.")
+    need("training", "train", "stable_baselines3", "onnx", "tensorboard")
 
 
 def show_policy(path: str) -> dict[str, Any]:

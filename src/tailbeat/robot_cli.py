@@ -8,6 +8,7 @@ import typer
 
 from tailbeat import console, robot_tasks
 from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.swim.ports import Ports
 
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 FishOption = Annotated[str, typer.Option("--fish", help="The pool's fish: a file or a name.")]
@@ -99,7 +100,7 @@ def drive(
         if console_at:
             raise BadInput("--console: the laptop shows it; see `tailbeat laptop --console`.")
         ends = robot_tasks.address(listen, "--listen"), robot_tasks.address(laptop, "--laptop")
-        ports = robot_tasks.Ports(servo, imu, *ends)
+        ports = Ports(servo, imu, *ends)
         done = swim(policy, ports, key, aim, seconds, log, console.say)
     console.tables({"drive": [done]})
     if json is not None:

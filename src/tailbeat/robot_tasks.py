@@ -13,18 +13,18 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from importlib.util import find_spec
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tailbeat.control.policy import load_policy
-from tailbeat.files import BadInput, refuse_existing
+from tailbeat.files import BadInput, need, refuse_existing
 from tailbeat.fish.store import load_fish
 from tailbeat.pool.plant import LENGTH, WIDTH
 from tailbeat.recording import Recording, write_recording
+from tailbeat.swim.ports import Ports
 
 Say = Callable[[str], None]
 OPERATOR = "the operator"  # who asked to stop, where a signal did
@@ -32,21 +32,9 @@ BY_HAND = ("not armed yet", f"stop asked by {OPERATOR}", "stop asked by the cons
 WAIT_TO_ARM = 10.0  # s for the first poses and the laptop's clock
 
 
-@dataclass(frozen=True)
-class Ports:
-    """Where the devices are: serial ports, our own address, the laptop's."""
-
-    servo: str
-    imu: str
-    listen: tuple[str, int]
-    laptop: tuple[str, int]
-
-
 def need_extra() -> None:
     """Raises BadInput where the robot's packages are missing."""
-    for module in ("serial", "mcap"):
-        if find_spec(module) is None:
-            raise BadInput(f"the robot needs {module}: pip install 'tailbeat[robot]'.")
+    need("the robot", "robot", "serial", "mcap")
 
 
 def address(text: str, option: str) -> tuple[str, int]:
@@ -78,9 +66,7 @@ def open_console(console: str) -> Any:
     """The operator's page at `host:port`, or None where that is empty."""
     if not console:
         return None
-    for module in ("fastapi", "uvicorn", "websockets"):
-        if find_spec(module) is None:
-            raise BadInput(f"the console needs {module}: pip install 'tailbeat[robot]'.")
+    need("the console", "robot", "fastapi", "uvicorn", "websockets")
     from tailbeat.swim.console.desk import open_desk
 
     return open_desk(address(console, "--console"), (LENGTH, WIDTH))

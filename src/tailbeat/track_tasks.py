@@ -4,14 +4,13 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tailbeat import __version__
-from tailbeat.files import BadInput, refuse_existing
+from tailbeat.files import BadInput, need, refuse_existing
 
 Say = Callable[[str], None]
 Pose = tuple[float, float, float]
@@ -25,9 +24,7 @@ FIRST_TAG = 10  # of those
 
 def need_extra() -> None:
     """Raises BadInput where the camera's packages are missing."""
-    for module in ("cv2", "pyapriltags"):
-        if find_spec(module) is None:
-            raise BadInput(f"the camera needs {module}: pip install 'tailbeat[robot]'.")
+    need("the camera", "robot", "cv2", "pyapriltags")
 
 
 def sheets(out: Path, ids: tuple[int, int], side: float, square: float) -> list[Path]:

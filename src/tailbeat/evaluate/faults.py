@@ -25,6 +25,7 @@ from tailbeat.fish.description import Fish
 from tailbeat.pool.faults import serve_broken
 from tailbeat.swim import link
 from tailbeat.swim.log import read_rows
+from tailbeat.swim.ports import Ports
 
 Drive = Callable[..., Any]  # `robot_tasks.drive`
 Row = dict[str, Any]
@@ -263,16 +264,6 @@ def swimming(bench: Bench, policy: str, drive: Drive) -> Iterator[Swim]:
     finally:
         _end(process)
         bench.ask("end")
-
-
-@dataclass(frozen=True)
-class Ports:
-    """As `robot_tasks.Ports`, which stands above this room."""
-
-    servo: str
-    imu: str
-    listen: tuple[str, int]
-    laptop: tuple[str, int]
 
 
 def _end(process: Any) -> None:

@@ -1,0 +1,13 @@
+"""Where a fish's devices are."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Ports:
+    """Where the devices are: serial ports, our own address, the laptop's."""
+
+    servo: str
+    imu: str
+    listen: tuple[str, int]
+    laptop: tuple[str, int]
