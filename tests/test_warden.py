@@ -98,9 +98,20 @@ def test_half_a_packet_of_the_dead_is_written_over(bench):
     bench.armed()
     whole = encode(Packet(1, WRITE, bytes.fromhex("740000080000")))
     for cut in range(1, len(whole)):
+        time.sleep(0.05)  # replies to the last let-go that are still under way
         bench.device.put(64, 1)
         bench.device.stream[:] = whole[:cut]
         assert warden.let_go(bench.path, trying=5.0) == "" and not bench.on, cut
+
+
+def test_a_late_reply_to_the_dead_loops_write_is_no_farewell(bench):
+    bench.armed()
+    goal = encode(Packet(1, WRITE, bytes.fromhex("740000080000")))
+    end, bench.device.faults.late = os.open(bench.path, os.O_RDWR | os.O_NOCTTY), 0.03
+    os.write(end, goal + goal[:13])  # one is answered late; half a one will swallow what comes next
+    time.sleep(0.01)
+    assert warden.let_go(bench.path, trying=5.0) == "" and not bench.on
+    os.close(end)
 
 
 def test_a_latched_watchdog_and_replies_that_are_lost_do_not_keep_the_torque_on(bench):

@@ -149,8 +149,11 @@ class Servo:
         return held
 
     def torque_off(self) -> None:
-        """Let go, whatever state it is in; then the watchdog off, so that it can be set up."""
+        """Let go, whatever state it is in; then the watchdog off, so that it can be set up. The
+        register is read back: a late reply to another write looks like the one to this."""
         self.set(TORQUE, 0)
+        if self.is_on():
+            raise ServoFault("refused", "torque is still on after it was written off")
         self.set(BUS_WATCHDOG, 0)
 
     def stopped_itself(self) -> bool:
