@@ -3,9 +3,13 @@
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
-from tailbeat.pool.servo import close_line, open_line
+from tailbeat.pool.servo import Dynamixel, close_line, open_line, serve
+from tailbeat.swim.servo import connect
+
+PATIENT = 0.25  # s: the emulator is a thread of this process and waits for the interpreter
 
 
 @contextmanager
@@ -23,3 +27,30 @@ def served(serve: Callable[..., None], device: Any) -> Iterator[tuple[str, Calla
 
     yield line.path, pull
     pull()
+
+
+@dataclass
+class Bench:
+    """An emulated servo on a line."""
+
+    device: Dynamixel
+    path: str
+    pull: Callable[[], None]
+
+    @property
+    def on(self) -> bool:
+        return bool(self.device.get(64))
+
+    def armed(self) -> None:
+        servo = connect(self.path, deadline=PATIENT)
+        servo.prepare(-1.4, 1.4)
+        servo.arm(2.5)
+        servo.port.close()
+        assert self.on
+
+
+@contextmanager
+def servo_bench() -> Iterator[Bench]:
+    device = Dynamixel()
+    with served(serve, device) as (path, pull):
+        yield Bench(device, path, pull)

@@ -120,7 +120,7 @@ def test_a_leader_arms_anew_a_fish_that_holds_and_gives_up_in_the_end():
         sender.heard = 100.0 + step
         leader.lead(sender, (0.0, 0.0, 0.0), 100.0 + step, said.append)
     assert sender.orders == laptop_tasks.REARMED == leader.rearmed == len(said)
-    assert sender.target == (1.0, 0.0) and not tour.way
+    assert sender.target == (1.0, 0.0) and tour.began is None
     first, began = sender.pending[-1].order, leader.over()
     sender.status = stands(State.ARMED)
     sender.heard = 300.0

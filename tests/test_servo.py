@@ -4,17 +4,15 @@ over a pseudo-terminal, and what goes wrong on a bus."""
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
-from lines import served
+from lines import PATIENT, Bench, servo_bench
 from tailbeat.files import BadInput
 from tailbeat.pool import servo as emulated
-from tailbeat.pool.servo import Dynamixel, serve
 from tailbeat.swim import servo as driver
 from tailbeat.swim.packet import (
     PING,
@@ -28,8 +26,6 @@ from tailbeat.swim.packet import (
     encode,
 )  # fmt: skip
 from tailbeat.swim.servo import COUNT, Servo, ServoFault, connect
-
-PATIENT = 0.25  # s: the emulator is a thread of this process and waits for the interpreter
 
 
 def raw(text: str) -> bytes:
@@ -98,20 +94,10 @@ def test_a_parser_finds_packets_in_garbage_in_pieces_and_counts_the_damaged():
 # ---- over the line ------------------------------------------------------------------------------
 
 
-@dataclass
-class Bench:
-    """An emulated servo on a line."""
-
-    device: Dynamixel
-    path: str
-    pull: Callable[[], None]
-
-
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    device = Dynamixel()
-    with served(serve, device) as (path, pull):
-        yield Bench(device, path, pull)
+    with servo_bench() as made:
+        yield made
 
 
 @pytest.fixture

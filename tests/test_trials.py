@@ -42,6 +42,11 @@ def beat(seen: np.ndarray) -> np.ndarray:
     return np.tile(action, (len(seen), 1))
 
 
+def rest(seen: np.ndarray) -> np.ndarray:
+    """No beat at all."""
+    return np.zeros((len(seen), 6), dtype=np.float32)
+
+
 def runs(pose: Any, target: Any, **given: Any) -> Runs:
     """Runs of given ways (n, k, 3) and targets (n, k, 2), all to their ends."""
     n, k = np.shape(pose)[:2]
@@ -182,7 +187,7 @@ def test_a_paired_difference_has_the_interval_of_the_pairs_that_differ():
 
 
 def test_a_fish_on_its_target_s_heels_crosses_twice_and_one_that_circles_does_not():
-    lap, steps = 73.0, round(73.0 / PERIOD)
+    steps = round(73.0 / PERIOD)
     way = scenes.even(scenes.eight, steps)
     target = np.vstack([way, way[:1]])
     behind = np.roll(target, 40, axis=0)
@@ -190,10 +195,22 @@ def test_a_fish_on_its_target_s_heels_crosses_twice_and_one_that_circles_does_no
     ways = [np.column_stack([one, np.zeros(len(one))]) for one in (behind, away)]
     found = runs(np.array(ways), np.array([target, target]))
     assert track.crossings(found).tolist() == [2, 0]
-    row = track._row("eight 73 s", found.part(slice(0, 1)), "eight", lap)
+    row = track._row("eight 73 s", found.part(slice(0, 1)), "eight")
     assert row["two_crossings"] == 1 and row["kept"] == 1
     assert row["median_distance"] == pytest.approx(0.8 * row["target_speed"], rel=0.05)
     assert row["aside_rms"] < 0.02
+
+
+def test_a_led_target_waits_for_its_fish_and_a_timed_one_does_not():
+    away = []
+    for lead in (0.7, np.inf):
+        scene = scenes.follow(TWIN, scenes.circle, 10.0, 3.0, 2, lead)
+        arm = Arm("a", TWIN, scene, SPACE, None, sensors=quiet(), physics=randomize.none(),
+                  seconds=3.0, stop=False)  # fmt: skip
+        away.append(swim(rest, arm, [1, 2]).distance)
+    assert away[0][:, 0] == pytest.approx(scenes.BEHIND, abs=0.01)
+    assert ((away[0][:, -1] > 0.7) & (away[0][:, -1] < 0.72)).all()
+    assert (away[1][:, -1] > 1.2).all()
 
 
 def test_velocity_power_of_a_known_beat_falls_on_its_side_of_the_edge():

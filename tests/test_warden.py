@@ -5,21 +5,18 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import pytest
 
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
-from lines import served
+from lines import PATIENT, Bench, servo_bench
 from tailbeat.files import BadInput
-from tailbeat.pool.servo import Dynamixel, serve
 from tailbeat.swim import warden
 from tailbeat.swim.packet import WRITE, Packet, encode
 from tailbeat.swim.servo import connect
 
-PATIENT = 0.25
 # A loop in miniature: it arms, keeps the servo's watchdog at bay, and tells the warden.
 LOOP = """
 import sys, time
@@ -37,29 +34,10 @@ with warden.guard(sys.argv[1]) as watcher:
 """
 
 
-@dataclass
-class Bench:
-    device: Dynamixel
-    path: str
-    pull: Callable[[], None]
-
-    @property
-    def on(self) -> bool:
-        return bool(self.device.get(64))
-
-    def armed(self) -> None:
-        servo = connect(self.path, deadline=PATIENT)
-        servo.prepare(-1.4, 1.4)
-        servo.arm(2.5)
-        servo.port.close()
-        assert self.on
-
-
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    device = Dynamixel()
-    with served(serve, device) as (path, pull):
-        yield Bench(device, path, pull)
+    with servo_bench() as made:
+        yield made
 
 
 @pytest.fixture

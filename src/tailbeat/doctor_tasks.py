@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tailbeat import robot_tasks, swim_tasks, track_tasks
 from tailbeat.control.policy import check_fits, load_policy
@@ -111,36 +111,32 @@ def of_servo(parts: Parts) -> "list[Finding]":
     """From its port to its last register."""
     from tailbeat.swim import doctor
 
-    if not parts.servo:
-        return []
-    found = doctor.check_port("servo's port", parts.servo)
-    if any(finding.verdict == BAD for finding in found[:1]):
-        return found
-    servo, answer = doctor.find_servo(parts.servo)
-    if servo is None:
-        return [*found, answer]
-    try:
-        return [*found, answer, *doctor.check_servo(servo)]
-    finally:
-        servo.port.close()  # looked at, not touched
+    return _of_device("servo's port", parts.servo, doctor.find_servo, doctor.check_servo)
 
 
 def of_imu(parts: Parts) -> "list[Finding]":
     """From its port to its noise."""
     from tailbeat.swim import doctor
 
-    if not parts.imu:
+    return _of_device("IMU's port", parts.imu, doctor.find_imu, doctor.check_imu)
+
+
+def _of_device(
+    name: str, path: str, find: Callable[..., Any], check: Callable[..., Any]
+) -> "list[Finding]":
+    """A device at a port: the port, whether it answers there, and what it says of itself."""
+    from tailbeat.swim import doctor
+
+    if not path:
         return []
-    found = doctor.check_port("IMU's port", parts.imu)
+    found = doctor.check_port(name, path)
     if any(finding.verdict == BAD for finding in found[:1]):
         return found
-    imu, answer = doctor.find_imu(parts.imu)
-    if imu is None:
+    device, answer = find(path)
+    if device is None:
         return [*found, answer]
-    try:
-        return [*found, answer, *doctor.check_imu(imu)]
-    finally:
-        imu.close()
+    with device.port:  # looked at, not touched
+        return [*found, answer, *check(device)]
 
 
 def of_link(parts: Parts) -> "list[Finding]":

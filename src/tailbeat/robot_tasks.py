@@ -13,7 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -217,21 +217,23 @@ def drive(
         gyro = imu.connect(ports.imu)
         _prepare(gyro, ports.imu)
         receiver = link.Receiver(secret, (LENGTH, WIDTH))
-        heard = link.bind(*ports.listen)
-        written = logs.start(log, {"policy": policy, "contract": loaded.contract.fish})
-        devices = loop.Devices(motor, gyro, receiver, heard, ports.laptop)
-        own = loop.Loop(
-            loaded, devices, written.put, logging=lambda: not written.failed, target=target
-        )
-        with warden.guard(ports.servo) as watcher:
-            own.alive = _alive(own, watcher, systemd.from_environment())
-            try:
-                _swim(own, seconds, say, each, by_itself, stay)
-            finally:
-                if not own.owing:
-                    watcher.farewell()
-        written.close({"pace": json.dumps(own.pace.report())})
-        heard.close()
+        notes = {"policy": policy, "contract": loaded.contract.fish}
+        with (
+            link.bind(*ports.listen) as heard,
+            contextlib.closing(logs.start(log, notes)) as written,
+        ):
+            devices = loop.Devices(motor, gyro, receiver, heard, ports.laptop)
+            own = loop.Loop(
+                loaded, devices, written.put, logging=lambda: not written.failed, target=target
+            )
+            with warden.guard(ports.servo) as watcher:
+                own.alive = Alive(own, watcher, systemd.from_environment())
+                try:
+                    _swim(own, seconds, say, each, by_itself, stay)
+                finally:
+                    if not own.owing:
+                        watcher.farewell()
+            written.last_notes["pace"] = json.dumps(own.pace.report())
         return {**_outcome(own, log, by_itself), **paces(own.pace)}
     finally:
         motor.close()
@@ -261,14 +263,19 @@ def _prepare(gyro: Any, path: str) -> None:
     gyro.deadline = usual
 
 
-def _alive(own: Any, watcher: Any, notifier: Any) -> Callable[[bool], bool]:
-    """What the loop calls every period: warden and systemd hear that it turns."""
+@dataclass(frozen=True)
+class Alive:
+    """What the loop calls every period: the warden (`watcher`) and systemd hear that it turns."""
 
-    def alive(torque: bool) -> bool:
-        notifier.beat(time.monotonic(), f"{own.stand.state.value}: {own.stand.reason}")
-        return bool(watcher.beat(torque))
+    loop: Any
+    watcher: Any
+    notifier: Any
 
-    return alive
+    def __call__(self, torque: bool) -> bool:
+        """Whether the warden listens."""
+        stand = self.loop.stand
+        self.notifier.beat(time.monotonic(), f"{stand.state.value}: {stand.reason}")
+        return bool(self.watcher.beat(torque))
 
 
 def paces(pace: Any) -> dict[str, Any]:

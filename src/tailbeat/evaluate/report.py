@@ -94,7 +94,7 @@ def evaluated(out: Path, data: dict[str, Any], fish: Fish, twin: Fish) -> list[S
             )
     if "track" in data:
         swims, _ = runs.load(out, track.ARM, 1)
-        drawn = swim_figures.following(track.by_lap(swims), data["track"])
+        drawn = swim_figures.following(track.by_course(swims), data["track"])
         sections.append(("Following", [table(data["track"]), figure(drawn, out, "following")]))
     rows = data["spectrum"]
     if rows:
@@ -185,10 +185,12 @@ def beside_paper(data: dict[str, Any]) -> list[dict[str, Any]]:
         names = ", ".join(row["arm"].removeprefix("disturb ") for row in disturbed)
         label = f"perturbed targets within {key.removesuffix('cm')} cm"
         ours[label] = f"{', '.join(found)} % ({names})" if found else "-"
-    for row in data.get("track", []):
-        if row["arm"] == track.EIGHT:
-            name = "figure-eight, 73 s: two clean crossings"
-            ours[name] = f"{row['two_crossings']} of {row['swims']}"
+    crossed = {
+        row["arm"]: f"{row['two_crossings']} of {row['swims']}" for row in data.get("track", [])
+    }
+    if crossed:
+        name = "figure-eight, 73 s: two clean crossings"
+        ours[name] = f"{crossed[track.EIGHT]} by the clock, {crossed[track.LED_EIGHT]} led"
     below = "velocity power below the edge: "
     labels = {"identification": "identification runs", "reach twin": "policy in its twin"}
     labels["reach open"] = "deployed"

@@ -1,6 +1,7 @@
 """Where trials begin and what they aim at: sampled grids and closed paths, from a seed."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,8 @@ def aim(fish: Fish, start: Array, bearing: Array, distance: Array) -> Array:
 
 def still(start: Array, target: Array, velocity: Array | None = None) -> Scene:
     """Fish (n, 3) with targets (n, 2) that stay."""
-    return Scene(start, np.zeros_like(start) if velocity is None else velocity, target[:, None])
+    moved = np.zeros_like(start) if velocity is None else velocity
+    return Scene(start, moved, target[:, None], np.full(len(start), np.inf))
 
 
 def walled(
@@ -72,9 +74,8 @@ def moving(scene: Scene, speed: float, seconds: float, seed: int) -> Scene:
     angle = rng.uniform(-np.pi, np.pi, len(scene.start))
     way = speed * PERIOD * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     steps = np.arange(round(seconds / PERIOD) + 1)
-    return Scene(
-        scene.start, scene.velocity, scene.target[:, :1] + steps[None, :, None] * way[:, None]
-    )
+    ways = scene.target[:, :1] + steps[None, :, None] * way[:, None]
+    return replace(scene, target=ways)
 
 
 # ---- closed paths -------------------------------------------------------------------------------
@@ -121,13 +122,20 @@ def lap_length(path: Callable[[Array], Array]) -> float:
 
 
 def follow(
-    fish: Fish, path: Callable[[Array], Array], lap: float, seconds: float, count: int
+    fish: Fish,
+    path: Callable[[Array], Array],
+    lap: float,
+    seconds: float,
+    count: int,
+    lead: float = np.inf,
 ) -> Scene:
-    """Targets that go round a path in `lap` [s]; fish begin behind them, on the tangent."""
+    """Targets that go round a path in `lap` [s], or longer where they wait for a fish more than
+    `lead` [m] away; fish begin behind them, on the tangent."""
     steps, per_lap = round(seconds / PERIOD) + 1, round(lap / PERIOD)
     way = even(path, per_lap)[np.arange(steps) % per_lap]
     ahead = way[1] - way[0]
     heading = np.arctan2(ahead[1], ahead[0])
     offset = tracked_pose(fish, np.zeros(3))[0] + BEHIND
     start = np.array([*(way[0] - offset * ahead / np.hypot(*ahead)), heading])
-    return Scene(np.tile(start, (count, 1)), np.zeros((count, 3)), np.tile(way, (count, 1, 1)))
+    starts, ways = np.tile(start, (count, 1)), np.tile(way, (count, 1, 1))
+    return Scene(starts, np.zeros((count, 3)), ways, np.full(count, lead))

@@ -1,5 +1,6 @@
 """Following a target that goes round a closed path inside the pool's walls."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,33 @@ from tailbeat.learn.world import Scene
 from tailbeat.pool.plant import Surroundings
 
 SECONDS = 73.0  # the paper's figure-eight
-EIGHT = "eight 73 s"
-ROUND = [
-    (f"{path} {speed:g} m/s", path, lap_length(PATHS[path]) / speed)
-    for path in ("circle", "square")
-    for speed in (0.06, 0.12, 0.18)
-]
-LAPS = ((EIGHT, "eight", 73.0), ("eight 50 s", "eight", 50.0), *ROUND)
+EIGHT, LED_EIGHT = "eight 73 s", "eight, led"
+LEAD, HASTE = 0.5, 0.5  # m, m/s: a hand that leads the fish keeps so far ahead, at most so fast
+
+
+@dataclass(frozen=True)
+class Course:
+    """A path, the time of one round [s], and `lead` as a scene has it."""
+
+    name: str
+    path: str
+    lap: float
+    lead: float = np.inf
+
+
+def _courses() -> tuple[Course, ...]:
+    lengths = {path: lap_length(way) for path, way in PATHS.items()}
+    timed = [Course(EIGHT, "eight", 73.0), Course("eight 50 s", "eight", 50.0)]
+    timed += [
+        Course(f"{path} {speed:g} m/s", path, lengths[path] / speed)
+        for path in ("circle", "square")
+        for speed in (0.06, 0.12, 0.18)
+    ]
+    led = [Course(f"{path}, led", path, length / HASTE, LEAD) for path, length in lengths.items()]
+    return (*timed, *led)
+
+
+COURSES = _courses()
 SETTLING = 5.0  # s that are not judged
 KEPT = 0.6  # m: a fish farther than this from its target has lost it
 CROSSING, ALIGNED = 0.15, np.radians(45)  # m, rad: a clean pass through the eight's middle
@@ -30,10 +51,12 @@ MARGIN = 0.4  # m between a path and the walls
 
 
 def arms(pool: Pool) -> list[Arm]:
-    """Ten swims of 73 s per path and speed, each in a water and noise of its own; one arm."""
-    parts = [follow(pool.fish, PATHS[path], lap, SECONDS, SWIMS) for _, path, lap in LAPS]
+    """Ten swims of 73 s per course, each in a water and noise of its own; one arm."""
+    parts = [
+        follow(pool.fish, PATHS[one.path], one.lap, SECONDS, SWIMS, one.lead) for one in COURSES
+    ]
     whole = Scene(*(np.concatenate([getattr(one, n) for one in parts]) for n in vars(parts[0])))
-    water = len(LAPS) * pools(pool.waters, SWIMS)
+    water = len(COURSES) * pools(pool.waters, SWIMS)
     around = (Surroundings(walls=pool.walls),)
     _check_room(pool.walls)
     return [pool.arm(ARM, whole, water=water, around=around, seconds=SECONDS, stop=False)]
@@ -41,8 +64,8 @@ def arms(pool: Pool) -> list[Arm]:
 
 def _check_room(walls: tuple[float, float]) -> None:
     """Refuse a pool in which a path would run along a wall."""
-    for path in dict.fromkeys(row[1] for row in LAPS):
-        length, width = 2 * np.abs(even(PATHS[path], 360)).max(axis=0) + 2 * MARGIN
+    for path, way in PATHS.items():
+        length, width = 2 * np.abs(even(way, 360)).max(axis=0) + 2 * MARGIN
         if length > walls[0] or width > walls[1]:
             raise BadInput(
                 f"walls of {walls[0]:g} x {walls[1]:g} m: the {path} needs {length:.1f} x"
@@ -50,26 +73,28 @@ def _check_room(walls: tuple[float, float]) -> None:
             )
 
 
-def by_lap(runs: Runs) -> dict[str, Runs]:
-    """The arm's swims by path and speed, as `LAPS` names them."""
-    parts = {row[0]: slice(SWIMS * i, SWIMS * (i + 1)) for i, row in enumerate(LAPS)}
+def by_course(runs: Runs) -> dict[str, Runs]:
+    """The arm's swims by course."""
+    parts = {one.name: slice(SWIMS * i, SWIMS * (i + 1)) for i, one in enumerate(COURSES)}
     return {name: runs.part(own) for name, own in parts.items()}
 
 
 def numbers(by_arm: dict[str, Runs]) -> list[dict[str, Any]]:
-    """Per path and speed: distance to target and to path [m], share kept, clean crossings."""
-    swims = by_lap(by_arm[ARM])
-    return [_row(name, swims[name], path, lap) for name, path, lap in LAPS]
+    """Per course: speed of the target [m/s], distance to it and to its path [m], how many swims
+    kept it, and of those of the eight how many crossed cleanly twice."""
+    swims = by_course(by_arm[ARM])
+    return [_row(one.name, swims[one.name], one.path) for one in COURSES]
 
 
-def _row(name: str, runs: Runs, path: str, lap: float) -> dict[str, Any]:
+def _row(name: str, runs: Runs, path: str) -> dict[str, Any]:
     first = round(SETTLING / PERIOD)
     away, off = runs.distance[:, first:], aside(runs, path)[:, first:]
     crossed = crossings(runs) if path == "eight" else None
+    moved = np.hypot(*np.moveaxis(np.diff(runs.target, axis=1), -1, 0))
     return {
         "arm": name,
         "swims": runs.count,
-        "target_speed": lap_length(PATHS[path]) / lap,
+        "target_speed": float(np.nanmean(moved) / PERIOD),
         "median_distance": float(np.nanmedian(away)),
         "p95_distance": float(np.nanpercentile(away, 95)),
         "aside_rms": float(np.sqrt(np.nanmean(np.square(off)))),
@@ -107,7 +132,7 @@ def _passes(pose: Any, target: Any) -> int:
     ]
     ends = [*times[1:], len(at) - 1]
     return sum(
-        _clean(pose[first:last], target[first] - target[first - 1])
+        _clean(pose[first:last], target[first + 1] - target[first])
         for first, last in zip(times, ends, strict=True)
     )
 

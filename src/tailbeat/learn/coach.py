@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 
 from tailbeat.files import BadInput
 from tailbeat.learn import checkpoint, curriculum, view
@@ -90,11 +91,16 @@ class Coach(BaseCallback):
     def _enter(self) -> None:
         """Put the world and the learning rate into the course's stage."""
         self.env.world.change(self.plan.settings(self.course.stage))
-        self._set_rate()
+        self._set_pace()
         self.starts = [None] * self.env.num_envs  # fish on their way began in the stage before
 
-    def _set_rate(self) -> None:
+    def _set_pace(self) -> None:
+        """Learning rate, and steps between updates: a verdict takes thirty seconds of swimming and
+        more, and most stages turn out to need no learning at all."""
         recipe = self.plan.recipe
+        waiting = recipe.waiting if len(self._judged()) < recipe.window else 1
+        pace = TrainFreq(waiting, TrainFrequencyUnit.STEP)
+        self.model.train_freq = pace  # type: ignore[assignment]  # SB3 makes one of what it is given
         share = self.share() if recipe.quick else 0.0
         rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rates, share)
         self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
@@ -131,7 +137,7 @@ class Coach(BaseCallback):
             self._promote()
         elif self.course.seconds - self.course.stage_began > 3600 * self.plan.recipe.budget_hours:
             self.course.stalled = True
-        self._set_rate()
+        self._set_pace()
 
     def _promote(self) -> None:
         """Examine, write the policy and a film, then go on to the next stage."""

@@ -18,8 +18,9 @@ BYTES_PER_TRANSITION = 4 * (2 * 24 + 6 + 3 + 28)
 class Recipe:
     """Numbers of SAC and of what feeds it.
 
-    `fish` swim at once; after every control step of all come `updates` of `batch`. `discount` is
-    per control step, `returns` of them make one transition; `reward_scale` keeps the critics'
+    `fish` swim at once; after every control step of all come `updates` of `batch`, after every
+    `waiting` steps while too few of a stage's targets are judged for a verdict. `discount` is per
+    control step, `returns` of them make one transition; `reward_scale` keeps the critics'
     numbers near one; `entropy` is SB3's. `window` episodes make a rolling share; `budget_hours` a
     stage may last before it counts as stalled.
     """
@@ -40,6 +41,7 @@ class Recipe:
     starts: int
     window: int
     budget_hours: float
+    waiting: int = 1
     memory: float = 0.0  # of the exploring noise, per control step
     binds: Literal["fundamental", "signal"] = "fundamental"  # what the generator's ceiling binds
     width: int = WIDTH  # of every layer of actor and critics
@@ -71,6 +73,7 @@ def quick() -> Recipe:
         starts=20_000,
         window=200,
         budget_hours=1.0,
+        waiting=4,
         memory=0.95,
     )
 
@@ -92,6 +95,7 @@ def paper() -> Recipe:
         entropy="auto",
         buffer=1_000_000,
         budget_hours=6.0,
+        waiting=1,
         memory=0.0,
         stages=STAGES[:10],
     )
@@ -104,7 +108,7 @@ def smoke() -> Recipe:
     ahead = (Stage("ahead", 1, 0.0, 0.0, float(np.radians(20))),)
     return replace(
         quick(), name="smoke", fish=32, batch=128, starts=6_000, buffer=60_000, window=60,
-        rates=(1e-3,), width=64, stages=ahead, task=near, binds="signal",
+        rates=(1e-3,), waiting=1, width=64, stages=ahead, task=near, binds="signal",
     )  # fmt: skip
 
 

@@ -58,11 +58,14 @@ class Scene:
 
     `start` (n, 3) x, y, yaw of the fish frame and `velocity` (n, 3) of it, in world axes; `target`
     (n, k, 2): where each target is at the start and after every control step, the last one kept.
+    A target waits where it is while its fish is farther than `lead` (n,) [m] away; infinite: it
+    goes by the clock.
     """
 
     start: Array
     velocity: Array
     target: Array
+    lead: Array
 
     def at(self, step: NDArray[np.int64]) -> Array:
         """Places (n, 2) of the targets after `step` (n,) control steps."""
@@ -168,6 +171,7 @@ class World:
         self.seen = sensors.empty(self.count, self.steps_per_episode)
         self.pushes = np.zeros((self.count, self.steps_per_episode, 2), dtype=np.float32)
         self.age = np.zeros(self.count, dtype=np.int64)
+        self.along = np.zeros(self.count, dtype=np.int64)  # how far a scene's target has come
         self.target, self.drift = np.zeros((self.count, 2)), np.zeros((self.count, 2))
         self.turn, self.goes_on = np.zeros(self.count), np.zeros(self.count, bool)
         self.near = np.zeros(self.count)  # steps of an episode's second half beside the target
@@ -198,7 +202,7 @@ class World:
         chosen = np.flatnonzero(np.ones(self.count, bool) if which is None else which)
         if chosen.size:
             self.body.rest(chosen)
-            self.age[chosen] = 0
+            self.age[chosen] = self.along[chosen] = 0
             for fish in chosen:
                 self._begin(int(fish), self.rngs[fish])
             self.body.ready(chosen)
@@ -278,7 +282,9 @@ class World:
 
     def _move_targets(self) -> None:
         if self.scene is not None:
-            self.target = self.scene.at(self.age + 1)
+            away = np.hypot(*(self.target - self.pose[:, :2]).T)
+            self.along = self.along + (away < self.scene.lead)
+            self.target = self.scene.at(self.along)
             return
         self.target = self.target + self.drift
         c, s, (x, y) = np.cos(self.turn), np.sin(self.turn), self.drift.T

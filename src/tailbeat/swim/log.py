@@ -63,9 +63,8 @@ class Log:
         except queue.Full:
             self.dropped += 1
 
-    def close(self, notes: Mapping[str, str] | None = None) -> None:
-        """Write what waits, `notes` that were known at the end only, and the file's end."""
-        self.last_notes = dict(notes or {})
+    def close(self) -> None:
+        """Write what waits, `last_notes`, and the file's end."""
         self.waiting.put(None)
         if self.thread is not None:
             self.thread.join(10)

@@ -17,8 +17,7 @@ Pose = tuple[float, float, float]
 
 @dataclass(eq=False)
 class Tour:
-    """`targets` [m] in their order; `rows` of those that are over, `way` (t, x, y, yaw, number) of
-    all that was seen meanwhile."""
+    """`targets` [m] in their order; `rows` of those that are over."""
 
     targets: Sequence[Place]
     patience: float = PATIENCE
@@ -26,7 +25,6 @@ class Tour:
     began: float | None = None  # when the present target was first swum to [s]
     nearest: float = math.inf
     rows: list[dict[str, Any]] = field(default_factory=list)
-    way: list[tuple[float, float, float, float, int]] = field(default_factory=list)
 
     @property
     def target(self) -> Place | None:
@@ -39,7 +37,6 @@ class Tour:
         if self.target is None:
             return
         self.began = now if self.began is None else self.began
-        self.way.append((now, *pose, len(self.rows)))
         away = math.dist(pose[:2], self.target)
         self.nearest = min(self.nearest, away)
         if away < self.arrival or now - self.began >= self.patience:
