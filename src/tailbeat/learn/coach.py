@@ -1,5 +1,6 @@
 """What happens between updates: count arrivals, promote, report, examine, keep checkpoints."""
 
+import shutil
 import time
 from collections import deque
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from tailbeat.learn.assess import Swims, assess
 from tailbeat.learn.env import FishVecEnv
 from tailbeat.learn.export import act, export
 from tailbeat.learn.plan import Plan
+from tailbeat.learn.sac import QuickSAC
 from tailbeat.learn.world import PERIOD, TERMS, World
 
 REPORT_SECONDS = 5.0
@@ -96,8 +98,11 @@ class Coach(BaseCallback):
 
     def _set_pace(self) -> None:
         """Learning rate, and steps between updates: a verdict takes thirty seconds of swimming and
-        more, and most stages turn out to need no learning at all."""
+        more, and most stages turn out to need no learning at all. Noise that remembers is for the
+        first competence; later it costs exploring fish their targets."""
         recipe = self.plan.recipe
+        if isinstance(self.model, QuickSAC):
+            self.model.memory = recipe.memory if self.course.stage == 0 else 0.0
         waiting = recipe.waiting if len(self._judged()) < recipe.window else 1
         pace = TrainFreq(waiting, TrainFrequencyUnit.STEP)
         self.model.train_freq = pace  # type: ignore[assignment]  # SB3 makes one of what it is given
@@ -145,13 +150,10 @@ class Coach(BaseCallback):
         row = self._tell() | {"greedy": self._examine().summary()}
         course.promotions.append(row)
         self.write_policy()
-        name = f"stage-{course.stage + 1:02d}.mp4"
-        view.film(
-            self._decide,
-            self.plan.fish,
-            self.plan.settings(self.course.stage),
-            self.plan.out / name,
-        )
+        kept = self.plan.out / f"stage-{course.stage + 1:02d}"
+        shutil.copyfile(self.plan.out / "policy.onnx", kept.with_suffix(".onnx"))
+        settings = self.plan.settings(course.stage)
+        view.film(self._decide, self.plan.fish, settings, kept.with_suffix(".mp4"))
         if course.stage + 1 == len(stages):
             course.finished = True
             return
