@@ -199,13 +199,18 @@ def tailbeat(*words: object) -> subprocess.CompletedProcess:
 
 
 def test_drive_swims_its_own_rig_and_its_log_is_a_recording(tmp_path: Path):
-    """In real time, in processes of their own; on a busy machine it may hold, and says why."""
-    log, out = tmp_path / "swim.mcap", tmp_path / "swim.csv"
-    done = tailbeat("drive", "pulley-fish-pool-generator", "--rig", "--log", log, "--seconds", 5,
-                    "--json", tmp_path / "d.json")  # fmt: skip
-    assert done.returncode in (0, 1), done.stderr
+    """In real time, in processes of their own. A host that takes its cores away makes the loop hold
+    before it swims, as it should: then once more."""
+    out, found = tmp_path / "swim.csv", {}
+    for attempt in range(4):
+        log = tmp_path / f"swim{attempt}.mcap"
+        done = tailbeat("drive", "pulley-fish-pool-generator", "--rig", "--log", log, "--seconds",
+                        5, "--json", tmp_path / "d.json")  # fmt: skip
+        assert done.returncode in (0, 1), done.stderr
+        found = json.loads((tmp_path / "d.json").read_text())
+        if found["swum_s"] > 0.5:
+            break
     assert "run: swimming" in done.stdout
-    found = json.loads((tmp_path / "d.json").read_text())
     assert found["rate_hz"] > 25 and found["rejected_datagrams"] == {}
     assert tailbeat("export", log, "--out", out).returncode == 0
     assert read_recording(out).time.size > 60
