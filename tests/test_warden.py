@@ -42,13 +42,14 @@ def bench() -> Iterator[Bench]:
 
 @pytest.fixture
 def loop(bench) -> Iterator[subprocess.Popen]:
-    process = subprocess.Popen([sys.executable, "-c", LOOP, bench.path], stdout=subprocess.PIPE)
+    process = subprocess.Popen(
+        [sys.executable, "-c", LOOP, bench.path], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
     assert process.stdout is not None and process.stdout.readline() == b"armed\n" and bench.on
     yield process
     if process.poll() is None:
         process.kill()
-    process.wait()
-    process.stdout.close()
+    process.communicate(timeout=30)  # until its warden is done too, else it meets the next test
 
 
 def off_within(bench: Bench, seconds: float) -> float:
