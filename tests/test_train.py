@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -320,6 +321,16 @@ def test_a_resumed_run_goes_on_where_it_was(run):
     assert course.history[: len(before["history"])] == before["history"]
     ends = np.load(run / "checkpoint" / "buffer.npz")["episode"]
     assert (np.diff(ends, axis=0) >= 0).all()  # no episode spans the interruption
+
+
+def test_of_episodes_cut_by_an_interruption_the_arrivals_do_not_count_either(run, tmp_path):
+    """The late ones of their fellows are lost, so what is left of that time is arrivals."""
+    copy = shutil.copytree(run, tmp_path / "run")
+    state = json.loads((copy / "checkpoint" / "state.json").read_text())
+    state |= {"control_steps": 4 * 4_000, "recent": [[1_000, False], [3_900, True]]}
+    (copy / "checkpoint" / "state.json").write_text(json.dumps(state))
+    course = train(planned_for(copy, hours=1e-5), True, print)
+    assert course.recent == [(1_000, False)]
 
 
 def test_a_checkpoint_is_whole(run):

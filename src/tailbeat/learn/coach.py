@@ -92,21 +92,21 @@ class Coach(BaseCallback):
 
     def _enter(self) -> None:
         """Put the world and the learning rate into the course's stage."""
-        self.env.world.change(self.plan.settings(self.course.stage))
-        self._set_pace()
+        recipe, stage = self.plan.recipe, self.course.stage
+        self.env.world.change(self.plan.settings(stage))
+        if isinstance(self.model, QuickSAC):  # memory finds competence; later it costs targets
+            self.model.memory = recipe.memory if stage == 0 else 0.0
+        self._set_pace(self._judged())
         self.starts = [None] * self.env.num_envs  # fish on their way began in the stage before
 
-    def _set_pace(self) -> None:
+    def _set_pace(self, judged: list[bool]) -> None:
         """Learning rate, and steps between updates: a verdict takes thirty seconds of swimming and
-        more, and most stages turn out to need no learning at all. Noise that remembers is for the
-        first competence; later it costs exploring fish their targets."""
+        more, and most stages turn out to need no learning at all."""
         recipe = self.plan.recipe
-        if isinstance(self.model, QuickSAC):
-            self.model.memory = recipe.memory if self.course.stage == 0 else 0.0
-        waiting = recipe.waiting if len(self._judged()) < recipe.window else 1
+        waiting = recipe.waiting if len(judged) < recipe.window else 1
         pace = TrainFreq(waiting, TrainFrequencyUnit.STEP)
         self.model.train_freq = pace  # type: ignore[assignment]  # SB3 makes one of what it is given
-        share = self.share() if recipe.quick else 0.0
+        share = _share(judged) if recipe.quick else 0.0
         rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rates, share)
         self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
 
@@ -127,22 +127,18 @@ class Coach(BaseCallback):
         """Arrivals of the last episodes whose time is over, by their beginnings. An arrival ends
         an episode early, so the latest to end are mostly arrivals: those tell nothing yet."""
         over = self._clock() - self.env.world.steps_per_episode
-        order = sorted(row for row in self.course.recent if row[0] <= over)
+        known = (row for row in self.course.recent if row[0] <= over)
+        order = sorted(known, key=lambda row: row[0])
         return [arrived for _, arrived in order[-self.plan.recipe.window :]]
 
-    def share(self) -> float:
-        """Rolling share of targets acquired in this stage."""
-        judged = self._judged()
-        return float(np.mean(judged)) if judged else 0.0
-
     def _judge_stage(self) -> None:
-        window = self.plan.recipe.window
-        enough = len(self.course.recent) >= window and len(self._judged()) == window
-        if enough and self.share() > curriculum.PROMOTED:
+        judged = self._judged()
+        if len(judged) == self.plan.recipe.window and _share(judged) > curriculum.PROMOTED:
             self._promote()
-        elif self.course.seconds - self.course.stage_began > 3600 * self.plan.recipe.budget_hours:
+            return
+        if self.course.seconds - self.course.stage_began > 3600 * self.plan.recipe.budget_hours:
             self.course.stalled = True
-        self._set_pace()
+        self._set_pace(judged)
 
     def _promote(self) -> None:
         """Examine, write the policy and a film, then go on to the next stage."""
@@ -211,7 +207,7 @@ class Coach(BaseCallback):
             "seconds": self.course.seconds,
             "stage": self.course.stage + 1,
             "name": self.plan.recipe.stages[self.course.stage].name,
-            "success": self.share(),
+            "success": _share(self._judged()),
             "episodes": self.course.episodes,
             "control_steps": steps,
             "updates": updates,
@@ -249,6 +245,11 @@ class Coach(BaseCallback):
         slope = float(np.polyfit(time_ - time_[0], share, 1)[0])
         missing = curriculum.PROMOTED - float(share[-1])
         return max(missing / slope, 0.0) if slope > 1e-6 else None
+
+
+def _share(judged: list[bool]) -> float:
+    """Rolling share of a stage's targets acquired."""
+    return float(np.mean(judged)) if judged else 0.0
 
 
 def _mean(rows: deque[Row], name: str) -> float:
