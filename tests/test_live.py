@@ -16,7 +16,7 @@ pytest.importorskip("cv2", reason="the robot extra is not installed")
 
 from psutil import NoSuchProcess, Process, process_iter
 
-from tailbeat import laptop_tasks, swim_tasks
+from tailbeat import console, laptop_tasks, swim_tasks
 from tailbeat.evaluate.live_swim import tour_of
 from tailbeat.evaluate.pool_swim import draw_targets
 from tailbeat.files import BadInput
@@ -36,7 +36,7 @@ POLICY, FISH = "pulley-fish-pool-generator", load_fish("pulley-fish")
 @pytest.fixture(scope="module")
 def swum(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, list[str]]:
     out, said = tmp_path_factory.mktemp("live"), list[str]()
-    done = swim_tasks.live(POLICY, FISH.name, None, 1, 0, out, said.append)
+    done = swim_tasks.live(POLICY, FISH.name, None, 1, 0, out, console.counting, said.append)
     return out, done, said
 
 

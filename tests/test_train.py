@@ -228,8 +228,8 @@ def test_a_seed_gives_one_run():
 # ---- stages and plans ---------------------------------------------------------------------------
 
 
-def test_ten_stages_and_one_raise_one_difficulty_at_a_time():
-    assert len(STAGES) == 11
+def test_ten_stages_and_one_by_hand_raise_one_difficulty_at_a_time():
+    assert [one.by_hand for one in STAGES] == 10 * [False] + [True]
     kinds = ("noise", "physics", "arc", "following")
     for before, after in pairwise(STAGES):
         risen = [getattr(after, n) > getattr(before, n) for n in kinds]
@@ -331,6 +331,16 @@ def test_of_episodes_cut_by_an_interruption_the_arrivals_do_not_count_either(run
     (copy / "checkpoint" / "state.json").write_text(json.dumps(state))
     course = train(planned_for(copy, hours=1e-5), True, print)
     assert course.recent == [(1_000, False)]
+
+
+def test_a_finished_run_goes_on_in_a_stage_asked_for_alone(run, tmp_path):
+    copy = shutil.copytree(run, tmp_path / "run")
+    state = json.loads((copy / "checkpoint" / "state.json").read_text())
+    (copy / "checkpoint" / "state.json").write_text(json.dumps(state | {"finished": True}))
+    with pytest.raises(BadInput, match="passed its stages"):
+        train(planned_for(copy), True, print)
+    course = train(planned_for(copy, hours=1e-5), True, print, stage="full noise")
+    assert course.stage == 2 and not course.finished
 
 
 def test_a_checkpoint_is_whole(run):

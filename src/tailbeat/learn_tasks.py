@@ -46,8 +46,8 @@ def train(
     return {
         "folder": str(out),
         "policy": str(out / "policy.onnx"),
-        "stages_passed": len(course.promotions),
-        "stages": len(chosen.stages),
+        "stages_passed": course.passed(),
+        "stages": sum(not one.by_hand for one in chosen.stages),
         "finished": course.finished,
         "stalled": course.stalled,
         "hours": course.seconds / 3600,

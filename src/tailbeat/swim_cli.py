@@ -55,7 +55,7 @@ def swim(
         swim_tasks.attended(policy, pool_fish, twin, seed, console_at, out, console.say)
         return
     else:
-        asked = (policy, pool_fish, twin, targets, seed, out)
+        asked = (policy, pool_fish, twin, targets, seed, out, console.counting)
         done = swim_tasks.swim(*asked) if direct else swim_tasks.live(*asked, console.say)
         console.tables({f"{done['fish']} in the virtual pool, {done['policy']}": done["targets"]})
         console.say(f"{done['within_5cm']} of {targets} within 5 cm; page: {out / 'report.html'}")

@@ -1,6 +1,7 @@
 """What do the verbs of the trials do? Check what fits, swim, write numbers."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest, load_fish
 from tailbeat.learn.body import PERIOD
 from tailbeat.pool.water import fingerprint
+
+Counting = Callable[[], AbstractContextManager[Progress]]  # a bar on the terminal
 
 
 def twin_of(policy: Policy, twin: str | None) -> Fish:
@@ -134,16 +137,26 @@ def report(
     return pages.report(out, described, load_fish(name), data)
 
 
-def swim(policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path) -> Any:
+def swim(
+    policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path, counting: Counting
+) -> Any:
     """A policy swims to targets in the pool's plant, without bytes and faster than real time; film,
     picture and page in a folder."""
     loaded, where, drawn = _entered(policy, fish, twin, targets, seed)
-    swum = pool_swim.tour(loaded, where.fish, where.waters[0], drawn, seed)
-    return _told(swum, loaded, where, {"policy": policy, "seed": seed}, out)
+    with counting() as progress:
+        swum = pool_swim.tour(loaded, where.fish, where.waters[0], drawn, seed, progress)
+    return _told(swum, loaded, where, {"policy": policy, "seed": seed}, out, counting)
 
 
 def live(
-    policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path, say: Any
+    policy: str,
+    fish: str,
+    twin: str | None,
+    targets: int,
+    seed: int,
+    out: Path,
+    counting: Counting,
+    say: Any,
 ) -> Any:
     """The same in real time, through camera, network, servo and IMU; told from the fish's log."""
     loaded, where, drawn = _entered(policy, fish, twin, targets, seed)
@@ -153,7 +166,7 @@ def live(
     toured = evaluation.read_json(seen)
     swum = as_seen(tour_of(log, where.fish, drawn), toured["targets"])
     asked = {"policy": policy, "seed": seed, "log": str(log), "armed_anew": toured["armed_anew"]}
-    return _told(swum, loaded, where, asked, out)
+    return _told(swum, loaded, where, asked, out, counting)
 
 
 def attended(
@@ -187,11 +200,17 @@ def _entered(
 
 
 def _told(
-    swum: Any, loaded: Policy, where: Pool, asked: dict[str, Any], out: Path
+    swum: Any,
+    loaded: Policy,
+    where: Pool,
+    asked: dict[str, Any],
+    out: Path,
+    counting: Counting,
 ) -> dict[str, Any]:
     """Film, picture, page and summary of a swim."""
     own = where.fish
-    pool_swim.film(swum, own, out / "swim.mp4")
+    with counting() as progress:
+        pool_swim.film(swum, own, out / "swim.mp4", progress)
     contract = loaded.contract
     data = {
         **asked,

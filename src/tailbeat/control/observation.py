@@ -6,6 +6,7 @@ against the sample it names, and the policy's contract carries it.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,6 +95,11 @@ def relative(frames: Array) -> Array:
     seen[..., 2] = cos * y - sin * x
     seen[..., 3] = frames[..., 5]
     return seen
+
+
+def wrapped(angle: Any) -> Any:
+    """Angles [rad], of any shape, from -pi up to pi."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def as_markdown() -> str:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -31,5 +32,6 @@ def courses(curves: Mapping[str, dict[str, Any]], path: Path) -> None:
 def _draw(above: Axes, below: Axes, curve: dict[str, Any], label: str, colour: str) -> None:
     rows = curve["history"]
     minutes = [row["seconds"] / 60 for row in rows]
-    above.plot(minutes, [100 * row["success"] for row in rows], color=colour, lw=1, label=label)
+    shares = [100 * row["success"] or np.nan for row in rows]  # 0: a stage without a verdict yet
+    above.plot(minutes, shares, color=colour, lw=1, label=label)
     below.step(minutes, [row["stage"] for row in rows], color=colour, where="post")

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tailbeat.control.policy import Policy, decide
 from tailbeat.evaluate.scenes import TRIES
 from tailbeat.evaluate.swim_figures import BLUE, GREEN, ORANGE, RED
+from tailbeat.evaluate.trial import Progress
 from tailbeat.files import BadInput, new_file
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import outline
@@ -76,7 +77,9 @@ def draw_targets(count: int, seed: int) -> Array:
     raise BadInput(f"{count} targets do not fit into the pool; ask for fewer.")
 
 
-def tour(policy: Policy, fish: Fish, water: Water, targets: Array, seed: int) -> Tour:
+def tour(
+    policy: Policy, fish: Fish, water: Water, targets: Array, seed: int, progress: Progress
+) -> Tour:
     """Swim to each target until it is within 5 cm or its time is over; from the pool's middle."""
     total = PATIENCE * len(targets)
     settings = Settings(policy.contract.actions, Task(seconds=total))
@@ -97,6 +100,7 @@ def tour(policy: Policy, fish: Fish, water: Water, targets: Array, seed: int) ->
             nearest = min(nearest, float(np.hypot(*(place - world.pose[0, :2]))))
             if done.reached[0]:
                 break
+        progress("targets", number + 1, len(targets))
         ends.append((bool(done.reached[0]), PERIOD * goal.count(number), nearest))
     reached, seconds, closest = map(np.array, zip(*ends, strict=True))
     return Tour(targets, np.array(shape), np.array(pose), np.array(goal), reached, seconds, closest)
@@ -115,20 +119,22 @@ def picture(tour: Tour, fish: Fish) -> Figure:
     return figure
 
 
-def film(tour: Tour, fish: Fish, path: Path) -> None:
+def film(tour: Tour, fish: Fish, path: Path, progress: Progress) -> None:
     """An MP4 of the swim from above, at four times real speed."""
     with (
         new_file(path, overwrite=True) as beside,
         imageio.get_writer(beside, fps=FILM_RATE, macro_block_size=None) as writer,
     ):
-        for image in _images(tour, fish):
+        steps = range(0, len(tour.goal), round(SPEED / FILM_RATE / PERIOD))
+        for number, image in enumerate(_images(tour, fish, steps), 1):
             writer.append_data(image)  # type: ignore[attr-defined]
+            progress("film", number, len(steps))
 
 
-def _images(tour: Tour, fish: Fish) -> Iterator[Any]:
+def _images(tour: Tour, fish: Fish, steps: range) -> Iterator[Any]:
     figure = Figure(figsize=(8, 4.4), dpi=80)
     canvas, axes = FigureCanvasAgg(figure), figure.add_axes((0.06, 0.1, 0.92, 0.82))
-    for step in range(0, len(tour.goal), round(SPEED / FILM_RATE / PERIOD)):
+    for step in steps:
         axes.clear()
         _draw(axes, tour, fish, step, step)
         canvas.draw()

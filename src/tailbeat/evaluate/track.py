@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control.observation import wrapped
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.scenes import PATHS, even, follow, lap_length
 from tailbeat.evaluate.trial import Arm, Pool, pools
@@ -145,4 +146,4 @@ def _clean(pose: Any, branch: Any) -> bool:
     k = int(np.nanargmin(near))
     way = pose[min(k + 10, len(pose) - 1), :2] - pose[max(k - 10, 0), :2]
     turn = np.arctan2(way[1], way[0]) - np.arctan2(branch[1], branch[0])
-    return bool(abs((turn + np.pi) % (2 * np.pi) - np.pi) < ALIGNED)
+    return bool(abs(wrapped(turn)) < ALIGNED)

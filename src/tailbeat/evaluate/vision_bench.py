@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control.observation import wrapped
 from tailbeat.fish.outline import outline
 from tailbeat.fish.store import load_fish
 from tailbeat.pool.camera import Conditions, Renderer, Scene, board_views
@@ -58,7 +59,7 @@ class Course:
         """What there is to film; `line` is the fish's, in its tag's frame."""
         pose, later = self.fish(time), self.fish(time + 1e-3)
         change = later - pose
-        change[2] = (change[2] + np.pi) % (2 * np.pi) - np.pi
+        change[2] = wrapped(change[2])
         place = [0.45 * LENGTH * np.sin(0.31 * time), 0.42 * WIDTH * np.cos(0.23 * time)]
         target = (*place, 0.3 * time % (2 * np.pi))
         return Scene(_three(pose), _three(change / 1e-3), _placed(line, pose), _three(target))
@@ -127,7 +128,7 @@ def errors(told: Told) -> dict[str, Any]:
     aims = np.array([one.frame.target or nothing[:2] for one in told.sightings])
     off = 1e3 * np.linalg.norm(seen[:, :2] - told.truth[:, :2], axis=1)
     aside = 1e3 * np.linalg.norm(aims - told.targets, axis=1)
-    turned = np.degrees((seen[:, 2] - told.truth[:, 2] + np.pi) % (2 * np.pi) - np.pi)
+    turned = np.degrees(wrapped(seen[:, 2] - told.truth[:, 2]))
     return {
         "position_rms_mm": _rms(off),
         "position_largest_mm": float(np.nanmax(off)),

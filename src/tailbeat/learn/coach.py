@@ -48,6 +48,10 @@ class Course:
     finished: bool = False
     stalled: bool = False
 
+    def passed(self) -> int:
+        """How many stages; one passed twice, by hand, counts once."""
+        return len({row["name"] for row in self.promotions})
+
 
 class Coach(BaseCallback):
     """SB3's callback; `course` is where it left off, setting `stop` ends the training cleanly."""
@@ -150,7 +154,7 @@ class Coach(BaseCallback):
         shutil.copyfile(self.plan.out / "policy.onnx", kept.with_suffix(".onnx"))
         settings = self.plan.settings(course.stage)
         view.film(self._decide, self.plan.fish, settings, kept.with_suffix(".mp4"))
-        if course.stage + 1 == len(stages):
+        if all(stage.by_hand for stage in stages[course.stage + 1 :]):
             course.finished = True
             return
         course.stage, course.stage_began = course.stage + 1, course.seconds
@@ -179,7 +183,7 @@ class Coach(BaseCallback):
         stage = self.plan.recipe.stages[self.course.stage]
         training = {
             "stage": stage.name,
-            "stages_passed": len(self.course.promotions),
+            "stages_passed": self.course.passed(),
             "seed": self.plan.seed,
             "recipe": self.plan.recipe.name,
             "updates": self.model._n_updates,

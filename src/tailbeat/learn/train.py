@@ -44,6 +44,8 @@ def train(plan: Plan, resume: bool, report: Report, stage: str | None = None) ->
         course = _restored(place, model, env)
     if stage is not None:
         _put_into(stage, plan, course)
+    elif course.finished:
+        raise BadInput(f"{plan.out}: this run has passed its stages; nothing to resume.")
     coach = Coach(plan, course, env, report)
     model.set_logger(configure(str(plan.out / "tensorboard"), ["tensorboard"]))
     with _stopped_by_signals(coach):
@@ -106,8 +108,6 @@ def _restored(place: Any, model: SAC, env: FishVecEnv) -> Course:
     course.recent = _of_whole_time(course, env)
     course.stalled = False  # it may have another budget's time
     course.stage_began = course.seconds if state["stalled"] else course.stage_began
-    if course.finished:
-        raise BadInput(f"{place.parent}: this run has passed its last stage; nothing to resume.")
     return course
 
 
@@ -122,6 +122,7 @@ def _put_into(stage: str, plan: Plan, course: Course) -> None:
     """Begin a stage by hand; the stages passed stay what they were."""
     names = [one.name for one in plan.recipe.stages]
     course.stage, course.stage_began = names.index(stage), course.seconds
+    course.finished = False
     course.recent.clear()
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control.observation import wrapped
 from tailbeat.files import BadInput
 from tailbeat.swim.calibration import Calibration
 from tailbeat.swim.detector import Detector, Seen, open_detector
@@ -186,7 +187,7 @@ class Tracker:
         moved = np.hypot(pose[0] - last.pose[0], pose[1] - last.pose[1])
         if moved > limits.speed * since + limits.step:
             return "jumped"
-        turned = abs((pose[2] - last.pose[2] + np.pi) % (2 * np.pi) - np.pi)
+        turned = abs(wrapped(pose[2] - last.pose[2]))
         most = min(limits.turning * since + limits.turn, 0.75 * np.pi)  # turned over is never
         return "turned too fast" if turned > most else ""
 
