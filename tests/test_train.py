@@ -323,20 +323,24 @@ def test_a_resumed_run_goes_on_where_it_was(run):
     assert (np.diff(ends, axis=0) >= 0).all()  # no episode spans the interruption
 
 
+def copied(run: Path, folder: Path, **changes: Any) -> Path:
+    """A copy of a run, its checkpoint's state changed."""
+    copy = shutil.copytree(run, folder / "run")
+    state = json.loads((copy / "checkpoint" / "state.json").read_text())
+    (copy / "checkpoint" / "state.json").write_text(json.dumps(state | changes))
+    return copy
+
+
 def test_of_episodes_cut_by_an_interruption_the_arrivals_do_not_count_either(run, tmp_path):
     """The late ones of their fellows are lost, so what is left of that time is arrivals."""
-    copy = shutil.copytree(run, tmp_path / "run")
-    state = json.loads((copy / "checkpoint" / "state.json").read_text())
-    state |= {"control_steps": 4 * 4_000, "recent": [[1_000, False], [3_900, True]]}
-    (copy / "checkpoint" / "state.json").write_text(json.dumps(state))
+    recent = [[1_000, False], [3_900, True]]
+    copy = copied(run, tmp_path, control_steps=4 * 4_000, recent=recent)
     course = train(planned_for(copy, hours=1e-5), True, print)
     assert course.recent == [(1_000, False)]
 
 
 def test_a_finished_run_goes_on_in_a_stage_asked_for_alone(run, tmp_path):
-    copy = shutil.copytree(run, tmp_path / "run")
-    state = json.loads((copy / "checkpoint" / "state.json").read_text())
-    (copy / "checkpoint" / "state.json").write_text(json.dumps(state | {"finished": True}))
+    copy = copied(run, tmp_path, finished=True)
     with pytest.raises(BadInput, match="passed its stages"):
         train(planned_for(copy), True, print)
     course = train(planned_for(copy, hours=1e-5), True, print, stage="full noise")

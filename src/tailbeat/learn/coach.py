@@ -48,6 +48,12 @@ class Course:
     finished: bool = False
     stalled: bool = False
 
+    def over(self, fish: int, steps: int) -> list[tuple[int, bool]]:
+        """Of `recent` those that began an episode's `steps` ago or earlier, as `fish` swim at once:
+        none of their fellows is on its way any more."""
+        latest = self.control_steps // fish - steps
+        return [(begun, arrived) for begun, arrived in self.recent if begun <= latest]
+
     def passed(self) -> int:
         """How many stages; one passed twice, by hand, counts once."""
         return len({row["name"] for row in self.promotions})
@@ -130,8 +136,7 @@ class Coach(BaseCallback):
     def _judged(self) -> list[bool]:
         """Arrivals of the last episodes whose time is over, by their beginnings. An arrival ends
         an episode early, so the latest to end are mostly arrivals: those tell nothing yet."""
-        over = self._clock() - self.env.world.steps_per_episode
-        known = (row for row in self.course.recent if row[0] <= over)
+        known = self.course.over(self.env.num_envs, self.env.world.steps_per_episode)
         order = sorted(known, key=lambda row: row[0])
         return [arrived for _, arrived in order[-self.plan.recipe.window :]]
 

@@ -105,17 +105,11 @@ def _restored(place: Any, model: SAC, env: FishVecEnv) -> Course:
     model.num_timesteps, model._n_updates = state["decisions"], state["updates"]
     names = {one.name for one in fields(Course)}
     course = Course(**{name: value for name, value in state.items() if name in names})
-    course.recent = _of_whole_time(course, env)
+    # fish still on their way are lost with the world: what is left of their time is arrivals
+    course.recent = course.over(env.num_envs, env.world.steps_per_episode)
     course.stalled = False  # it may have another budget's time
     course.stage_began = course.seconds if state["stalled"] else course.stage_began
     return course
-
-
-def _of_whole_time(course: Course, env: FishVecEnv) -> list[tuple[int, bool]]:
-    """Episodes whose thirty seconds were over at the checkpoint: those begun later whose fish were
-    still on their way are lost with it, and what is left of that time is arrivals."""
-    over = course.control_steps // env.num_envs - env.world.steps_per_episode
-    return [(int(begun), bool(arrived)) for begun, arrived in course.recent if begun <= over]
 
 
 def _put_into(stage: str, plan: Plan, course: Course) -> None:
