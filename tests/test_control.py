@@ -18,7 +18,7 @@ from tailbeat.control.actions import (
     step,
 )
 from tailbeat.control.band import Monitor, edge_of, share_below, velocity_spectrum
-from tailbeat.control.observation import SCALES, TABLE, Samples, as_markdown, observe
+from tailbeat.control.observation import SCALES, TABLE, Samples, as_markdown, bearing, observe
 from tailbeat.files import BadInput
 
 GENERATOR = Generator(-1.4, 1.4)
@@ -230,3 +230,10 @@ def test_the_band_s_edge_comes_from_recordings():
         edge_of([])
     with pytest.raises(BadInput, match="needs 8"):
         velocity_spectrum(time[:3], slow[:3])
+
+
+def test_a_bearing_is_from_straight_ahead_and_to_the_left():
+    half = np.pi / 2
+    pose = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, half], [0.0, 0.0, 3.0], [0.0, 0.0, -3.0]])
+    place = np.array([[1.0, 3.0], [1.0, 3.0], [-1.0, 0.0], [-1.0, 0.0]])
+    assert bearing(pose, place) == pytest.approx([half, 0.0, np.pi - 3.0, 3.0 - np.pi])

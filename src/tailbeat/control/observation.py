@@ -102,6 +102,13 @@ def wrapped(angle: Any) -> Any:
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
+def bearing(pose: Any, place: Any) -> Any:
+    """Of places (n, 2) [m] seen from poses (n, 3) x, y, yaw [m, rad]: angles (n,) from straight
+    ahead, positive to the left [rad], from -pi up to pi."""
+    offset = place - pose[:, :2]
+    return wrapped(np.arctan2(offset[:, 1], offset[:, 0]) - pose[:, 2])
+
+
 def as_markdown() -> str:
     """The table as the docs print it."""
     lines = ["| # | observed | unit | divided by | from |", "|---|---|---|---|---|"]

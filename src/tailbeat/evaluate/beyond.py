@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tailbeat.control.actions import Generator
-from tailbeat.control.observation import wrapped
+from tailbeat.control.observation import bearing
 from tailbeat.evaluate.reach import paired, shares
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.scenes import grid, moving
@@ -48,9 +48,8 @@ def arms(pool: Pool) -> list[Arm]:
 def _behind(target: Any, start: Any) -> Any:
     """Every target of an even spread moved into the rear 120 deg: bearing to 180 less a third."""
     offset = target[:, 0] - start[:, :2]
-    angle = np.arctan2(offset[:, 1], offset[:, 0]) - start[:, 2]
-    bearing = wrapped(angle)
-    rear = np.sign(bearing) * (np.pi - np.abs(bearing) / 3) + start[:, 2]
+    seen = bearing(start, target[:, 0])
+    rear = np.sign(seen) * (np.pi - np.abs(seen) / 3) + start[:, 2]
     far = np.hypot(offset[:, 0], offset[:, 1])
     return (start[:, :2] + far[:, None] * np.stack([np.cos(rear), np.sin(rear)], axis=1))[:, None]
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.control.observation import wrapped
+from tailbeat.control.observation import bearing
 from tailbeat.files import BadInput, leaves, new_file, write_json
 from tailbeat.learn.body import PERIOD
 
@@ -68,9 +68,7 @@ class Runs:
     @property
     def bearing(self) -> Single:
         """Of the target at the start, from straight ahead (n,) [rad], in -pi to pi."""
-        offset = self.target[:, 0] - self.pose[:, 0, :2]
-        angle = np.arctan2(offset[:, 1], offset[:, 0]) - self.pose[:, 0, 2]
-        return np.asarray(wrapped(angle))
+        return np.asarray(bearing(self.pose[:, 0], self.target[:, 0]))
 
     def part(self, own: slice) -> "Runs":
         """Some of the swims; their shapes are left out."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control.observation import bearing
 from tailbeat.learn.world import PERIOD, World, seeds_from
 
 Array = NDArray[np.float64]
@@ -55,8 +56,7 @@ def assess(decide: Decide, build: Build, count: int, seed: int) -> Swims:
 def _together(decide: Decide, world: World) -> Swims:
     seen = world.reset()
     start, target = world.pose.copy(), world.target.copy()
-    offset = target - start[:, :2]
-    distance = np.hypot(*offset.T)
+    distance = np.hypot(*(target - start[:, :2]).T)
     going, reached = np.ones(world.count, bool), np.zeros(world.count, bool)
     way, nearest, steps = np.zeros(world.count), distance.copy(), np.zeros(world.count, int)
     shown = []
@@ -71,7 +71,7 @@ def _together(decide: Decide, world: World) -> Swims:
         reached |= going & done.reached
         going &= ~(done.terminated | done.truncated)
         seen = done.observation
-    bearing = np.arctan2(offset[:, 1], offset[:, 0]) - start[:, 2]
     return Swims(
-        reached, PERIOD * steps, way, distance, bearing, nearest, np.concatenate(shown)
+        reached, PERIOD * steps, way, distance, bearing(start, target), nearest,
+        np.concatenate(shown),
     )  # fmt: skip
