@@ -10,6 +10,7 @@ from tailbeat.evaluate.reach import by_sector, in_pool, in_twin, reach, wilson
 from tailbeat.fish.store import digest, load_fish
 from tailbeat.learn.curriculum import Stage, settings_of
 from tailbeat.learn.world import PERIOD
+from tailbeat.learn_tasks import with_servo
 from tailbeat.pool.water import ensemble
 
 TWIN, FISH = load_fish("pulley-fish-pool"), load_fish("pulley-fish")
@@ -38,7 +39,7 @@ def test_shipped_policies_fit_the_shipped_twin(name):
     """With the servo that their name says: the idealised one fits no other."""
     contract = load_policy(name).contract
     servo = "idealised" if name.endswith("idealised") else "identified"
-    twin = TWIN.model_copy(update={"servo": servo})
+    twin = with_servo(TWIN, servo)
     check_fits(contract, twin.name, digest(twin), twin.band, PERIOD)
     assert contract.training["versions"]["engine"] == "4.0.0"
 
