@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,13 +13,16 @@ import pytest
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
 import onnx
+import torch
 from stable_baselines3 import SAC
 
 from tailbeat.control import actions as act
 from tailbeat.control.actions import Direct, Generator
+from tailbeat.control.observation import TABLE
 from tailbeat.control.policy import Policy, check_fits, decide, differences, load_policy
 from tailbeat.files import BadInput
 from tailbeat.fish.store import digest, load_fish
+from tailbeat.learn.closeup import CloseUp
 from tailbeat.learn.env import FishEnv, FishVecEnv
 from tailbeat.learn.export import act as act_of_sb3
 from tailbeat.learn.export import export
@@ -28,9 +32,10 @@ FISH = load_fish("pulley-fish-pool")
 LOW, HIGH = FISH.motor.range or (-1.0, 1.0)
 
 
-def untrained(actions: act.ActionSpace, seed: int = 0) -> SAC:
+def untrained(actions: act.ActionSpace, seed: int = 0, **shape: Any) -> SAC:
     env = FishVecEnv(FISH, 1, Settings(actions=actions), seed=0)
-    return SAC("MlpPolicy", env, policy_kwargs={"net_arch": [32, 32]}, seed=seed, device="cpu")
+    shape = {"net_arch": [32, 32], **shape}
+    return SAC("MlpPolicy", env, policy_kwargs=shape, seed=seed, device="cpu")
 
 
 def sights(count: int) -> np.ndarray:
@@ -64,6 +69,30 @@ def test_the_network_in_the_file_is_sb3_s(written):
     _, model, policy = written
     seen = sights(1000)
     assert np.abs(decide(policy, seen) - act_of_sb3(model, seen)).max() <= 1e-6
+
+
+def test_a_network_with_a_close_up_is_sb3_s_too(tmp_path):
+    space = Generator(LOW, HIGH)
+    model = untrained(space, features_extractor_class=CloseUp)
+    policy = export(model, FISH, space, sights(400), {}, tmp_path / "policy.onnx")
+    seen = sights(1000)
+    assert np.abs(decide(policy, seen) - act_of_sb3(model, seen)).max() <= 1e-6
+
+
+def test_a_close_up_gives_bearings_far_off_and_decimetres_near():
+    """The table says which numbers are meant, so a change of its order or scales is followed."""
+    seen = np.zeros((3, 24), dtype=np.float32)
+    away, angle = np.array([2.5, 0.1, 0.01]), np.radians(30)
+    for name, metres in (("distance", away), ("ahead", away * np.cos(angle)),
+                         ("left", away * np.sin(angle))):  # fmt: skip
+        entry = next(e for e in TABLE if e.name == f"frame 0 (newest): target {name}")
+        seen[:, TABLE.index(entry)] = metres / entry.scale
+    env = FishVecEnv(FISH, 1, seed=0)
+    found = CloseUp(env.observation_space)(torch.as_tensor(seen)).numpy()
+    assert np.array_equal(found[:, :24], seen)
+    share = away / (away + 0.1)
+    wanted = np.stack([share * np.cos(angle), share * np.sin(angle), 1 - share], axis=1)
+    assert found[:, 24:] == pytest.approx(wanted, abs=1e-6)
 
 
 def test_a_thousand_recorded_steps_replay_to_the_bit(written):

@@ -35,7 +35,7 @@ from tailbeat.learn.env import FishVecEnv
 from tailbeat.learn.export import act
 from tailbeat.learn.plan import Plan, action_space
 from tailbeat.learn.recipe import paper, quick, recipe_of, smoke
-from tailbeat.learn.sac import STEADY, YOUNG, QuickSAC
+from tailbeat.learn.sac import STEADY, YOUNG, QuickSAC, _products, rounds
 from tailbeat.learn.sensors import quiet
 from tailbeat.learn.train import train
 from tailbeat.learn.world import Settings, Task, World
@@ -142,6 +142,16 @@ def test_targets_elsewhere_are_seen_where_they_are(filled):
     assert seen[:, column] * 2.0 == pytest.approx(ahead, abs=1e-5)
 
 
+def test_half_of_the_later_targets_lie_just_beside_the_way(filled, monkeypatch):
+    buffer, _ = filled
+    monkeypatch.setattr(buffer, "misses", 0.1)
+    place = np.zeros((4000, 2), np.float32)
+    moved = buffer._beside(place)
+    aside = moved[np.abs(moved).sum(axis=1) > 0]
+    assert len(aside) == pytest.approx(2000, abs=150)
+    assert aside.std(axis=0) == pytest.approx(0.1, abs=0.01)
+
+
 def test_the_mirrored_fish_sees_the_mirrored_observation():
     """What lets a batch be mirrored: the twin itself, under mirrored actions, does so exactly."""
     worlds = [World(FISH, STILL, [3]) for _ in range(2)]
@@ -192,6 +202,24 @@ def test_the_critics_gradient_is_that_of_sb3_s_loss(learner):
     (0.5 * torch.stack(losses).sum()).backward()
     for slope, parameter in zip(gradient, learner.critic.parameters(), strict=True):
         assert torch.allclose(slope, parameter.grad, atol=1e-6)
+
+
+@pytest.mark.skipif(not rounds(), reason="this processor does not multiply bfloat16")
+def test_rounded_products_leave_the_gradient_s_direction_and_end_with_the_update(learner):
+    data, noise = learner.replay_buffer.sample(256), torch.randn(256, 6)
+    entropy = torch.tensor([0.1])
+
+    def slope() -> torch.Tensor:
+        return torch.cat([g.ravel() for g in learner._critic_gradient(data, noise, entropy)[1]])
+
+    exact = slope()
+    with _products(True):
+        rounded = slope()
+    assert not torch.equal(rounded, exact)
+    assert torch.cosine_similarity(rounded, exact, dim=0) > 0.999
+    assert torch.equal(slope(), exact)
+    with _products(False):
+        assert torch.equal(slope(), exact)
 
 
 def test_the_greedy_actor_is_the_running_mean_of_the_actor_s_weights():

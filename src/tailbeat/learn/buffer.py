@@ -25,7 +25,8 @@ EXTRA = ("frames", "next_frames", "place", "effort", "episode")
 
 
 class RelabelBuffer(ReplayBuffer):
-    """SB3's buffer with `later` and `anywhere`, shares of a batch that get another target.
+    """SB3's buffer with `later` and `anywhere`, shares of a batch that get another target. Half of
+    the `later` ones lie beside the way by about `misses` [m]: places that the fish all but reached.
 
     `returns` steps in a row count as one (n-step returns); `discount` is per step.
     """
@@ -38,11 +39,12 @@ class RelabelBuffer(ReplayBuffer):
         returns: int = 1,
         later: float = 0.4,
         anywhere: float = 0.2,
+        misses: float = 0.0,
         **rest: Any,
     ) -> None:
         super().__init__(*args, **rest)
         self.source, self.discount, self.returns = source, discount, returns
-        self.later, self.anywhere = later, anywhere
+        self.later, self.anywhere, self.misses = later, anywhere, misses
         shape = (self.buffer_size, self.n_envs)
         self.frames = np.zeros((*shape, 3, 4), np.float32)
         self.next_frames = np.zeros((*shape, 3, 4), np.float32)
@@ -106,7 +108,7 @@ class RelabelBuffer(ReplayBuffer):
         """Another target (n, 2) for a share of the batch, NaN for the rest."""
         draw = np.random.random_sample(len(at[0]))[:, None]  # noqa: NPY002
         anywhere = np.where(draw < self.later + self.anywhere, self._anywhere(at), np.nan)
-        return np.where(draw < self.later, self._later(at), anywhere)
+        return np.where(draw < self.later, self._beside(self._later(at)), anywhere)
 
     def _retarget(self, parts: dict[str, Any], targets: Single) -> None:
         """Give those with a finite target that one instead, in place."""
@@ -139,6 +141,14 @@ class RelabelBuffer(ReplayBuffer):
         then = (at[0] + ahead) % self.buffer_size
         same = self.episode[then, at[1]] == self.episode[at]
         return self.place[np.where(same, then, at[0]), at[1]]
+
+    def _beside(self, place: Single) -> Single:
+        """Half of the places moved by a normal draw of `misses` along both axes."""
+        if not self.misses:
+            return place
+        moved = np.random.random_sample(len(place)) < 0.5  # noqa: NPY002
+        offset = self.misses * np.random.standard_normal(place.shape)  # noqa: NPY002
+        return (place + offset * moved[:, None]).astype(np.float32)
 
     def _anywhere(self, at: Any) -> Single:
         """Places about the fish, by range and bearing."""

@@ -19,6 +19,7 @@ from tailbeat.control.policy import KEY, VERSION, Contract, Policy, as_text, loa
 from tailbeat.files import new_file
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest
+from tailbeat.learn.closeup import CloseUp, matrices
 from tailbeat.learn.sac import greedy_actor
 from tailbeat.learn.world import PERIOD
 
@@ -67,10 +68,11 @@ def act(model: SAC, seen: Single) -> Single:
 
 
 def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
-    """Layers of the actor's mean, ReLU between them, tanh at the end."""
+    """Layers of the actor's mean, ReLU between them, tanh at the end; before them the close-up,
+    where the networks have one."""
     actor = greedy_actor(model)
     layers: list[Any] = [m for m in actor.latent_pi if isinstance(m, torch.nn.Linear)] + [actor.mu]
-    nodes, weights, name = [], [], "observation"
+    nodes, weights, name = _close_up(isinstance(actor.features_extractor, CloseUp))
     for index, layer in enumerate(layers):
         for kind, tensor in (("w", layer.weight), ("b", layer.bias)):
             weights.append(numpy_helper.from_array(tensor.detach().cpu().numpy(), f"{kind}{index}"))
@@ -81,6 +83,21 @@ def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
         name = "action" if last else f"h{index}"
         nodes.append(helper.make_node("Tanh" if last else "Relu", [f"z{index}"], [name]))
     return _model(nodes, weights, len(TABLE), len(layers[-1].bias), contract)
+
+
+def _close_up(given: bool) -> tuple[list[Any], list[Any], str]:
+    """Nodes, weights and the name of what the first layer sees."""
+    if not given:
+        return [], [], "observation"
+    weights = [numpy_helper.from_array(matrix, name) for name, matrix in matrices().items()]
+    top, low = ["observation", "above", "constant"], ["observation", "below", "range"]
+    nodes = [
+        helper.make_node("Gemm", top, ["numerator"], transB=1),
+        helper.make_node("Gemm", low, ["denominator"], transB=1),
+        helper.make_node("Div", ["numerator", "denominator"], ["close"]),
+        helper.make_node("Concat", ["observation", "close"], ["features"], axis=1),
+    ]
+    return nodes, weights, "features"
 
 
 def _model(

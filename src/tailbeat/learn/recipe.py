@@ -43,6 +43,9 @@ class Recipe:
     budget_hours: float
     waiting: int = 1
     memory: float = 0.0  # of the exploring noise, per control step
+    misses: float = 0.0  # m, by which some replayed targets lie beside the way swum
+    close_up: bool = False  # networks are given the target's bearing where centimetres count
+    rounded: bool = False  # updates multiply in bfloat16 where the processor has units for it
     binds: Literal["fundamental", "signal"] = "fundamental"  # what the generator's ceiling binds
     width: int = WIDTH  # of every layer of actor and critics
     stages: tuple[Stage, ...] = STAGES
@@ -75,6 +78,9 @@ def quick() -> Recipe:
         budget_hours=1.0,
         waiting=4,
         memory=0.95,
+        misses=0.1,
+        close_up=True,
+        rounded=True,
     )
 
 
@@ -97,6 +103,9 @@ def paper() -> Recipe:
         budget_hours=6.0,
         waiting=1,
         memory=0.0,
+        misses=0.0,
+        close_up=False,
+        rounded=False,
         stages=STAGES[:10],
     )
 

@@ -9,7 +9,9 @@ average it away (after Eberhard et al., "Pink Noise Is All You Need", ICLR 2023;
 Everything else is `stable_baselines3.SAC`.
 """
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from copy import deepcopy
 from typing import Any
 
@@ -28,11 +30,12 @@ YOUNG = 10.0  # the mean spans the last tenth of the updates, until they are 10,
 
 class QuickSAC(SAC):
     """SAC with critics and actor updated side by side. Takes SAC's arguments and `memory`, what the
-    exploring noise keeps of itself from one control step to the next; `steady` is the mean actor.
+    exploring noise keeps of itself from one control step to the next; `rounded` updates multiply
+    matrices in bfloat16 where the processor can. `steady` is the mean actor.
     """
 
-    def __init__(self, *args: Any, memory: float = 0.0, **rest: Any) -> None:
-        self.memory = memory
+    def __init__(self, *args: Any, memory: float = 0.0, rounded: bool = False, **rest: Any) -> None:
+        self.memory, self.rounded = memory, rounded
         super().__init__(*args, **rest)
 
     def _setup_model(self) -> None:
@@ -63,7 +66,7 @@ class QuickSAC(SAC):
         optimizers = [self.actor.optimizer, self.critic.optimizer, self.ent_coef_optimizer]
         self._update_learning_rate(optimizers)
         losses = []
-        with ThreadPoolExecutor(1) as beside:
+        with ThreadPoolExecutor(1) as beside, _products(self.rounded):
             for _ in range(gradient_steps):
                 losses.append(self._update(batch_size, beside))
                 self._n_updates += 1
@@ -117,6 +120,24 @@ class QuickSAC(SAC):
         names = ("critic_loss", "actor_loss", "ent_coef")
         for name, value in zip(names, means, strict=True):
             self.logger.record(f"train/{name}", float(value))
+
+
+def rounds() -> bool:
+    """Whether this processor multiplies bfloat16 in hardware (AMX or AVX-512 BF16)."""
+    can = torch.cpu.get_capabilities()
+    return bool(can.get("amx_bf16") or can.get("avx512_bf16"))
+
+
+@contextmanager
+def _products(rounded: bool) -> Iterator[None]:
+    """Meanwhile matrices are multiplied in bfloat16, sums kept in float32, if `rounded` and this
+    processor can; what the networks decide and what is exported stays float32."""
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("medium" if rounded and rounds() else before)
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
 
 
 def greedy_actor(model: SAC) -> Any:

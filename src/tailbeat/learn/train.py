@@ -14,6 +14,7 @@ from tailbeat.files import BadInput, write_json
 from tailbeat.learn import checkpoint
 from tailbeat.learn import plan as planned
 from tailbeat.learn.buffer import RelabelBuffer
+from tailbeat.learn.closeup import CloseUp
 from tailbeat.learn.coach import Coach, Course, Report
 from tailbeat.learn.env import FishVecEnv
 from tailbeat.learn.plan import Plan
@@ -73,13 +74,20 @@ def _model(plan: Plan, env: FishVecEnv) -> SAC:
     recipe = plan.recipe
     more: dict[str, Any] = {}
     if recipe.relabel:
-        kwargs = {"source": env, "discount": recipe.discount, "returns": recipe.returns}
+        kwargs = {
+            "source": env,
+            "discount": recipe.discount,
+            "returns": recipe.returns,
+            "misses": recipe.misses,
+        }
         more = {"replay_buffer_class": RelabelBuffer, "replay_buffer_kwargs": kwargs}
     kind = QuickSAC if recipe.quick else SAC
     shape: dict[str, Any] = {"net_arch": [recipe.width] * DEPTH}
+    if recipe.close_up:
+        shape["features_extractor_class"] = CloseUp
     if recipe.quick:
         shape["optimizer_kwargs"] = {"fused": True}
-        more["memory"] = recipe.memory
+        more |= {"memory": recipe.memory, "rounded": recipe.rounded}
     return kind(
         "MlpPolicy",
         env,
