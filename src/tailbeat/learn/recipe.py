@@ -72,7 +72,7 @@ def quick() -> Recipe:
         rates=(5e-4, 5e-4, 1e-4, 1e-4),
         entropy="auto_0.02",
         reward_scale=0.01,
-        buffer=400_000,
+        buffer=1_200_000,
         starts=20_000,
         window=200,
         budget_hours=1.0,
