@@ -35,7 +35,8 @@ def train(plan: Plan, resume: bool, report: Report, stage: str | None = None) ->
     if stage is not None:
         planned.check_stage(plan, stage)
     place = checkpoint.find(plan.out) if resume else None
-    torch.set_num_threads(1)  # the update runs two threads of its own
+    if plan.recipe.quick:
+        torch.set_num_threads(1)  # the update runs two threads of its own; SB3's shares its sums
     env = _environment(plan)
     model = _model(plan, env)
     course = Course()
