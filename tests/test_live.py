@@ -55,7 +55,8 @@ def test_the_log_is_read_for_the_targets_that_were_swum_to_alone(swum):
     out, done, _ = swum
     tour = tour_of(out / "swim.mcap", FISH, draw_targets(1, 0))
     assert np.abs(tour.targets - draw_targets(1, 0)).max() < 1e-12 and len(tour.pose) > 5
-    assert 100 * tour.nearest[0] >= done["targets"][0]["closest [cm]"] - 1e-6
+    closest = done["targets"][0]["closest [cm]"]
+    assert 100 * tour.nearest[0] >= closest - 1e-3  # logged in single precision
     with pytest.raises(BadInput, match="other targets than these"):
         tour_of(out / "swim.mcap", FISH, draw_targets(1, 1))
 

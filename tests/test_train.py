@@ -24,6 +24,7 @@ import torch
 from tailbeat.control.actions import Direct, Generator
 from tailbeat.control.observation import TABLE
 from tailbeat.control.policy import decide, load_policy
+from tailbeat.evaluate import update_bench
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.learn import checkpoint, randomize
@@ -204,6 +205,17 @@ def test_the_critics_gradient_is_that_of_sb3_s_loss(learner):
         assert torch.allclose(slope, parameter.grad, atol=1e-6)
 
 
+def test_updates_are_measured_against_sb3_s_of_the_same_size(monkeypatch):
+    for name, few in (("STEPS", 20), ("UPDATES", 10), ("TURNS", 1)):
+        monkeypatch.setattr(update_bench, name, few)
+    threads = torch.get_num_threads()
+    rows = update_bench.update_bench()
+    assert rows[0]["of_sb3"] == 1.0
+    assert len({row["batch"] for row in rows}) == 1
+    assert all(row["ms"] * row["of_sb3"] == pytest.approx(rows[0]["ms"]) for row in rows)
+    assert torch.get_num_threads() == threads
+
+
 @pytest.mark.skipif(not rounds(), reason="this processor does not multiply bfloat16")
 def test_rounded_products_leave_the_gradient_s_direction_and_end_with_the_update(learner):
     data, noise = learner.replay_buffer.sample(256), torch.randn(256, 6)
@@ -283,7 +295,7 @@ def test_a_stage_scales_noise_and_physics():
 
 def planned_for(out: Path, **changes: Any) -> Plan:
     few = replace(
-        smoke(), fish=4, updates=1, batch=16, starts=40, buffer=4_000, window=4,
+        smoke(), fish=4, updates=1, batch=16, starts=40, buffer=40_000, window=4,
         stages=STAGES[:3],
     )  # fmt: skip
     plan = Plan(FISH, action_space("generator", FISH), few, 0, out, hours=0.002)
@@ -377,13 +389,13 @@ def test_a_finished_run_goes_on_in_a_stage_asked_for_alone(run, tmp_path):
 
 def test_a_checkpoint_is_whole(run):
     """Everything that learning depends on comes back: networks, optimisers, buffer, randomness."""
-    from tailbeat.learn.train import _environment, _model
+    from tailbeat.learn.train import environment, learner
 
     plan = planned_for(run)
     models: list[Any] = []
     for _ in range(2):
-        env = _environment(plan)
-        model = _model(plan, env)
+        env = environment(plan)
+        model = learner(plan, env)
         checkpoint.load(run / "checkpoint", model, env.world)
         noise = torch.randn(2), np.random.random_sample(), env.world.rngs[3].random()  # noqa: NPY002
         models.append((model, noise))
@@ -409,14 +421,14 @@ def test_other_settings_are_named_and_full_folders_refused(run):
 
 
 def test_a_full_disk_is_told_and_the_last_checkpoint_kept(run, monkeypatch):
-    from tailbeat.learn.train import _environment, _model
+    from tailbeat.learn.train import environment, learner
 
     plan = planned_for(run)
-    env = _environment(plan)
+    env = environment(plan)
     kept = checkpoint.read_state(run / "checkpoint")
     monkeypatch.setattr(checkpoint, "SPARE", 1e18)  # no disk has so much to spare
     with pytest.raises(BadInput, match="MB free, a checkpoint needs"):
-        checkpoint.save(run, _model(plan, env), env.world, {})
+        checkpoint.save(run, learner(plan, env), env.world, {})
     assert checkpoint.read_state(run / "checkpoint") == kept
 
 
@@ -516,11 +528,11 @@ def test_ctrl_c_leaves_a_checkpoint_and_a_policy(tmp_path):
 
 def test_networks_that_leave_the_finite_end_the_run_and_keep_the_checkpoint(run):
     from tailbeat.learn.coach import Coach, Course
-    from tailbeat.learn.train import _environment, _model
+    from tailbeat.learn.train import environment, learner
 
     plan = planned_for(run)
-    env = _environment(plan)
-    model = _model(plan, env)
+    env = environment(plan)
+    model = learner(plan, env)
     coach = Coach(plan, Course(), env, print)
     coach.init_callback(model)
     coach._check_finite()

@@ -265,7 +265,7 @@ def predict(fish: FishOption, recordings: Recordings, json: JsonOption = None) -
 
 @app.command()
 def bench(
-    env: Annotated[bool, typer.Option(help="Also the environment, against SB3's ways.")] = True,
+    env: Annotated[bool, typer.Option(help="Also environment and updates, against SB3's.")] = True,
     json: JsonOption = None,
 ) -> None:
     """Measure the step against a bare engine loop on this machine, pool and environment too."""
@@ -290,6 +290,7 @@ def bench(
         "physics: a control step": result.get("physics", []),
         "environment": [{name: row[name] for name in common} for row in rows],
         "against SB3": [{n: row[n] for n in ("fish", *peers)} for row in rows if "of_sb3" in row],
+        "an update of the training": result.get("update", []),
     })  # fmt: skip
     if json is not None:
         write_json(json, result)

@@ -160,8 +160,8 @@ def open_loop(fish: str, out: Path) -> dict[str, Any]:
 
 
 def bench(env: bool = True) -> dict[str, Any]:
-    """Speed on this machine; with `env`, of the environment too, where the train extra is; of the
-    camera's side where the robot extra is."""
+    """Speed on this machine; with `env`, of environment and updates, where the train extra is; of
+    the camera's side where the robot extra is."""
     result = benchmark.bench()
     if find_spec("cv2") is not None and find_spec("pyapriltags") is not None:
         from tailbeat.evaluate.vision_bench import live_bench, vision_bench  # needs the extra
@@ -170,7 +170,9 @@ def bench(env: bool = True) -> dict[str, Any]:
     if env and find_spec("stable_baselines3") is not None:
         from tailbeat.evaluate.env_bench import env_bench  # needs the extra
         from tailbeat.evaluate.physics_bench import physics_bench  # and so does the environment
+        from tailbeat.evaluate.update_bench import update_bench
 
         result["physics"] = physics_bench()
         result["env"] = env_bench()
+        result["update"] = update_bench()
     return result

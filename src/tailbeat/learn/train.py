@@ -37,8 +37,8 @@ def train(plan: Plan, resume: bool, report: Report, stage: str | None = None) ->
     place = checkpoint.find(plan.out) if resume else None
     if plan.recipe.quick:
         torch.set_num_threads(1)  # the update runs two threads of its own; SB3's shares its sums
-    env = _environment(plan)
-    model = _model(plan, env)
+    env = environment(plan)
+    model = learner(plan, env)
     course = Course()
     if place is None:
         planned.begin(plan)
@@ -60,7 +60,8 @@ def train(plan: Plan, resume: bool, report: Report, stage: str | None = None) ->
     return course
 
 
-def _environment(plan: Plan) -> FishVecEnv:
+def environment(plan: Plan) -> FishVecEnv:
+    """The plan's fish in its first stage."""
     recipe = plan.recipe
     return FishVecEnv(
         plan.fish,
@@ -71,7 +72,8 @@ def _environment(plan: Plan) -> FishVecEnv:
     )
 
 
-def _model(plan: Plan, env: FishVecEnv) -> SAC:
+def learner(plan: Plan, env: FishVecEnv) -> SAC:
+    """The plan's SAC, untrained, with an empty buffer."""
     recipe = plan.recipe
     more: dict[str, Any] = {}
     if recipe.relabel:
