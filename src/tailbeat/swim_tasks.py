@@ -207,11 +207,8 @@ def _told(
     out: Path,
     counting: Counting,
 ) -> dict[str, Any]:
-    """Film, picture, page and summary of a swim."""
-    own = where.fish
-    with counting() as progress:
-        pool_swim.film(swum, own, out / "swim.mp4", progress)
-    contract = loaded.contract
+    """Film, picture, page and summary of a swim; the summary first: a long film takes minutes."""
+    own, contract = where.fish, loaded.contract
     data = {
         **asked,
         "fish": own.name,
@@ -220,6 +217,9 @@ def _told(
         "training": contract.training,
         "provenance": evaluation.provenance(),
     }
+    write_json(out / "summary.json", data, overwrite=True)
+    with counting() as progress:
+        pool_swim.film(swum, own, out / "swim.mp4", progress)
     drawn = pages.figure(pool_swim.picture(swum, own), out, "swim")
     rows = [{"": k, "value": v} for k, v in {**data["provenance"], **contract.training}.items()]
     sections = [
@@ -227,5 +227,4 @@ def _told(
         ("Where this comes from", [pages.table(rows)]),
     ]
     pages.write(out, sections, data, f"{own.name} in the virtual pool")
-    write_json(out / "summary.json", data, overwrite=True)
     return data
