@@ -482,7 +482,7 @@ def test_a_run_killed_and_resumed_goes_on_without_a_drop(tmp_path):
     command = [sys.executable, "-c", SMOKE, str(out)]
     with subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        next(line for line in process.stdout if int(line) > 1200)
+        next(line for line in process.stdout if int(line) > 2400)
         process.kill()
     kept = checkpoint.read_state(checkpoint.find(out))
     before = [row["success"] for row in kept["history"]]
@@ -490,12 +490,13 @@ def test_a_run_killed_and_resumed_goes_on_without_a_drop(tmp_path):
 
     def report(row: dict[str, Any]) -> None:
         rows.append(row)
-        if row["updates"] >= 1900:
+        if row["updates"] >= 3100:
             os.kill(os.getpid(), signal.SIGINT)
 
     course = train(smoking(str(out)), True, report)
     after = [row["success"] for row in course.history[len(before) :]]
     assert kept["updates"] > 600 and rows[0]["updates"] >= kept["updates"]
+    assert len(before) > 1  # the first row's share is of a handful
     assert min(after) > before[-1] - 0.2  # no drop; 0.06 is the window's own scatter
 
 
