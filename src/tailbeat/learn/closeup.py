@@ -23,7 +23,7 @@ NEWEST = "frame 0 (newest): target "
 ADDED = 3  # ahead, left, and 1 - distance / (distance + RANGE)
 
 
-def matrices() -> dict[str, Single]:
+def _matrices() -> dict[str, Single]:
     """What is added is (`above` o + `constant`) / (`below` o + RANGE) of an observation o (24,):
     `above` (3, 24), `constant` (3,), `below` (1, 24), `range` (1,)."""
     above, below = np.zeros((ADDED, len(TABLE))), np.zeros((1, len(TABLE)))
@@ -48,7 +48,7 @@ class CloseUp(BaseFeaturesExtractor):
 
     def __init__(self, observation_space: Any) -> None:
         super().__init__(observation_space, len(TABLE) + ADDED)
-        for name, matrix in matrices().items():
+        for name, matrix in _matrices().items():
             self.register_buffer(name, torch.as_tensor(matrix), persistent=False)
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:

@@ -19,7 +19,7 @@ from tailbeat.learn.assess import Swims, assess
 from tailbeat.learn.env import FishVecEnv
 from tailbeat.learn.export import act, export
 from tailbeat.learn.plan import Plan
-from tailbeat.learn.sac import QuickSAC, rounds
+from tailbeat.learn.sac import QuickSAC
 from tailbeat.learn.world import PERIOD, TERMS, World
 
 REPORT_SECONDS = 5.0
@@ -194,7 +194,7 @@ class Coach(BaseCallback):
             "updates": self.model._n_updates,
             "control_steps": self.course.control_steps,
             "hours": round(self.course.seconds / 3600, 3),
-            "rounded": self.plan.recipe.rounded and rounds(),
+            "rounded": isinstance(self.model, QuickSAC) and self.model.rounded,
         }
         plan = self.plan
         export(self.model, plan.fish, plan.actions, self.seen, training, plan.out / "policy.onnx")

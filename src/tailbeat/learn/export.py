@@ -19,7 +19,7 @@ from tailbeat.control.policy import KEY, VERSION, Contract, Policy, as_text, loa
 from tailbeat.files import new_file
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest
-from tailbeat.learn.closeup import CloseUp, matrices
+from tailbeat.learn.closeup import CloseUp
 from tailbeat.learn.sac import greedy_actor
 from tailbeat.learn.world import PERIOD
 
@@ -72,7 +72,7 @@ def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
     where the networks have one."""
     actor = greedy_actor(model)
     layers: list[Any] = [m for m in actor.latent_pi if isinstance(m, torch.nn.Linear)] + [actor.mu]
-    nodes, weights, name = _close_up(isinstance(actor.features_extractor, CloseUp))
+    nodes, weights, name = _close_up(actor.features_extractor)
     for index, layer in enumerate(layers):
         for kind, tensor in (("w", layer.weight), ("b", layer.bias)):
             weights.append(numpy_helper.from_array(tensor.detach().cpu().numpy(), f"{kind}{index}"))
@@ -85,11 +85,12 @@ def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
     return _model(nodes, weights, len(TABLE), len(layers[-1].bias), contract)
 
 
-def _close_up(given: bool) -> tuple[list[Any], list[Any], str]:
+def _close_up(extractor: Any) -> tuple[list[Any], list[Any], str]:
     """Nodes, weights and the name of what the first layer sees."""
-    if not given:
+    if not isinstance(extractor, CloseUp):
         return [], [], "observation"
-    weights = [numpy_helper.from_array(matrix, name) for name, matrix in matrices().items()]
+    held = extractor.named_buffers()
+    weights = [numpy_helper.from_array(matrix.cpu().numpy(), name) for name, matrix in held]
     top, low = ["observation", "above", "constant"], ["observation", "below", "range"]
     nodes = [
         helper.make_node("Gemm", top, ["numerator"], transB=1),

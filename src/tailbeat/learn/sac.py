@@ -36,7 +36,7 @@ class QuickSAC(SAC):
     """
 
     def __init__(self, *args: Any, memory: float = 0.0, rounded: bool = False, **rest: Any) -> None:
-        self.memory, self.rounded = memory, rounded
+        self.memory, self.rounded = memory, rounded and rounds()
         super().__init__(*args, **rest)
 
     def _setup_model(self) -> None:
@@ -131,10 +131,10 @@ def rounds() -> bool:
 
 @contextmanager
 def _products(rounded: bool) -> Iterator[None]:
-    """Meanwhile matrices are multiplied in bfloat16, sums kept in float32, if `rounded` and this
-    processor can; what the networks decide and what is exported stays float32."""
+    """Meanwhile matrices are multiplied in bfloat16, sums kept in float32, if `rounded`; what
+    the networks decide and what is exported stays float32."""
     before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision("medium" if rounded and rounds() else before)
+    torch.set_float32_matmul_precision("medium" if rounded else before)
     try:
         yield
     finally:
