@@ -27,11 +27,14 @@ def test_wilson_s_interval_is_the_published_one():
 def test_sectors_take_both_sides_and_every_target_once():
     bearing = np.radians([-179.9, 180.0, 10.0, -10.0, 95.0, 30.0])
     reached = np.array([True, False, True, True, False, True])
-    rows = by_sector(bearing, reached, np.where(reached, 0.04, 0.1))
+    seconds = np.array([8.0, 30.0, 4.0, 5.0, 30.0, 6.0])
+    rows = by_sector(bearing, reached, np.where(reached, 0.04, 0.1), seconds)
     assert {row["bearing [deg]"]: row["targets"] for row in rows} == {
         "0-30": 2, "30-60": 1, "90-120": 1, "150-180": 2,
     }  # fmt: skip
     assert rows[-1]["within_5cm"] == 0.5 and rows[-1]["within_20cm"] == 1.0
+    assert rows[0]["p90_s"] == 5.0  # of 4 and 5 s
+    assert rows[-1]["p90_s"] is None  # one of two never came
 
 
 @pytest.mark.parametrize("name", list(shipped()))

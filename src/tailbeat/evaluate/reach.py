@@ -43,7 +43,7 @@ def in_pool(fish: Fish, settings: Settings, waters: Sequence[Water]) -> Build:
 def reach(policy: Policy, build: Build, count: int, seed: int) -> dict[str, Any]:
     """Shares within 5 and 20 cm with 95 % Wilson intervals, in all and by sector of bearing."""
     swims = assess(partial(decide, policy), build, count, seed)
-    sectors = by_sector(swims.bearing, swims.reached, swims.nearest)
+    sectors = by_sector(swims.bearing, swims.reached, swims.nearest, swims.seconds)
     return {**swims.summary(), **shares(swims.reached, swims.nearest), "sectors": sectors}
 
 
@@ -77,39 +77,57 @@ def numbers(runs: Runs) -> dict[str, Any]:
         "median_seconds": float(np.median(runs.seconds[hits])) if hits.any() else None,
         "median_path_ratio": float(np.median(ratio)) if hits.any() else None,
         "lost": int(runs.lost.sum()),
-        "sectors": by_sector(runs.bearing, hits, runs.nearest),
-        "ranges": by_range(start, hits, runs.nearest),
+        "sectors": by_sector(runs.bearing, hits, runs.nearest, runs.seconds),
+        "ranges": by_range(start, hits, runs.nearest, runs.seconds),
         "waters": by_water(runs),
     }
 
 
-def by_sector(bearing: Any, reached: Flags, nearest: Any) -> list[dict[str, Any]]:
-    """Shares by bearing of the target at the start, both sides together."""
+def by_sector(bearing: Any, reached: Flags, nearest: Any, seconds: Any) -> list[dict[str, Any]]:
+    """Shares and times by bearing of the target at the start, both sides together."""
     away = np.abs((np.degrees(bearing) + 180) % 360 - 180)
     edges = [(low, low + SECTOR) for low in range(0, 180, SECTOR)]
     rows = [(f"{a}-{b}", (away >= a) & (away < b + (b == 180))) for a, b in edges]
-    return _rows("bearing [deg]", rows, reached, nearest)
+    return _rows("bearing [deg]", rows, reached, nearest, seconds)
 
 
-def by_range(start: Any, reached: Flags, nearest: Any) -> list[dict[str, Any]]:
-    """Shares by distance of the target at the start, by half metres."""
+def by_range(start: Any, reached: Flags, nearest: Any, seconds: Any) -> list[dict[str, Any]]:
+    """Shares and times by distance of the target at the start, by half metres."""
     edges = np.arange(NEAREST, FARTHEST, 0.5)
     rows = [(f"{a:g}-{a + 0.5:g}", (start >= a - 1e-6) & (start < a + 0.5)) for a in edges]
-    return _rows("range [m]", rows, reached, nearest)
+    return _rows("range [m]", rows, reached, nearest, seconds)
 
 
 def by_water(runs: Runs) -> list[dict[str, Any]]:
     """Shares by which of the waters."""
     rows = [(str(number), runs.water == number) for number in np.unique(runs.water)]
-    return _rows("water", rows, runs.reached, runs.nearest) if len(rows) > 1 else []
+    return _rows("water", rows, runs.reached, runs.nearest, runs.seconds) if len(rows) > 1 else []
 
 
-def _rows(name: str, groups: Any, reached: Flags, nearest: Any) -> list[dict[str, Any]]:
+def _rows(
+    name: str, groups: Any, reached: Flags, nearest: Any, seconds: Any
+) -> list[dict[str, Any]]:
+    taken = np.where(reached, seconds, np.inf)
     return [
-        {name: label, "targets": int(inside.sum()), **shares(reached[inside], nearest[inside])}
+        {
+            name: label,
+            "targets": int(inside.sum()),
+            **shares(reached[inside], nearest[inside]),
+            **times(taken[inside]),
+        }
         for label, inside in groups
         if inside.any()
     ]
+
+
+def times(taken: Any) -> dict[str, float | None]:
+    """Time [s] within which half and nine in ten of all arrive, a miss taking for ever: None if
+    so many do not. It tells a fish that turns from one that first swims away."""
+    found = {
+        name: float(np.quantile(taken, share, method="higher"))
+        for name, share in (("median_s", 0.5), ("p90_s", 0.9))
+    }
+    return {name: value if np.isfinite(value) else None for name, value in found.items()}
 
 
 def shares(reached: Flags, nearest: Any) -> dict[str, Any]:

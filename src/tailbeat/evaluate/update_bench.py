@@ -37,7 +37,7 @@ def update_bench() -> list[dict[str, Any]]:
     try:
         for _ in range(TURNS):
             for name, model in models.items():
-                torch.set_num_threads(1 if recipes[name].quick else threads)
+                torch.set_num_threads(recipes[name].torch_threads or threads)
                 spent[name].append(_turn(model, recipes[name].batch))
     finally:
         torch.set_num_threads(threads)

@@ -48,10 +48,14 @@ class Course:
     finished: bool = False
     stalled: bool = False
 
+    def clock(self, fish: int) -> int:
+        """Control steps that each of the `fish` has made."""
+        return self.control_steps // fish
+
     def over(self, fish: int, steps: int) -> list[tuple[int, bool]]:
         """Of `recent` those that began an episode's `steps` ago or earlier, as `fish` swim at once:
         none of their fellows is on its way any more."""
-        latest = self.control_steps // fish - steps
+        latest = self.clock(fish) - steps
         return [(begun, arrived) for begun, arrived in self.recent if begun <= latest]
 
     def passed(self) -> int:
@@ -127,11 +131,7 @@ class Coach(BaseCallback):
             self.course.recent.append((begun, bool(info["reached"])))
             del self.course.recent[: -KEPT * self.plan.recipe.window]
             self.terms.append({**info["reward_terms"], "seconds": PERIOD * info["episode"]["l"]})
-        self.starts[fish] = self._clock()
-
-    def _clock(self) -> int:
-        """Control steps that each fish has made."""
-        return self.course.control_steps // self.env.num_envs
+        self.starts[fish] = self.course.clock(self.env.num_envs)
 
     def _judged(self) -> list[bool]:
         """Arrivals of the last episodes whose time is over, by their beginnings. An arrival ends

@@ -52,6 +52,12 @@ class Recipe:
     task: Task = field(default_factory=Task)
 
     @property
+    def torch_threads(self) -> int | None:
+        """How many threads share one of torch's sums, or None for torch's own number: a quick
+        update runs two threads of its own, on one each; SB3's runs on one and shares its sums."""
+        return 1 if self.quick else None
+
+    @property
     def buffer_bytes(self) -> int:
         """What the replay buffer takes in memory, and in every checkpoint on disk."""
         return self.buffer * BYTES_PER_TRANSITION

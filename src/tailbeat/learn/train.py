@@ -35,8 +35,8 @@ def train(plan: Plan, resume: bool, report: Report, stage: str | None = None) ->
     if stage is not None:
         planned.check_stage(plan, stage)
     place = checkpoint.find(plan.out) if resume else None
-    if plan.recipe.quick:
-        torch.set_num_threads(1)  # the update runs two threads of its own; SB3's shares its sums
+    if plan.recipe.torch_threads is not None:
+        torch.set_num_threads(plan.recipe.torch_threads)
     env = environment(plan)
     model = learner(plan, env)
     course = Course()
