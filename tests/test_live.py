@@ -108,6 +108,16 @@ def test_a_guessed_shape_has_its_tag_where_it_was_seen():
     assert left[1] > 0.02  # a positive motor angle bends the tip to the left
 
 
+def test_a_leader_without_a_tour_names_its_first_target_once():
+    sender = Sender(bytes(32), link.bind("127.0.0.1", 0), ("127.0.0.1", 9))
+    leader = laptop_tasks.Leader(None, (1.5, 0.5))
+    leader.lead(sender, None, 100.0, print)
+    first, sender.target = sender.target, (0.0, 0.0)  # the operator drags it away
+    leader.lead(sender, None, 100.1, print)
+    assert first == (1.5, 0.5) and sender.target == (0.0, 0.0)
+    sender.socket.close()
+
+
 def test_a_leader_arms_anew_a_fish_that_holds_and_gives_up_in_the_end():
     def stands(state: State) -> Status:
         return Status(state, "so it is", 0, 0, sender.orders, 0.0, Numbers())

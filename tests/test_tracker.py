@@ -20,6 +20,7 @@ import cv2
 from sights import FISH, TARGET, true_calibration
 from tailbeat.evaluate.vision_bench import APART, calibrated, errors, fish_line, scattered, watch
 from tailbeat.files import BadInput
+from tailbeat.live_tasks import ASIDE
 from tailbeat.pool.camera import Conditions, Renderer, Scene, calm
 from tailbeat.pool.film import CameraProcess, Filming, start_camera
 from tailbeat.pool.optics import Optics
@@ -61,6 +62,15 @@ def test_poses_over_the_whole_pool_are_within_five_millimetres_and_a_degree():
     assert found["position_rms_mm"] < 2.0 and found["target_rms_mm"] < 2.0  # asked: 5
     assert found["heading_rms_deg"] < 0.5  # asked: 1
     assert found["fish_seen"] > 0.95 and found["target_seen"] > 0.95
+
+
+def test_a_tag_in_the_corner_is_seen_and_one_afloat_hides_the_fish_beneath(tracker, renderer):
+    """Why `tailbeat swim` lays the target's tag aside; docs/deploy.md."""
+    x, y = map(float, ASIDE.split(","))
+    away = film(tracker, renderer, [Scene(fish=(1.5, 0.5, 0.7), target=(x, y, 0.0))] * 20)
+    above = film(tracker, renderer, [Scene(fish=(1.5, 0.5, 0.7), target=(1.5, 0.5, 0.0))] * 20, 90)
+    assert all(one.frame.fish and one.frame.target for one in away[1:])
+    assert not any(one.frame.fish for one in above)
 
 
 def test_real_photographs_give_the_library_s_own_corners(data: Path):

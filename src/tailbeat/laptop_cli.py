@@ -35,8 +35,9 @@ def laptop(
         int, typer.Option("--tour", help="Lead the fish to so many drawn targets, then stop it.")
     ] = 0,
     begin: Annotated[
-        bool, typer.Option("--begin", help="Arm the fish once and let it swim.")
-    ] = False,
+        str | None,
+        typer.Option("--begin", help="Arm the fish once; x,y [m] of a target to drag from there."),
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Seed of those targets.")] = 0,
     json: Annotated[
         Path | None, typer.Option("--json", help="Write what became of the tour here as JSON.")
@@ -52,7 +53,8 @@ def laptop(
     tour = laptop_tasks.drawn_tour(targets, seed)
     if tour is not None and not camera:
         raise BadInput("--tour: needs the fish's poses; give --camera and its --calibration.")
-    leader = laptop_tasks.Leader(tour) if tour or begin else None
+    aim = None if begin is None else robot_tasks.place(begin, "--begin")
+    leader = laptop_tasks.Leader(tour, aim) if tour or aim else None
     with laptop_tasks.open_tracker(camera, calibration, ids, exposure, latency) as tracker:
         laptop_tasks.laptop(there, ours, key, console_at, tracker, fish, console.say, leader)
     if json is not None:

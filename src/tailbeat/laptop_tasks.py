@@ -55,9 +55,11 @@ def open_tracker(
 class Leader:
     """Leads a fish as an operator would: arms it once and lets it swim; through a tour, sends the
     targets, arms a fish that holds anew (`rearmed` so many times), gives up one that does not swim.
-    `ran` is when it last swam. Without a tour the operator leads from then on."""
+    `ran` is when it last swam. Without a tour it is sent to `aim` [m], and the operator leads from
+    then on."""
 
     tour: Tour | None
+    aim: tuple[float, float] | None = None
     ran: float = field(default_factory=lambda: time.monotonic() + STARTING)
     armed: int = 0
     swam: bool = False
@@ -76,6 +78,8 @@ class Leader:
             self.ran, self.swam = max(self.ran, now), True
         elif state is not None and now - self.asked > AGAIN and not (self.swam and not self.tour):
             self._order(sender, state, now, say)
+        if self.aim is not None:
+            sender.target, self.aim = self.aim, None
         if self.tour is not None:
             self._tour(self.tour, sender, pose if state is State.RUN else None, now, say)
 

@@ -26,6 +26,8 @@ START = 60.0  # s for a process to start
 LINGER = 10.0  # s for one to end
 ALONE = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}  # one fish
 TURN = 0.2  # s between two looks whether all are alive
+# The target's tag lies in a corner: afloat it hides a fish that swims beneath it, till that holds.
+ASIDE, BEGIN = "-2.5,1.15", "1.5,0.5"
 
 
 def calibrate(folder: Path, seed: int, say: Say) -> Path:
@@ -94,6 +96,7 @@ def end(process: "subprocess.Popen[str]") -> None:
 def bench(fish: str, folder: Path, seed: int, log: Path, stack: ExitStack) -> tuple[Part, Any]:
     """Start the emulated bench with its camera, and where its ports are."""
     words = ["rig", "--fish", fish, "--camera", str(folder / "camera.sock"), "--seed", str(seed)]
+    words += [f"--target={ASIDE}"]
     part = stack.enter_context(started(words, log, heard=True))
     assert part.process.stdout is not None
     ready, _, _ = select.select([part.process.stdout], [], [], START)
@@ -135,7 +138,7 @@ def swim(
         watch = ["laptop", "--robot", robot, "--listen", laptop, "--key", str(key), "--fish", fish]
         watch += ["--camera", ports["camera"], "--calibration", str(made), "--console", console]
         tour = ["--tour", str(targets), "--seed", str(seed), "--json", str(out / "tour.json")]
-        watch += tour if targets else ["--begin"]
+        watch += tour if targets else [f"--begin={BEGIN}"]
         own = stack.enter_context(started(drive, out / "drive.log"))
         above = stack.enter_context(started(watch, out / "laptop.log", heard=True))
         _listen(above, (rig, own), say)

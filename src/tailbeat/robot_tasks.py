@@ -48,15 +48,15 @@ def address(text: str, option: str) -> tuple[str, int]:
         raise BadInput(f"{option} {host}: {error.strerror}; give its address.") from None
 
 
-def place(text: str) -> tuple[float, float]:
+def place(text: str, option: str = "--target") -> tuple[float, float]:
     """`x,y` [m] inside the pool."""
     try:
         x, y = map(float, text.split(","))
     except ValueError:
-        raise BadInput(f"--target {text!r}: give x,y in metres, as 1.2,-0.4.") from None
+        raise BadInput(f"{option} {text!r}: give x,y in metres, as 1.2,-0.4.") from None
     if not (abs(x) <= LENGTH / 2 and abs(y) <= WIDTH / 2):
         raise BadInput(
-            f"--target {text}: outside the pool, whose ends lie at x = {LENGTH / 2:g} and"
+            f"{option} {text}: outside the pool, whose ends lie at x = {LENGTH / 2:g} and"
             f" y = {WIDTH / 2:g}."
         )
     return x, y
