@@ -48,7 +48,7 @@ def examine(
     with ExitStack() as stack:
         if emulated:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tailbeat-")))
-            bench = robot_tasks.own_rig(fish, "1.5,0.5", seed, folder)
+            bench = robot_tasks.own_rig(fish, robot_tasks.TARGET, seed, folder)
             ports, key = stack.enter_context(bench)
             parts = Parts(ports.servo, ports.imu, ports.listen, ports.laptop, key)
         return [

@@ -27,7 +27,7 @@ LINGER = 10.0  # s for one to end
 ALONE = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}  # one fish
 TURN = 0.2  # s between two looks whether all are alive
 # The target's tag lies in a corner: afloat it hides a fish that swims beneath it, till that holds.
-ASIDE, BEGIN = "-2.5,1.15", "1.5,0.5"
+ASIDE = "-2.5,1.15"
 
 
 def calibrate(folder: Path, seed: int, say: Say) -> Path:
@@ -138,7 +138,7 @@ def swim(
         watch = ["laptop", "--robot", robot, "--listen", laptop, "--key", str(key), "--fish", fish]
         watch += ["--camera", ports["camera"], "--calibration", str(made), "--console", console]
         tour = ["--tour", str(targets), "--seed", str(seed), "--json", str(out / "tour.json")]
-        watch += tour if targets else [f"--begin={BEGIN}"]
+        watch += tour if targets else [f"--begin={robot_tasks.TARGET}"]
         own = stack.enter_context(started(drive, out / "drive.log"))
         above = stack.enter_context(started(watch, out / "laptop.log", heard=True))
         _listen(above, (rig, own), say)

@@ -35,7 +35,7 @@ def rig(
         Path | None, typer.Option("--camera", help="Film at this socket; then no poses are sent.")
     ] = None,
     fish: FishOption = "pulley-fish",
-    target: TargetOption = "1.5,0.5",
+    target: TargetOption = robot_tasks.TARGET,
     console_at: ConsoleOption = "",
     seed: SeedOption = 0,
 ) -> None:
@@ -89,7 +89,7 @@ def drive(
     swim = partial(robot_tasks.drive, by_itself=not wait, stay=stay)
     if emulated:
         with robot_tasks.temporary() as folder:
-            floats = target or "1.5,0.5"
+            floats = target or robot_tasks.TARGET
             bench = robot_tasks.own_rig(fish, floats, seed, Path(folder), console_at, console.say)
             aim = None if stay else aim  # the tag floats there; the operator may drag it
             with bench as (ports, secret):

@@ -30,6 +30,7 @@ Say = Callable[[str], None]
 OPERATOR = "the operator"  # who asked to stop, where a signal did
 BY_HAND = ("not armed yet", f"stop asked by {OPERATOR}", "stop asked by the console")
 WAIT_TO_ARM = 10.0  # s for the first poses and the laptop's clock
+TARGET = "1.5,0.5"  # x,y [m] where none is named
 
 
 def need_extra() -> None:

@@ -75,7 +75,7 @@ def pace(policy: str, fish: str, minutes: float, seed: int, say: Callable[[str],
 
     with tempfile.TemporaryDirectory(prefix="tailbeat-") as name:
         folder, log = Path(name), Path(name) / "pace.mcap"
-        with robot_tasks.own_rig(fish, "1.5,0.5", seed, folder) as (ports, key):
+        with robot_tasks.own_rig(fish, robot_tasks.TARGET, seed, folder) as (ports, key):
             told = robot_tasks.drive(
                 policy, ports, key, None, MINUTE * minutes, log, say, each=each
             )
