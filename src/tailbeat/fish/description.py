@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from tailbeat.fish import units as u
 
+SHORTEST = 1e-3  # m: a wet part shorter than this has no chord that could have a trailing edge
 COEFFICIENTS = ("blunt", "slender", "angular", "kutta", "magnus")  # the engine's order
 
 
@@ -45,6 +46,18 @@ class Zone(_Model):
     def row(self) -> tuple[float, ...]:
         """The five numbers in the engine's order."""
         return tuple(getattr(self, name) for name in COEFFICIENTS)
+
+
+class TrailingEdge(_Model):
+    """Only the rear end of a wet part sheds circulation (`edge.py`).
+
+    Its lift is that of the engine's law ahead and `reverse` times it astern; the two are blended
+    over `speed` [m/s] of the flow along the chord. `reverse` is 1 in the bare engine, 0 without
+    lift astern, and -1 where the rear end keeps the circulation whichever way the water goes.
+    """
+
+    speed: u.Speed = Field(default=0.03, gt=0, le=0.5)
+    reverse: u.Ratio = Field(default=-1.0, ge=-1, le=1)
 
 
 class Part(_Model):
@@ -197,6 +210,8 @@ class Fish(_Model):
 
     `tracked` is the point whose pose recordings hold; `band` the beat frequencies [Hz] that the
     description is meant for; `added_inertia` scales the parts' `added_mass` (0 is off).
+    `trailing_edge` says how lift depends on the direction of the flow; without it the rear and the
+    front end of each part count alike, as in the bare engine and the paper.
     """
 
     name: str
@@ -215,6 +230,7 @@ class Fish(_Model):
     tracked: u.Point3 = (0.0, 0.0, 0.0)
     uncertain: tuple[Uncertain, ...] = ()
     added_inertia: u.Ratio = Field(default=0.0, ge=0)
+    trailing_edge: TrailingEdge | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> "Fish":
@@ -254,6 +270,19 @@ def _geometry_errors(fish: Fish) -> list[str]:
         found.append(
             "motor.range must lie within -85 to 85 deg: beyond, the tendon leaves the pulley"
         )
+    if fish.trailing_edge is not None:
+        found += _chord_errors(fish)
     if fish.tendons.stiffness is None and (fish.tendons.slack or fish.tendons.two_way):
         found.append("tendons.slack and two_way need a tendons.stiffness")
     return found
+
+
+def _chord_errors(fish: Fish) -> list[str]:
+    """Wet parts that are discs across the flow: they have no rear end."""
+    wet = [p for body in (fish.head, *fish.tail.links) for p in body.parts if p.zone is not None]
+    return [
+        f"part {part.name!r} is {1e3 * part.size[0]:g} mm long and trailing_edge needs a length of"
+        f" {1e3 * SHORTEST:g} mm or more; give its length along x, or remove trailing_edge"
+        for part in wet
+        if part.size[0] < SHORTEST
+    ]

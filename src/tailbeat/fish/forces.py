@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import elliprd
 
+from tailbeat.fish import edge
+
 Array = NDArray[np.float64]
 GUARD = 1e-15  # mjMINVAL: what MuJoCo up to 3.13 kept its denominators above, whatever their unit
 
@@ -232,15 +234,18 @@ def fluid_forces(model: mujoco.MjModel, data: mujoco.MjData) -> FluidForces:
     """Components on every geom of a model (ngeom, 3), world axes, at the geom's centre.
 
     Needs up-to-date positions and velocities (after `mj_forward` or a step). Rows of geoms without
-    the ellipsoid law are zero; the engine's inertia-box drag on other bodies is not included.
+    the ellipsoid law are zero; the engine's inertia-box drag on other bodies is not included. Lift
+    is weighed by the flow along the chord where the model was compiled with a trailing edge; its
+    coefficients must be the compiled ones.
     """
     rotation = data.geom_xmat.reshape(-1, 3, 3)
     velocity, spin = _geom_velocities(model, data)
+    velocity = np.einsum("gji,gj->gi", rotation, velocity)
     local = ellipsoid_forces(
-        np.einsum("gji,gj->gi", rotation, velocity),
+        velocity,
         np.einsum("gji,gj->gi", rotation, spin),
         geom_semi_axes(model),
-        model.geom_fluid[:, 1:6],
+        _coefficients(model, velocity[:, :1]),
         model.geom_fluid[:, 6:9],
         model.geom_fluid[:, 9:12],
         model.opt.density,
@@ -275,6 +280,14 @@ def geom_semi_axes(model: mujoco.MjModel) -> Array:
     axes[sphere] = radius[sphere, None]
     axes[round_] = np.stack([radius, radius, half + capsule * radius], axis=-1)[round_]
     return axes
+
+
+def _coefficients(model: mujoco.MjModel, ahead: Array) -> Array:
+    """The five of every geom (ngeom, 5); `ahead` (ngeom, 1) is its velocity along its chord."""
+    found, blend = model.geom_fluid[:, 1:6].copy(), edge.blend_of(model)
+    if blend is not None:
+        found[:, 3] *= edge.weights(ahead, blend)[:, 0]
+    return found
 
 
 def _wetness(model: mujoco.MjModel) -> Array:

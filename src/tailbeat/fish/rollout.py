@@ -11,6 +11,7 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
+from tailbeat.fish import edge
 from tailbeat.fish.twin import HEAVY, HEAVY_ROTOR, Twin
 
 Array = NDArray[np.float64]
@@ -68,15 +69,14 @@ def swim(
     commands end. `threads` 0 means every core; one twin or a thousand run the same code and give
     the same bits at any number of threads.
     """
-    pool = batch.Batch(twins[0].model, len(twins), nthread=threads)
-    pool.set_models([twin.model for twin in twins])
+    pool = _batch_of(twins, threads)
     _place(pool, twins, starts)
     lengths = np.array([len(command) // every for command in commands])
     padded = np.zeros((len(twins), int(lengths.max()) * every, 1))
     for i, command in enumerate(commands):
         padded[i, : lengths[i] * every, 0] = command[: lengths[i] * every]
     with quiet_engine():
-        qpos = _advance(pool, padded, lengths, every)
+        qpos = _advance(pool, _lift_of(pool, twins), padded, lengths, every)
     diverged = pool.warning.reshape(len(twins), -1).sum(axis=1) > 0
     qpos[diverged] = 0.0
     time = np.arange(lengths.max() + 1) * every * twins[0].model.opt.timestep
@@ -105,18 +105,54 @@ def _place(pool: batch.Batch, twins: Sequence[Twin], starts: Sequence[Start]) ->
         qpos[i, motor], qvel[i, motor] = start.motor, start.motor_speed
 
 
-def _advance(pool: batch.Batch, commands: Array, lengths: NDArray[np.int_], every: int) -> Array:
-    """Samples (n, longest + 1, nq), in long calls: until the next twin stops, or `CHUNK`."""
+def _batch_of(twins: Sequence[Twin], threads: int) -> batch.Batch:
+    """A batch in which every fish has its own values of each field that differs among them."""
+    models = list({id(twin): twin.model for twin in twins}.values())
+    pool = batch.Batch(models[0], len(twins), nthread=threads)
+    for name in batch.MODEL_FIELDS:
+        values = [_field(model, name) for model in models]
+        if any(not np.array_equal(values[0], other) for other in values[1:]):
+            pool.expand(name)[:] = np.stack([_field(twin.model, name) for twin in twins])
+    return pool
+
+
+def _field(model: mujoco.MjModel, name: str) -> Array:
+    owner = model.opt if name.startswith("opt.") else model
+    return np.asarray(getattr(owner, name.removeprefix("opt.")))
+
+
+def _lift_of(pool: batch.Batch, twins: Sequence[Twin]) -> edge.Lift | None:
+    """What weighs the lift of fish with a trailing edge; None where nobody has one."""
+    blends = [b for twin in twins if (b := edge.blend_of(twin.model)) is not None]
+    if not blends:
+        return None
+    wind = np.stack([twin.model.opt.wind for twin in twins])
+    return edge.lift(twins[0].model, pool, wind, np.stack(blends))
+
+
+def _advance(
+    pool: batch.Batch,
+    lift: edge.Lift | None,
+    commands: Array,
+    lengths: NDArray[np.int_],
+    every: int,
+) -> Array:
+    """Samples (n, longest + 1, nq), in long calls: until the next twin stops, the next weighing of
+    the lift, or `CHUNK` samples."""
     state = pool.bind("qpos")
     found = np.empty((len(lengths), lengths.max() + 1, state.shape[1]))
     found[:, 0] = state
-    stops = sorted({*lengths.tolist(), *range(0, int(lengths.max()), CHUNK)})
+    block = CHUNK * every if lift is None else lift.steps
+    ends = lengths * every
+    stops = sorted({*ends.tolist(), *range(0, int(ends.max()), block)})
     for first, last in pairwise(stops):
-        active = lengths >= last
-        control = np.ascontiguousarray(commands[active, first * every : last * every])
-        steps = control.shape[1]
-        rows = pool.rollout(steps, control, CONTROL, record=("qpos",), ids=active)["qpos"]
-        found[active, first + 1 : last + 1] = rows[:, every - 1 :: every]
+        if lift is not None and first % block == 0:
+            edge.weigh(lift)
+        active = ends >= last
+        control = np.ascontiguousarray(commands[active, first:last])
+        rows = pool.rollout(last - first, control, CONTROL, record=("qpos",), ids=active)["qpos"]
+        samples = np.arange(first // every + 1, last // every + 1)
+        found[np.ix_(active, samples)] = rows[:, samples * every - first - 1]
     return found
 
 

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.fish import edge
 from tailbeat.fish.description import Body, Fish, Inertial, Servo
 from tailbeat.fish.looks import add_looks
 from tailbeat.fish.units import Triple
@@ -64,6 +65,11 @@ class Twin:
         """Index of the motor angle in qpos; the hinges follow it."""
         return int(self.model.joint("motor").qposadr[0])
 
+    @property
+    def taut_share(self) -> float:
+        """Factor on the engine's softness of the tendons' constraint."""
+        return TAUT_SHARE if self.fish.tendons.stiffness is None else 1.0
+
     @cached_property
     def marker_sites(self) -> Array:
         """Site indices of the description's markers, in its order."""
@@ -72,14 +78,18 @@ class Twin:
 
 
 def compile_twin(fish: Fish, options: Options = Options()) -> Twin:
-    """Compile a description. With `replayed`, the motor becomes a heavy rotor (see below)."""
+    """Compile a description. With `replayed`, the motor becomes a heavy rotor (see below).
+
+    Some derived fields are edited after the engine's compilation. `mj_setConst` would derive them
+    anew: whoever calls it restores them (`randomize.refresh`).
+    """
     model = build_spec(fish, options).compile()
     _set_slack(fish, model)
-    if fish.tendons.stiffness is None:
-        model.tendon_invweight0 *= TAUT_SHARE
+    twin = Twin(fish, options, model)
+    model.tendon_invweight0 *= twin.taut_share
     if fish.added_inertia > 0:
         _drop_velocity_half(fish, model)
-    return Twin(fish, options, model)
+    return twin
 
 
 def build_spec(fish: Fish, options: Options = Options()) -> mujoco.MjSpec:
@@ -94,6 +104,9 @@ def build_spec(fish: Fish, options: Options = Options()) -> mujoco.MjSpec:
     _add_links(head, fish)
     _add_markers(spec, fish)
     _add_tendons(spec, fish)
+    if fish.trailing_edge is not None:
+        blend = fish.trailing_edge
+        spec.add_numeric(name=edge.NAME, data=[blend.speed, blend.reverse])
     if options.looks:
         add_looks(spec, fish)
     return spec

@@ -12,6 +12,7 @@ UNITS: dict[str, dict[str, float]] = {
     "angle": {"rad": 1.0, "deg": 0.017453292519943295},
     "time": {"s": 1.0, "ms": 1e-3},
     "frequency": {"Hz": 1.0},
+    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
     "density": {"kg/m^3": 1.0, "g/cm^3": 1e3},
     "viscosity": {"Pa s": 1.0, "mPa s": 1e-3},
     "torque": {"N m": 1.0, "N mm": 1e-3},
@@ -93,6 +94,7 @@ Inertia = Annotated[float, _quantity("inertia")]
 Inertia3 = Annotated[Triple, _quantity("inertia")]
 AngleRange = Annotated[Pair, _quantity("angle")]
 Time = Annotated[float, _quantity("time")]
+Speed = Annotated[float, _quantity("speed")]
 FrequencyRange = Annotated[Pair, _quantity("frequency")]
 Density = Annotated[float, _quantity("density")]
 Viscosity = Annotated[float, _quantity("viscosity")]

@@ -11,9 +11,10 @@ from mujoco import batch
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
+from tailbeat.fish import edge
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import quiet_engine
-from tailbeat.fish.twin import compile_twin
+from tailbeat.fish.twin import Twin, compile_twin
 from tailbeat.learn import randomize
 from tailbeat.learn.randomize import Randomisation
 
@@ -59,7 +60,16 @@ class TwinBody:
             self.batch.bind(name) for name in ("qpos", "qvel", "ctrl", "xfrc_applied")
         )
         self.head = int(twin.model.body("head").id)
+        self.lift = self._lift(twin)
         self.warned = np.zeros(count)
+
+    def _lift(self, twin: Twin) -> edge.Lift | None:
+        """What weighs the lift at every control period, for a fish with a trailing edge."""
+        blend = edge.blend_of(twin.model)
+        if blend is None:
+            return None
+        wind = self.physics.fields["opt.wind"]
+        return edge.lift(twin.model, self.batch, wind, np.tile(blend, (self.count, 1)))
 
     def rest(self, chosen: NDArray[np.int64]) -> None:
         """Also forgets the pushes."""
@@ -71,14 +81,19 @@ class TwinBody:
         randomize.randomize(self.physics, ranges, fish, rng)
 
     def ready(self, chosen: NDArray[np.int64]) -> None:
-        """What the engine derives from masses."""
+        """What the engine derives from masses; the drawn coefficients of lift."""
         randomize.refresh(self.physics, chosen)
+        if self.lift is not None:
+            drawn = self.physics.fields["geom_fluid"][chosen][:, self.lift.where.geom, edge.KUTTA]
+            self.lift.nominal[chosen] = drawn
 
     def advance(self, setpoint: Array, push: Array) -> Flags:
         """A divergence warns; the engine resets that fish, and it counts as lost."""
         self.ctrl[:, 0] = setpoint
         self.force[:, self.head, :2] = push
         with quiet_engine():
+            if self.lift is not None:
+                edge.weigh(self.lift)
             self.batch.step(nstep=self.substeps)
         warning = self.batch.warning
         if int(warning.sum()) == self.warned.sum():

@@ -65,6 +65,7 @@ FIELDS = (
     "actuator_delay",
     "opt.density",
     "opt.wind",
+    "tendon_invweight0",  # not drawn: it follows from the masses
 )
 
 
@@ -144,3 +145,6 @@ def _servo(physics: Physics, ranges: Randomisation, fish: int, rng: np.random.Ge
 def refresh(physics: Physics, fish: NDArray[np.int64]) -> None:
     """What the engine derives from masses, for the fish that were drawn."""
     physics.pool.set_const(fish)
+    # the engine derives again what `compile_twin` had edited
+    physics.fields["geom_fluid"][fish, :, 6:] = physics.nominal["geom_fluid"][:, 6:]
+    physics.fields["tendon_invweight0"][fish] *= physics.twin.taut_share
