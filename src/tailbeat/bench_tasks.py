@@ -9,6 +9,7 @@ from tailbeat.files import BadInput, refuse_existing, write_json
 from tailbeat.fish.store import Done, fish_path, load_fish, new_fish_files, write_identified
 from tailbeat.identify import job, motor_job, motor_report, protocol, tail_report
 from tailbeat.identify.decay import ring_down, static_loop
+from tailbeat.identify.manoeuvres import manoeuvres
 from tailbeat.identify.motor import as_bench
 from tailbeat.identify.tail import identify_tail as fit_tail
 from tailbeat.recording import Recording, read_recording, write_recording
@@ -109,7 +110,7 @@ def write_protocol(kind: str, fish: str, out: Path, speed: float) -> list[Path]:
     elif kind == "motor":
         made = protocol.motor_commands(described, limit)
     else:
-        made = protocol.fluid_runs(described, limit)
+        made = {**protocol.fluid_runs(described, limit), **manoeuvres(described, limit)}
     paths = [out / f"{name}.csv" for name in made]
     for path in paths:
         refuse_existing(path)

@@ -54,6 +54,12 @@ COEFFICIENT_PRIORS: dict[str, tuple[float, float, float, float]] = {
     "kutta": (1.5, 0.8, 0.01, 6.3),
     "magnus": (1.0, 0.8, 0.01, 6.0),
 }
+# Lift astern lies between the bare engine's and thin-aerofoil theory's; the blending speed is that
+# of a slow fin (both chosen).
+EDGE_PRIORS = (
+    Parameter("trailing_edge.speed", "m/s", 0.005, 0.2, 0.03, 0.7),
+    Parameter("trailing_edge.reverse", "1", -1.0, 1.0, -0.5, 0.5, log=False),
+)
 # Without added inertia the coefficients must stand in for what is missing (the paper's fin has a
 # Kutta factor of 10 and an angular one of 18): ranges reach so many times further, chosen.
 STAND_IN = 4.0
@@ -70,6 +76,8 @@ def fluid_space(fish: Fish, zones: int) -> tuple[Parameter, ...]:
         for name in COEFFICIENTS
         for centre, spread, low, high in [COEFFICIENT_PRIORS[name]]
     ]
+    if fish.trailing_edge is not None:
+        found += EDGE_PRIORS
     for extra in fish.uncertain:
         prior = value_at(fish, extra.field)
         _check_uncertain(fish, extra.field, extra.low, prior, extra.high)

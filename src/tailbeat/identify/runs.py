@@ -25,6 +25,7 @@ from tailbeat.identify.gait import (
     beat_signal,
     measure_gait,
 )
+from tailbeat.identify.launch import launch_of
 from tailbeat.recording import Recording, markers, require
 
 Array = NDArray[np.float64]
@@ -42,13 +43,15 @@ class Cruise:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A recording made ready: its track and gait; `motor` (k,) rad, None for a cruise."""
+    """A recording made ready: its track and gait; `motor` (k,) rad, None for a cruise; `launch`
+    (3,) surge, sway and yaw rate at the start where the recording states them."""
 
     name: str
     track: Track
     gait: Gait
     motor: Array | None
     from_rest: bool
+    launch: Array | None = None
 
 
 def as_run(recording: Recording, fish: Fish) -> Run:
@@ -68,7 +71,8 @@ def as_run(recording: Recording, fish: Fish) -> Run:
         _check_motor(recording, fish, motor)
     signal = beat_signal(track) if motor is None else np.sin(motor)
     frequency = beat_frequency(recording.time, signal, fish.band, recording.name)
-    return Run(recording.name, track, measure_gait(track, frequency), motor, _from_rest(track))
+    gait, launch = measure_gait(track, frequency), launch_of(recording, fish)
+    return Run(recording.name, track, gait, motor, _from_rest(track), launch)
 
 
 def _check_tip(recording: Recording, fish: Fish, track: Track) -> None:
@@ -187,7 +191,12 @@ def _moved(poses, x, y):  # type: ignore[no-untyped-def]
 
 
 def _first_velocity(run: Run) -> Array:
-    """Velocity at the start: zero from rest, else a straight line through the first 0.2 s."""
+    """Velocity at the start: as stated, else zero from rest, else a straight line through the
+    first 0.2 s."""
+    if run.launch is not None:
+        surge, sway, turn = run.launch
+        cos, sin = np.cos(run.track.pose[0, 2]), np.sin(run.track.pose[0, 2])
+        return np.array([cos * surge - sin * sway, sin * surge + cos * sway, turn])
     if run.from_rest:
         return np.zeros(3)
     first = run.track.time <= run.track.time[0] + 0.2

@@ -13,6 +13,9 @@ from scipy.interpolate import CubicSpline
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
+from tailbeat.identify.launch import KEY as LAUNCH
+from tailbeat.identify.launch import launch_of
+from tailbeat.identify.manoeuvres import BEGIN, manoeuvres
 from tailbeat.identify.protocol import (
     fluid_runs,
     limits,
@@ -97,17 +100,20 @@ def record_fluid(
     water: Water = WATER,
     commands: Sequence[Recording] = (),
 ) -> Iterator[Recording]:
-    """Free swims from rest down the pool: encoder and tag, at the frames' times.
+    """Free swims down the pool, from rest or launched: encoder and tag, at the frames' times.
 
     Cut where the fish comes near a wall. The encoder is read at the loop's rate and interpolated to
     the frames, as a recorder that joins two logs would do.
     """
-    played = commands or tuple(fluid_runs(fish, limits(fish)).values())
+    limit = limits(fish)
+    played = commands or (*fluid_runs(fish, limit).values(), *manoeuvres(fish, limit).values())
     for number, command in enumerate(_checked(fish, played)):
         rng = np.random.default_rng([seed, 200 + number])
-        side = rng.uniform(-0.2, 0.2, 2)
-        start = np.array([[-LENGTH / 2 + 0.8, side[0], side[1] / 2]])
-        swum = _play(fish, command, water, Surroundings(walls=(LENGTH, WIDTH)), None, DT, start)
+        side, launch = rng.uniform(-0.2, 0.2, 2), launch_of(command, fish)
+        begin = _begin(command, 0.0 if launch is None else launch[0])
+        start = np.array([[begin, side[0], side[1] / 2]])
+        around = Surroundings(walls=(LENGTH, WIDTH))
+        swum = _play(fish, command, water, around, None, DT, start, launch)
         pose = tracked_pose(fish, swum.q[0, :, :3])
         seconds = _until_wall(swum.time, pose)
         seen = frames(seconds, sensors, rng)
@@ -117,7 +123,16 @@ def record_fluid(
         poses = camera(np.stack([_at(swum, c, late) for c in pose.T], axis=1), sensors, rng)
         columns = dict(zip(("x_m", "y_m", "yaw_rad"), poses.T, strict=True))
         columns = {"motor_angle_rad": angle, **columns}
-        yield Recording(command.name, seen, columns, _meta(water))
+        stated = {} if launch is None else {LAUNCH: command.meta[LAUNCH]}
+        yield Recording(command.name, seen, columns, {**_meta(water), **stated})
+
+
+def _begin(command: Recording, surge: float) -> float:
+    """x [m] at which a swim begins: at the pool's end, or where its command says; a fish launched
+    backward gets room behind it."""
+    if command.meta.get(BEGIN) == "middle":
+        return 0.0
+    return -LENGTH / 2 + (1.4 if surge < 0 else 0.8)
 
 
 def _checked(fish: Fish, commands: Sequence[Recording]) -> Sequence[Recording]:
@@ -147,12 +162,19 @@ def _play(
     servo: Servo | None,
     dt: float,
     start: Array | None = None,
+    launch: Array | None = None,
 ) -> Swum:
-    """A command recording played to its end, held from its own sample to the next."""
+    """A command recording played to its end, held from its own sample to the next; `launch` (3,)
+    is the head's velocity at the start, in the fish frame."""
     plant = build_plant(fish, [water], servo, [around], dt)
     edges = np.asarray(dt * np.arange(int(command.time[-1] / dt) + 3), dtype=np.float64)
     held = mean_held(command.time, command.columns["command_rad"], edges)
-    return step_plant(plant, at_rest(plant, start), held[None])
+    state = at_rest(plant, start)
+    if launch is not None:
+        cos, sin = np.cos(state.q[0, 2]), np.sin(state.q[0, 2])
+        surge, sway, turn = launch
+        state.v[0, :3] = cos * surge - sin * sway, sin * surge + cos * sway, turn
+    return step_plant(plant, state, held[None])
 
 
 def _smooth(command: Recording, dt: float) -> Recording:

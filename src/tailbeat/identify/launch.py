@@ -1,0 +1,118 @@
+"""Swims that begin with a velocity: how a recording says so, and whether the twin recovers.
+
+A recording states `launch: surge sway yaw-rate` [m/s, m/s, rad/s] in its metadata, in the fish
+frame, the velocity with which the fish frame moves at its first sample. A lab pushes its fish, or
+lets go of it on a moving carriage; the virtual pool imposes it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
+from tailbeat.fish.rollout import Start, Swim, replay_command, swim
+from tailbeat.fish.twin import Options, compile_twin
+from tailbeat.recording import Recording
+
+Array = NDArray[np.float64]
+KEY = "launch"
+LENGTHS = 2.0  # body lengths a second: no fish of this kind moves faster (chosen)
+TURNING = 10.0  # rad/s
+LAUNCHES = (0.0, 0.03, -0.03, -0.1, -0.3)  # m/s, of the check
+SECONDS, JUDGED = 12.0, 2.0  # s swum, and how many of them are judged
+
+
+def launch_of(recording: Recording, fish: Fish) -> Array | None:
+    """Surge, sway [m/s] and yaw rate [rad/s] at the start, None where the recording is silent.
+
+    Raises BadInput for text that is not three numbers, or a launch faster than the fish could move.
+    """
+    text = recording.meta.get(KEY)
+    if text is None:
+        return None
+    try:
+        launch = np.array([float(word) for word in text.split()])
+    except ValueError:
+        launch = np.empty(0)
+    if launch.shape != (3,) or not np.isfinite(launch).all():
+        raise BadInput(
+            f"{recording.name}: {KEY} = {text!r}; give surge and sway [m/s] and yaw rate [rad/s],"
+            f" such as '-0.1 0 0'."
+        )
+    _check_launch(recording.name, launch, body_length(fish))
+    return launch
+
+
+def _check_launch(name: str, launch: Array, length: float) -> None:
+    fastest = LENGTHS * length
+    if max(abs(launch[:2])) > fastest or abs(launch[2]) > TURNING:
+        raise BadInput(
+            f"{name}: {KEY} = {launch[0]:g} {launch[1]:g} {launch[2]:g} is faster than the fish"
+            f" could move; allowed are {fastest:.2g} m/s (two body lengths a second) and"
+            f" {TURNING:g} rad/s. Check the units."
+        )
+
+
+def body_length(fish: Fish) -> float:
+    """From the foremost to the rearmost part [m]."""
+    parts = [part for body in (fish.head, *fish.tail.links) for part in body.parts]
+    ends = [(p.position[0] + p.size[0] / 2, p.position[0] - p.size[0] / 2) for p in parts]
+    return max(front for front, _ in ends) - min(rear for _, rear in ends)
+
+
+# ---- does the twin recover? ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Launched:
+    """One gait of the check: beat `frequency` [Hz] and `stroke` [rad] of the motor (None: a crank
+    that turns), launched at `launch` [m/s] along the heading, and its last `speed` [m/s]."""
+
+    frequency: float
+    stroke: float | None
+    launch: float
+    speed: float
+
+
+def check_launches(
+    fish: Fish, gaits: Sequence[tuple[float, float | None]], launches: Sequence[float] = LAUNCHES
+) -> list[Launched]:
+    """Every gait (frequency [Hz], stroke [rad] or None) from every launch, the motor replayed."""
+    twin = compile_twin(fish, Options(replayed=True))
+    step = twin.model.opt.timestep
+    time = np.arange(0, SECONDS, step)
+    cases = [(gait, launch) for gait in gaits for launch in launches]
+    angles = [_angle(time, *gait) for gait, _ in cases]
+    starts = [
+        Start(np.zeros(3), np.array([launch, 0, 0]), angle[0], (angle[1] - angle[0]) / step)
+        for (_, launch), angle in zip(cases, angles, strict=True)
+    ]
+    commands = [replay_command(twin, angle) for angle in angles]
+    done = swim([twin] * len(cases), starts, commands, max(round(0.02 / step), 1))
+    return [
+        Launched(*gait, launch, _last_speed(one))
+        for (gait, launch), one in zip(cases, done, strict=True)
+    ]
+
+
+def _angle(time: Array, frequency: float, stroke: float | None) -> Array:
+    phase = 2 * np.pi * frequency * time
+    return phase if stroke is None else stroke * np.sin(phase)
+
+
+def _last_speed(done: Swim) -> float:
+    """Mean velocity along the mean heading over the last seconds; NaN if it diverged."""
+    if done.diverged:
+        return float("nan")
+    last = done.time >= done.time[-1] - JUDGED
+    pose = done.qpos[last, :3]
+    way, yaw = pose[-1, :2] - pose[0, :2], pose[:, 2].mean()
+    return float(way @ [np.cos(yaw), np.sin(yaw)] / np.ptp(done.time[last]))
+
+
+def stuck(checks: Sequence[Launched], least: float = 0.0) -> list[Launched]:
+    """The gaits that do not end forward."""
+    return [one for one in checks if not one.speed > least]

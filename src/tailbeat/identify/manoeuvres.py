@@ -1,0 +1,135 @@
+"""What policies do, as commands for the pool: launches, stops, slow strokes, turns, wandering.
+
+Steady beats from rest (`protocol.fluid_runs`) leave out most of what a policy does: its generator's
+frequency goes to zero, its centre to 0.8 rad, and nothing it does is steady. Three of each kind,
+so that holding out every third swim holds out one of each.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.fish.description import Fish
+from tailbeat.identify.launch import KEY
+from tailbeat.identify.protocol import RATE, Limits, largest
+from tailbeat.recording import Recording
+
+Array = NDArray[np.float64]
+BEGIN = "begin"  # in the metadata: where in the pool a swim begins, `end` (default) or `middle`
+SECONDS = 8.0
+FASTEST = 1.5  # shaft speeds reach this multiple of the protocol's limit, as a policy's do
+LAG = 0.1  # s, with which a wandering command's numbers follow their targets
+
+
+@dataclass(frozen=True)
+class Beat:
+    """So many `seconds` of a beat: `frequency` [Hz], `stroke` as a share of the largest that the
+    limits allow, `centre` [rad]."""
+
+    seconds: float
+    frequency: float = 0.0
+    stroke: float = 0.0
+    centre: float = 0.0
+
+
+def manoeuvres(fish: Fish, limit: Limits, first: int = 13, wander: int = 9) -> dict[str, Recording]:
+    """Named commands, numbered from `first` in the order of their kinds."""
+    low, high = fish.band
+    middle = float(np.sqrt(low * high))
+    kinds = [
+        *(("launch", _launched(limit, *one)) for one in _launches(low, middle, high)),
+        *(("brake", _played(limit, one)) for one in _stops(low, middle, high)),
+        *(("slow", _played(limit, [Beat(SECONDS, *one)])) for one in SLOW),
+        *(("turn", _played(limit, [Beat(SECONDS, *one)])) for one in _turns(low, middle, high)),
+        *(("wander", _wandering(limit, high, seed)) for seed in range(wander)),
+    ]
+    made = {}
+    for number, (kind, (command, launch)) in enumerate(kinds, start=first):
+        name = f"fluid-{number:02d}-{kind}"
+        made[name] = _recording(name, command, limit, launch, "end" if launch else "middle")
+    return made
+
+
+SLOW = ((0.5, 1.0, 0.0), (0.3, 0.5, 0.6), (0.7, 0.8, -0.3))  # Hz, share, rad
+
+
+def _launches(low: float, middle: float, high: float) -> list[tuple[float, Beat]]:
+    """Surge [m/s] and what follows it."""
+    return [
+        (-0.1, Beat(SECONDS, 0.75 * middle, 0.9)),
+        (-0.25, Beat(SECONDS, 1.25 * middle, 0.9)),
+        (-0.2, Beat(SECONDS, 1.2 * low, 0.8)),
+        (-0.05, Beat(SECONDS, 0.85 * high, 0.9)),
+        (0.35, Beat(SECONDS)),
+        (-0.3, Beat(SECONDS, middle, 0.9)),
+        (-0.3, Beat(SECONDS)),
+        (-0.15, Beat(SECONDS, 0.9 * middle, 0.5, 0.3)),
+        (-0.12, Beat(SECONDS, 0.65 * high, 0.7)),
+    ]
+
+
+def _stops(low: float, middle: float, high: float) -> list[list[Beat]]:
+    """Starts and stops: beat, stand, beat again."""
+    return [
+        [Beat(3, middle, 1.0), Beat(2), Beat(3, 1.3 * low, 0.8)],
+        [Beat(3, 1.3 * low, 1.0), Beat(2, 0, 0, 0.8), Beat(3, middle, 0.6, -0.2)],
+        [Beat(3, 0.75 * high, 0.9), Beat(2, 0, 0, -0.6), Beat(3, 0.75 * middle, 1.0)],
+    ]
+
+
+def _turns(low: float, middle: float, high: float) -> list[tuple[float, float, float]]:
+    """On the spot: frequency [Hz], stroke, centre [rad]."""
+    return [(0.75 * middle, 0.6, 0.8), (1.25 * middle, 0.6, -0.8), (low, 0.5, -0.6)]
+
+
+def _launched(limit: Limits, surge: float, beat: Beat) -> tuple[Array, float]:
+    return _played(limit, [beat])[0], surge
+
+
+def _played(limit: Limits, beats: list[Beat]) -> tuple[Array, float]:
+    """The beats one after the other; strokes and centres follow with `LAG`."""
+    rows = [
+        [b.frequency, b.stroke * _largest(limit, b), b.centre]
+        for b in beats
+        for _ in range(int(b.seconds * RATE))
+    ]
+    return _swung(np.array(rows)), 0.0
+
+
+def _largest(limit: Limits, beat: Beat) -> float:
+    """Largest stroke [rad] within speed and, beside the centre, within angle."""
+    room = limit.angle - abs(beat.centre)
+    return min(largest(limit, beat.frequency), room) if beat.frequency else 0.0
+
+
+def _wandering(limit: Limits, high: float, seed: int) -> tuple[Array, float]:
+    """Frequency from 0 to the band's end, stroke and centre, drawn anew every 0.3 to 1.5 s."""
+    rng, rows = np.random.default_rng(seed), []
+    while len(rows) < 1.25 * SECONDS * RATE:
+        frequency, centre = high * rng.uniform() ** 1.5, 0.8 * rng.uniform(-1, 1)
+        beat = Beat(rng.uniform(0.3, 1.5), frequency, rng.uniform(0.1, 1.0), centre)
+        fast = Limits(limit.angle, limit.centre, FASTEST * limit.speed)
+        row = [frequency, beat.stroke * _largest(fast, beat), centre]
+        rows += [row] * int(beat.seconds * RATE)
+    return _swung(np.array(rows)), 0.0
+
+
+def _swung(wanted: Array) -> Array:
+    """Command (k,) [rad] of wanted frequency, stroke and centre (k, 3), each lagging by `LAG`."""
+    keep, now, phase = np.exp(-1 / RATE / LAG), np.zeros(3), 0.0
+    command = np.empty(len(wanted))
+    for k, goal in enumerate(wanted):
+        now = goal + (now - goal) * keep
+        phase += 2 * np.pi * now[0] / RATE
+        command[k] = now[2] + now[1] * np.sin(phase)
+    return command
+
+
+def _recording(name: str, command: Array, limit: Limits, launch: float, begin: str) -> Recording:
+    inside = np.clip(command, -limit.angle, limit.angle) + limit.centre
+    meta = {"purpose": name.split("-", 2)[2], "rate_hz": f"{RATE:g}", BEGIN: begin}
+    if launch:
+        meta[KEY] = f"{launch:g} 0 0"
+    time = np.arange(inside.size) / RATE
+    return Recording(name, time, {"command_rad": inside}, meta)
