@@ -209,7 +209,8 @@ class Fish(_Model):
     """A fish; see the module's docstring for frame and units.
 
     `tracked` is the point whose pose recordings hold; `band` the beat frequencies [Hz] that the
-    description is meant for; `added_inertia` scales the parts' `added_mass` (0 is off).
+    description is meant for; `added_inertia` scales the parts' `added_mass` (0 is off), of which
+    the share `added_along` acts along the parts too (1: alike in all directions; `surge.py`).
     `trailing_edge` says how lift depends on the direction of the flow; without it the rear and the
     front end of each part count alike, as in the bare engine and the paper.
     """
@@ -230,6 +231,7 @@ class Fish(_Model):
     tracked: u.Point3 = (0.0, 0.0, 0.0)
     uncertain: tuple[Uncertain, ...] = ()
     added_inertia: u.Ratio = Field(default=0.0, ge=0)
+    added_along: u.Ratio = Field(default=1.0, ge=0, le=1)
     trailing_edge: TrailingEdge | None = None
 
     @model_validator(mode="after")

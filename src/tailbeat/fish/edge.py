@@ -80,7 +80,7 @@ def chord_speeds(where: Chords, qpos: Array, qvel: Array, wind: Array) -> Array:
 
     `qpos` (n, nq), `qvel` (n, nv) as the engine has them, `wind` (n, 3) [m/s] of the water.
     """
-    root = _root_motion(where.root, qpos, qvel, wind)
+    root = root_motion(where.root, qpos, qvel, wind)
     first = qpos.shape[1] - len(where.origin)
     rate = qvel.shape[1] - len(where.origin)
     return np.asarray(
@@ -97,8 +97,7 @@ def weights(speed: Array, blend: Array) -> Array:
 @dataclass(frozen=True, eq=False)
 class Lift:
     """A batch's lift: its live positions, velocities, `wind` (n, 3) and `geom_fluid` (n, ngeom,
-    12), the unweighed coefficients `nominal` (n, g), `blend` (n, 2); `steps` of the engine
-    between two weighings."""
+    12), the unweighed coefficients `nominal` (n, g), `blend` (n, 2)."""
 
     where: Chords
     qpos: Array
@@ -107,7 +106,6 @@ class Lift:
     fluid: Array
     nominal: Array
     blend: Array
-    steps: int
 
 
 def lift(model: mujoco.MjModel, pool: batch.Batch, wind: Array, blend: Array) -> Lift:
@@ -122,7 +120,6 @@ def lift(model: mujoco.MjModel, pool: batch.Batch, wind: Array, blend: Array) ->
         fluid,
         fluid[:, where.geom, KUTTA].copy(),
         blend,
-        max(round(HOLD / model.opt.timestep), 1),
     )
 
 
@@ -132,8 +129,9 @@ def weigh(lift: Lift) -> None:
     lift.fluid[:, lift.where.geom, KUTTA] = lift.nominal * weights(speed, lift.blend)
 
 
-def _root_motion(root: int, qpos: Array, qvel: Array, wind: Array) -> Array:
-    """Velocity through the water and spin (n, 6) of the head's frame, in its own axes."""
+def root_motion(root: int, qpos: Array, qvel: Array, wind: Array) -> Array:
+    """Velocity through the water [m/s] and spin [rad/s] (n, 6) of the head's frame, in its own
+    axes; `root` is its number of velocities."""
     found = np.zeros((len(qpos), 6))
     if root == 3:
         cos, sin = np.cos(qpos[:, 2]), np.sin(qpos[:, 2])

@@ -11,11 +11,12 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
-from tailbeat.fish import edge
 from tailbeat.fish.twin import HEAVY, HEAVY_ROTOR, Twin
+from tailbeat.fish.water import Water, correct, water
 
 Array = NDArray[np.float64]
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
+HEAD = 1  # the first body after the world
 CHUNK = 256  # samples per engine call: bounds the memory of a thousand fish
 
 
@@ -76,7 +77,7 @@ def swim(
     for i, command in enumerate(commands):
         padded[i, : lengths[i] * every, 0] = command[: lengths[i] * every]
     with quiet_engine():
-        qpos = _advance(pool, _lift_of(pool, twins), padded, lengths, every)
+        qpos = _advance(pool, _water_of(pool, twins), padded, lengths, every)
     diverged = pool.warning.reshape(len(twins), -1).sum(axis=1) > 0
     qpos[diverged] = 0.0
     time = np.arange(lengths.max() + 1) * every * twins[0].model.opt.timestep
@@ -121,33 +122,30 @@ def _field(model: mujoco.MjModel, name: str) -> Array:
     return np.asarray(getattr(owner, name.removeprefix("opt.")))
 
 
-def _lift_of(pool: batch.Batch, twins: Sequence[Twin]) -> edge.Lift | None:
-    """What weighs the lift of fish with a trailing edge; None where nobody has one."""
-    blends = [b for twin in twins if (b := edge.blend_of(twin.model)) is not None]
-    if not blends:
-        return None
-    wind = np.stack([twin.model.opt.wind for twin in twins])
-    return edge.lift(twins[0].model, pool, wind, np.stack(blends))
+def _water_of(pool: batch.Batch, twins: Sequence[Twin]) -> Water | None:
+    """What corrects the engine's law for these fish."""
+    models = [twin.model for twin in twins]
+    return water(models, pool, np.stack([model.opt.wind for model in models]))
 
 
 def _advance(
     pool: batch.Batch,
-    lift: edge.Lift | None,
+    moved: Water | None,
     commands: Array,
     lengths: NDArray[np.int_],
     every: int,
 ) -> Array:
-    """Samples (n, longest + 1, nq), in long calls: until the next twin stops, the next weighing of
-    the lift, or `CHUNK` samples."""
-    state = pool.bind("qpos")
+    """Samples (n, longest + 1, nq), in long calls: until the next twin stops, the next correction
+    of the water's force, or `CHUNK` samples."""
+    state, force = pool.bind("qpos"), pool.bind("xfrc_applied")
     found = np.empty((len(lengths), lengths.max() + 1, state.shape[1]))
     found[:, 0] = state
-    block = CHUNK * every if lift is None else lift.steps
+    block = CHUNK * every if moved is None else moved.steps
     ends = lengths * every
     stops = sorted({*ends.tolist(), *range(0, int(ends.max()), block)})
     for first, last in pairwise(stops):
-        if lift is not None and first % block == 0:
-            edge.weigh(lift)
+        if moved is not None and first % block == 0 and (push := correct(moved)) is not None:
+            force[:, HEAD, :3] = push
         active = ends >= last
         control = np.ascontiguousarray(commands[active, first:last])
         rows = pool.rollout(last - first, control, CONTROL, record=("qpos",), ids=active)["qpos"]

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.fish import edge
+from tailbeat.fish import edge, surge
 from tailbeat.fish.description import Body, Fish, Inertial, Servo
 from tailbeat.fish.looks import add_looks
 from tailbeat.fish.units import Triple
@@ -107,6 +107,8 @@ def build_spec(fish: Fish, options: Options = Options()) -> mujoco.MjSpec:
     if fish.trailing_edge is not None:
         blend = fish.trailing_edge
         spec.add_numeric(name=edge.NAME, data=[blend.speed, blend.reverse])
+    if surge.excess(fish) > 0:
+        spec.add_numeric(name=surge.NAME, data=[surge.excess(fish)])
     if options.looks:
         add_looks(spec, fish)
     return spec
@@ -204,16 +206,19 @@ def _add_speck(body: mujoco.MjsBody) -> None:
 
 
 def _drop_velocity_half(fish: Fish, model: mujoco.MjModel) -> None:
-    """Zero the virtual mass in the fluid law on every body that carries added inertia.
+    """Replace the virtual mass in the fluid law on every body that carries added inertia.
 
     The engine applies the velocity half of added mass alone; beside an added mass in the inertia
-    it would be counted twice and the mean force of an oscillating plate would not vanish.
+    it would be counted twice and the mean force of an oscillating plate would not vanish. What is
+    left undoes the inertia along the chord (`surge.py`), if the description asks for that.
     """
     for body in (fish.head, *fish.tail.links):
         if any(part.added_mass > 0 for part in body.parts):
             for part in body.parts:
                 if part.zone is not None:
-                    model.geom_fluid[model.geom(part.name).id, 6:12] = 0.0
+                    row = model.geom_fluid[model.geom(part.name).id]
+                    row[6:12] = 0.0
+                    row[6] = surge.virtual_mass(fish, part.added_mass)
 
 
 def _add_links(head: mujoco.MjsBody, fish: Fish) -> None:

@@ -11,10 +11,12 @@ from mujoco import batch
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
-from tailbeat.fish import edge
+from tailbeat.fish import surge
 from tailbeat.fish.description import Fish
+from tailbeat.fish.edge import KUTTA
 from tailbeat.fish.rollout import quiet_engine
-from tailbeat.fish.twin import Twin, compile_twin
+from tailbeat.fish.twin import compile_twin
+from tailbeat.fish.water import correct, water
 from tailbeat.learn import randomize
 from tailbeat.learn.randomize import Randomisation
 
@@ -60,16 +62,8 @@ class TwinBody:
             self.batch.bind(name) for name in ("qpos", "qvel", "ctrl", "xfrc_applied")
         )
         self.head = int(twin.model.body("head").id)
-        self.lift = self._lift(twin)
+        self.water = water([twin.model] * count, self.batch, self.physics.fields["opt.wind"])
         self.warned = np.zeros(count)
-
-    def _lift(self, twin: Twin) -> edge.Lift | None:
-        """What weighs the lift at every control period, for a fish with a trailing edge."""
-        blend = edge.blend_of(twin.model)
-        if blend is None:
-            return None
-        wind = self.physics.fields["opt.wind"]
-        return edge.lift(twin.model, self.batch, wind, np.tile(blend, (self.count, 1)))
 
     def rest(self, chosen: NDArray[np.int64]) -> None:
         """Also forgets the pushes."""
@@ -83,17 +77,20 @@ class TwinBody:
     def ready(self, chosen: NDArray[np.int64]) -> None:
         """What the engine derives from masses; the drawn coefficients of lift."""
         randomize.refresh(self.physics, chosen)
-        if self.lift is not None:
-            drawn = self.physics.fields["geom_fluid"][chosen][:, self.lift.where.geom, edge.KUTTA]
-            self.lift.nominal[chosen] = drawn
+        if self.water is not None and (lift := self.water.lift) is not None:
+            lift.nominal[chosen] = self.physics.fields["geom_fluid"][chosen][
+                :, lift.where.geom, KUTTA
+            ]
+        if self.water is not None and self.water.relief is not None:
+            surge.begin(self.water.relief, chosen)
 
     def advance(self, setpoint: Array, push: Array) -> Flags:
         """A divergence warns; the engine resets that fish, and it counts as lost."""
         self.ctrl[:, 0] = setpoint
         self.force[:, self.head, :2] = push
+        if self.water is not None and (relief := correct(self.water)) is not None:
+            self.force[:, self.head, :3] += relief
         with quiet_engine():
-            if self.lift is not None:
-                edge.weigh(self.lift)
             self.batch.step(nstep=self.substeps)
         warning = self.batch.warning
         if int(warning.sum()) == self.warned.sum():

@@ -1,0 +1,90 @@
+"""Added mass that acts across a part and not along it.
+
+The engine's body mass is one number, so a part's added mass m_A in its inertia resists motion along
+the chord as much as across it. Water does not: of m_A only `added_along` (s) is felt along. With
+e = (1 - s) m_A the excess, u, v the part's velocity along and across and w its spin, Kirchhoff's
+equations of a body with m_A across and s m_A along are those of the blind body and
+
+    along  + e du/dt        across  + e u w        moment  - e u v (Munk).
+
+The last two depend on velocities alone: they are the engine's own velocity half with the virtual
+mass -e / density along the chord (`virtual_mass`), exact at every step. The first cannot be a
+coefficient: it is a force on the head along its heading, the excess of all parts times the head's
+surge acceleration over the last `HOLD`, under-relaxed so that it converges (`relieve`). Parts are
+taken to surge as the head does.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco import batch
+from numpy.typing import NDArray
+
+from tailbeat.fish.description import Fish
+from tailbeat.fish.edge import HOLD, root_motion
+
+Array = NDArray[np.float64]
+NAME = "surge_excess"  # of the number that a compiled model carries [kg]
+GAIN = 0.5  # of the step that would meet a rigid fish's acceleration at once: damps the tail's
+
+
+def excess(fish: Fish) -> float:
+    """Mass [kg] by which all parts together are too heavy along the fish."""
+    parts = [part for body in (fish.head, *fish.tail.links) for part in body.parts]
+    return fish.added_inertia * (1 - fish.added_along) * sum(part.added_mass for part in parts)
+
+
+def virtual_mass(fish: Fish, added_mass: float) -> float:
+    """Virtual mass along the chord, per density [m^3], of a part that carries `added_mass` [kg]."""
+    return -fish.added_inertia * (1 - fish.added_along) * added_mass / fish.medium.density
+
+
+def excess_of(model: mujoco.MjModel) -> float:
+    """The excess [kg] that a model was compiled with."""
+    found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, NAME)
+    return float(model.numeric_data[model.numeric_adr[found]]) if found >= 0 else 0.0
+
+
+@dataclass(eq=False)
+class Relief:
+    """The force (n,) [N] that gives each head its surge back, and its speed (n,) [m/s] one `HOLD`
+    before, NaN where a swim has just begun; `excess` and `gain` (n,). `qpos`, `qvel` are live."""
+
+    root: int
+    qpos: Array
+    qvel: Array
+    excess: Array
+    gain: Array
+    force: Array
+    before: Array
+
+
+def relief(root: int, pool: batch.Batch, excess: Array, mass: Array) -> Relief:
+    """Of a batch at its start; `mass` (n,) [kg] is that of each model, added mass included."""
+    gain = np.maximum(GAIN * mass / (mass - excess), 1.0)
+    still, unknown = np.zeros(len(mass)), np.full(len(mass), np.nan)
+    return Relief(root, pool.bind("qpos"), pool.bind("qvel"), excess, gain, still, unknown)
+
+
+def begin(state: Relief, chosen: NDArray[np.int64]) -> None:
+    """Some fish begin a new swim."""
+    state.force[chosen], state.before[chosen] = 0.0, np.nan
+
+
+def relieve(state: Relief) -> Array:
+    """Move the force on by one `HOLD`; returns it in world axes (n, 3) [N]."""
+    speed = root_motion(state.root, state.qpos, state.qvel, np.zeros((len(state.force), 3)))[:, 0]
+    wanted = state.excess * np.nan_to_num((speed - state.before) / HOLD)
+    state.force += state.gain * (wanted - state.force) * np.isfinite(state.before)
+    state.before = speed
+    return state.force[:, None] * heading(state.root, state.qpos)
+
+
+def heading(root: int, qpos: Array) -> Array:
+    """The head's nose-ward axis in the world (n, 3)."""
+    if root == 3:
+        yaw = qpos[:, 2]
+        return np.stack([np.cos(yaw), np.sin(yaw), 0 * yaw], axis=1)
+    w, x, y, z = qpos[:, 3:7].T
+    return np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1)
