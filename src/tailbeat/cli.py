@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -66,6 +66,13 @@ AddedOption = Annotated[
     float | None,
     typer.Option(help="Share of the described added mass that is inertia; default: as described."),
 ]
+LawOption = Annotated[
+    Literal["described", "whole"],
+    typer.Option(
+        "--law",
+        help="whole: added mass across the parts, lift with a trailing edge (docs/twin.md).",
+    ),
+]
 Recordings = Annotated[list[Path], typer.Argument(help="Recordings, CSV or Parquet.")]
 
 
@@ -119,11 +126,14 @@ def identify_fluid(
         typer.Option(help="Weigh a run's start 4:1; default: when it starts from rest."),
     ] = None,
     added_inertia: AddedOption = None,
+    law: LawOption = "described",
     json: JsonOption = None,
 ) -> None:
     """Fit the fluid coefficients; writes fish, report (.json) and figure (.png) side by side."""
     with console.search_progress() as progress:
-        plan = tasks.plan(zones, seeds, seed, generations, start_weight, added_inertia)
+        plan = tasks.plan(
+            zones, seeds, seed, generations, start_weight, added_inertia, law == "whole"
+        )
         done = tasks.identify_fluid(fish, fit, validate or [], out, plan, json, progress)
     console.identified(done.report)
     console.say(f"wrote {', '.join(map(str, done.files))}")
@@ -184,10 +194,11 @@ def identify_all(
     seed: SeedOption = 0,
     generations: Annotated[int, typer.Option(help="CMA-ES generations of the fluid.")] = 15,
     added_inertia: AddedOption = None,
+    law: LawOption = "described",
     json: JsonOption = None,
 ) -> None:
     """Tail, then servo, then fluid from one folder; writes fish, report, page and figures."""
-    plan = tasks.plan(zones, seeds, seed, generations, None, added_inertia)
+    plan = tasks.plan(zones, seeds, seed, generations, None, added_inertia, law == "whole")
     with console.search_progress() as progress:
         report = chain_tasks.identify_all(fish, folder, out, plan, json, progress)
     console.tables({"summary": [report["summary"]]})

@@ -26,6 +26,7 @@ from tailbeat.fish.store import (
     write_identified,
 )
 from tailbeat.fish.twin import Options, compile_twin
+from tailbeat.fish.water import whole
 from tailbeat.identify import job
 from tailbeat.identify.predict import as_json
 from tailbeat.identify.predict import predict as predict_runs
@@ -91,6 +92,7 @@ def plan(
     generations: int,
     start_weight: bool | None,
     added_inertia: float | None = None,
+    whole: bool = False,
 ) -> job.Plan:
     """Check the options of an identification."""
     if zones not in (1, 3):
@@ -99,8 +101,10 @@ def plan(
         raise BadInput(f"--seeds {seeds} --generations {generations}: both must be 1 or more.")
     if added_inertia is not None and not 0 <= added_inertia <= 2:
         raise BadInput(f"--added-inertia {added_inertia:g}: give a share from 0 to 2.")
+    if added_inertia is not None and whole:
+        raise BadInput("--added-inertia with --law whole, which sets it to 1; leave one out.")
     effort = Effort(generations=generations)
-    return job.Plan(zones, seeds, seed, effort, start_weight, added_inertia)
+    return job.Plan(zones, seeds, seed, effort, start_weight, added_inertia, whole)
 
 
 def identify_fluid(
@@ -117,6 +121,8 @@ def identify_fluid(
     described = load_fish(fish)
     if plan.added_inertia is not None:
         described = with_values(described, {"added_inertia": plan.added_inertia})
+    if plan.whole:
+        described = whole(described)
     fitted, held_out = _runs(fit, described), _runs(validate, described)
     scratch = out.parent / f".{out.stem}.search"
     found = job.identify_fluid(described, fitted, held_out, plan, scratch, progress)

@@ -14,8 +14,21 @@ from mujoco import batch
 from numpy.typing import NDArray
 
 from tailbeat.fish import edge, surge
+from tailbeat.fish.description import Fish, TrailingEdge
 
 Array = NDArray[np.float64]
+
+
+def whole(fish: Fish) -> Fish:
+    """The fish with every correction on: added mass as inertia, across the parts alone, and lift
+    with a trailing edge; explicit Euler, which is exact and cheap with it (docs/twin.md)."""
+    changed = {
+        "added_inertia": 1.0,
+        "added_along": 0.0,
+        "trailing_edge": fish.trailing_edge or TrailingEdge(),
+        "simulation": fish.simulation.model_copy(update={"integrator": "Euler"}),
+    }
+    return Fish.model_validate(fish.model_copy(update=changed).model_dump())
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ import hashlib
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.fluid import apply, fluid_space, insensitive, residual_function
-from tailbeat.identify.predict import Prediction, predict, row, speed_mae
+from tailbeat.identify.kinematic import fit_kinematic, predict_kinematic
+from tailbeat.identify.launch import Launched, check_launches, stuck
+from tailbeat.identify.predict import Prediction, path_errors, predict, row, speed_mae
+from tailbeat.identify.protocol import largest, limits
 from tailbeat.identify.runs import Run
 from tailbeat.identify.search import (
     Effort,
@@ -36,8 +39,9 @@ Progress = Callable[[int, str, float, float], None]  # seed, stage, share done, 
 @dataclass(frozen=True)
 class Plan:
     """What to fit: zones (1 shared set, 3 one per zone), seeds from the first on, effort, the
-    weighting of the start of replayed runs (None: when a run starts from rest), and the added
-    inertia that the description was changed to (None: as described)."""
+    weighting of the start of replayed runs (None: when a run starts from rest), and how the
+    description is changed first: its `added_inertia` (None: as described), or the `whole` law
+    (`fish.water.whole`)."""
 
     zones: int = 3
     seeds: int = 5
@@ -45,11 +49,14 @@ class Plan:
     effort: Effort = field(default_factory=Effort)
     start_weight: bool | None = None
     added_inertia: float | None = None
+    whole: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """The outcome: one fit per seed, best first, and the best one's fish and predictions."""
+    """The outcome: one fit per seed, best first, and the best one's fish, predictions and launch
+    checks; `rival` is what five numbers fitted on the same swims make of the held-out ones
+    (`kinematic.py`), empty without replayed swims."""
 
     space: tuple[Parameter, ...]
     idle: tuple[str, ...]
@@ -57,6 +64,8 @@ class Identified:
     fish: Fish
     fitted: tuple[Prediction, ...]
     validated: tuple[Prediction, ...]
+    launched: tuple[Launched, ...]
+    rival: tuple[Prediction, ...]
     spread: tuple[dict[str, Any], ...]
     seconds: float
 
@@ -116,16 +125,36 @@ def _conclude(
     everything = [*fit, *validate]
     found = [predict(apply(fish, values(space, f.z)), everything) for f in fits]
     spread = tuple(_seed_row(f, p, len(fit), space) for f, p in zip(fits, found, strict=True))
+    best = apply(fish, values(space, fits[0].z))
     return Identified(
         space,
         idle,
         tuple(fits),
-        apply(fish, values(space, fits[0].z)),
+        best,
         tuple(found[0][: len(fit)]),
         tuple(found[0][len(fit) :]),
+        tuple(check_launches(best, gaits(best, everything))),
+        _rival(fit, validate),
         spread,
         seconds,
     )
+
+
+def gaits(fish: Fish, runs: Sequence[Run]) -> list[tuple[float, float | None]]:
+    """Steady beats (frequency [Hz], stroke [rad], None for a crank) over the recorded band."""
+    beats = sorted(r.gait.frequency for r in runs if np.isfinite(r.gait.frequency))
+    low, high = max(beats[0], fish.band[0]), min(beats[-1], fish.band[1])
+    chosen = np.geomspace(low, high, 6)
+    if all(run.motor is None for run in runs):
+        return [(float(rate), None) for rate in chosen]
+    limit = limits(fish)
+    return [(float(rate), 0.7 * largest(limit, float(rate))) for rate in chosen]
+
+
+def _rival(fit: Sequence[Run], validate: Sequence[Run]) -> tuple[Prediction, ...]:
+    if not validate or all(run.motor is None for run in fit):
+        return ()
+    return tuple(predict_kinematic(fit_kinematic(fit), validate))
 
 
 def _seed_row(
@@ -181,15 +210,23 @@ def as_report(found: Identified, plan: Plan) -> dict[str, Any]:
         "validate": [row(p) for p in found.validated],
         "fit_speed_mae": speed_mae(found.fitted),
         "validate_speed_mae": speed_mae(found.validated) if found.validated else None,
+        "launches": [asdict(one) for one in found.launched],
+        "launches_that_end_backward": len(stuck(found.launched)),
+        "rival": [rival_row(p) for p in found.rival],
         "engine": f"mujoco {mujoco.__version__}",
         "tailbeat": version("tailbeat"),
         "seconds": found.seconds,
     }
 
 
+def rival_row(prediction: Prediction) -> dict[str, Any]:
+    """The naive model's errors on one held-out swim."""
+    return {"recording": prediction.run.name, **path_errors(prediction)}
+
+
 def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Field -> {value, unit, interval, source} for `store.write_identified`, zones spelled out."""
-    source = f"identified on {', '.join(recordings)}"
+    source = f"identified on {len(recordings)} swims"
     written: dict[str, dict[str, Any]] = {}
     for path, known in parameter_rows(found).items():
         remark = source if known["decided_by_data"] else f"{source}; not decided by the data"
@@ -201,8 +238,20 @@ def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[
         }
         for zone in found.fish.zones if "*" in path else [""]:
             written[path.replace("*", zone)] = entry
-    added = {"value": found.fish.added_inertia, "unit": "1", "source": "the fit's assumption"}
-    return {"added_inertia": added, **written}
+    return {**_assumed(found.fish), **written}
+
+
+def _assumed(fish: Fish) -> dict[str, Any]:
+    """What the law took for granted, as it stands in the fitted fish."""
+    numbers = {"added_inertia": (fish.added_inertia, "1"), "added_along": (fish.added_along, "1")}
+    if (blend := fish.trailing_edge) is not None:
+        numbers["trailing_edge.speed"] = (blend.speed, "m/s")
+        numbers["trailing_edge.reverse"] = (blend.reverse, "1")
+    written: dict[str, Any] = {
+        path: {"value": value, "unit": unit, "source": "the fit's assumption"}
+        for path, (value, unit) in numbers.items()
+    }
+    return {**written, "simulation.integrator": fish.simulation.integrator}
 
 
 def heading(found: Identified, plan: Plan) -> str:

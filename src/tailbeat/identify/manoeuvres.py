@@ -63,7 +63,7 @@ def _launches(low: float, middle: float, high: float) -> list[tuple[float, Beat]
         (-0.05, Beat(SECONDS, 0.85 * high, 0.9)),
         (0.35, Beat(SECONDS)),
         (-0.3, Beat(SECONDS, middle, 0.9)),
-        (-0.3, Beat(SECONDS)),
+        (0.3, Beat(SECONDS, 0.5, 0.6, 0.2)),
         (-0.15, Beat(SECONDS, 0.9 * middle, 0.5, 0.3)),
         (-0.12, Beat(SECONDS, 0.65 * high, 0.7)),
     ]
@@ -105,7 +105,8 @@ def _largest(limit: Limits, beat: Beat) -> float:
 
 def _wandering(limit: Limits, high: float, seed: int) -> tuple[Array, float]:
     """Frequency from 0 to the band's end, stroke and centre, drawn anew every 0.3 to 1.5 s."""
-    rng, rows = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    rows: list[list[float]] = []
     while len(rows) < 1.25 * SECONDS * RATE:
         frequency, centre = high * rng.uniform() ** 1.5, 0.8 * rng.uniform(-1, 1)
         beat = Beat(rng.uniform(0.3, 1.5), frequency, rng.uniform(0.1, 1.0), centre)

@@ -1,0 +1,99 @@
+"""A naive rival of the twin: five numbers that turn a motor's angle into a path.
+
+No body, no water: the power of the shaft's rate, smoothed over a time, gives speed; the angle,
+smoothed over another, gives turn rate. Whoever cannot beat this has not identified a fish.
+
+    speed = gain (smooth_1(rate^2))^exponent,  turn rate = turn smooth_2(angle)
+"""
+
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from tailbeat.identify.gait import Track
+from tailbeat.identify.predict import Prediction, marker_error
+from tailbeat.identify.runs import Run
+
+Array = NDArray[np.float64]
+STEP = 0.02  # s
+YAW = 0.7  # m/rad: a heading error of 0.014 rad counts as 0.01 m, as in the twin's fit
+GUESS = (0.1, 0.5, 0.5, -0.5, 0.5)
+LOW, HIGH = (0.0, 0.05, 0.02, -10.0, 0.02), (2.0, 2.0, 20.0, 10.0, 5.0)
+
+
+@dataclass(frozen=True)
+class Kinematic:
+    """Speed gain [m/s at 1 rad^2/s^2] and exponent, its lag [s]; turn rate per angle [1/s], its
+    lag [s]."""
+
+    gain: float
+    exponent: float
+    speed_lag: float
+    turn: float
+    turn_lag: float
+
+
+def fit_kinematic(runs: Sequence[Run]) -> Kinematic:
+    """The five numbers by least squares on the poses of replayed runs."""
+    made = [_resampled(run) for run in runs if run.motor is not None]
+
+    def residuals(numbers: Array) -> Array:
+        model = Kinematic(*numbers)
+        return np.concatenate([_errors(model, *one).ravel() for one in made])
+
+    found = least_squares(residuals, GUESS, bounds=(LOW, HIGH), loss="soft_l1", f_scale=0.1)
+    return Kinematic(*map(float, found.x))
+
+
+def _resampled(run: Run) -> tuple[Array, Array]:
+    """Motor angle (k,) and pose (k, 3) every `STEP`."""
+    assert run.motor is not None
+    time = run.track.time - run.track.time[0]
+    when = np.arange(0, time[-1], STEP)
+    return CubicSpline(time, run.motor)(when), CubicSpline(time, run.track.pose)(when)
+
+
+def _errors(model: Kinematic, angle: Array, pose: Array) -> Array:
+    scale = np.array([1.0, 1.0, YAW]) / np.sqrt(len(angle))
+    return np.asarray(np.nan_to_num((path(model, angle, pose[0]) - pose) * scale, nan=10.0))
+
+
+def path(model: Kinematic, angle: Array, start: Array) -> Array:
+    """Poses (k, 3) from motor angles (k,) every `STEP`, from a first pose."""
+    rate = np.gradient(angle, STEP)
+    power = _smooth(np.square(rate), model.speed_lag)
+    speed = model.gain * np.maximum(power, 1e-12) ** model.exponent
+    turned = np.cumsum(model.turn * _smooth(angle, model.turn_lag)) * STEP
+    yaw = start[2] + np.concatenate([[0.0], turned[:-1]])
+    moved = np.stack([speed * np.cos(yaw), speed * np.sin(yaw)], axis=1) * STEP
+    place = start[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(moved, axis=0)[:-1]])
+    return np.concatenate([place, yaw[:, None]], axis=1)
+
+
+def _smooth(values: Array, lag: float) -> Array:
+    """First-order low pass from rest."""
+    keep = np.exp(-STEP / lag)
+    return np.asarray(lfilter([1 - keep], [1, -keep], values))
+
+
+def predict_kinematic(model: Kinematic, runs: Sequence[Run]) -> list[Prediction]:
+    """What the five numbers make of replayed runs, as `predict` says it of a twin."""
+    return [_predicted(model, run) for run in runs if run.motor is not None]
+
+
+def _predicted(model: Kinematic, run: Run) -> Prediction:
+    angle, pose = _resampled(run)
+    time = np.asarray(STEP * np.arange(len(angle)), dtype=np.float64)
+    track = Track(time, path(model, angle, pose[0]))
+    gait = replace(run.gait, speed=float("nan"))
+    return Prediction(run, gait, track, marker_error(run, gait, track), True)
+
+
+def numbers(model: Kinematic) -> list[float]:
+    """The five numbers in their order."""
+    return list(astuple(model))
