@@ -16,8 +16,9 @@ from tailbeat.control.actions import (
     setpoint,
     size,
     step,
+    targets,
 )
-from tailbeat.control.band import Monitor, edge_of, share_below, velocity_spectrum
+from tailbeat.control.band import Monitor, share_below, velocity_spectrum
 from tailbeat.control.observation import SCALES, TABLE, Samples, as_markdown, bearing, observe
 from tailbeat.files import BadInput
 
@@ -57,6 +58,38 @@ def test_the_fundamental_never_passes_its_ceiling(seed, binds):
     assert turned.max() <= space.fundamental * (1 + 1e-9)
     assert turned.min() >= -1e-9
     assert space.fundamental == (4.0 if binds == "fundamental" else 2.0)
+
+
+def rates(space, actions: np.ndarray) -> np.ndarray:
+    """Fundamental (steps - 1, n) [Hz], from the phase."""
+    _, phases = played(space, actions)
+    return np.diff(np.unwrap(phases, axis=0), axis=0) / DT / (2 * np.pi)
+
+
+@pytest.mark.parametrize(("binds", "ceiling"), [("fundamental", 4.0), ("signal", 2.0)])
+def test_actions_map_to_the_range_from_floor_to_ceiling(binds, ceiling):
+    space = replace(GENERATOR, floor=1.0, binds=binds)
+    actions = np.zeros((200, 3, 6))
+    actions[:, :, 0] = [-1.0, 0.0, 1.0]
+    found = rates(space, actions)
+    assert found[-1] == pytest.approx([1.0, (1 + ceiling) / 2, ceiling], rel=1e-9)
+    assert reset(space, 1).u.tolist() == [[0.0] * 6]  # still, below the floor
+    assert found[0, 0] < 0.5 and (np.diff(found[:, 0]) >= -1e-9).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_fundamental_stays_above_its_floor_once_it_is_there(seed):
+    found = rates(replace(GENERATOR, floor=1.0), wild(GENERATOR, 500, 8, seed))
+    assert found[100:].min() >= 1.0 - 1e-6
+    assert found.max() <= 4.0 * (1 + 1e-9)
+
+
+def test_without_a_floor_targets_are_bit_equal_to_those_of_before_the_field():
+    action = np.random.default_rng(0).uniform(-1, 1, (1000, 6))
+    half = np.pi * 4.0
+    before = action * [half, 0.8, 1.0, 1.0, 0.4, 0.4]
+    before[:, 0] += half
+    assert np.array_equal(targets(GENERATOR, action), before)
 
 
 @pytest.mark.parametrize("space", SPACES, ids=lambda s: s.kind)
@@ -126,11 +159,16 @@ def test_a_batch_equals_its_members(space):
         (replace(GENERATOR, tau=0.0), "tau = 0"),
         (replace(GENERATOR, ceiling=-1.0), "ceiling = -1"),
         (replace(GENERATOR, second=-0.1), "give 0 or more"),
+        (replace(GENERATOR, floor=-0.5), "floor = -0.5 Hz; give 0 or more"),
+        (replace(GENERATOR, floor=4.0), "less than the highest fundamental, 4 Hz"),
+        (replace(GENERATOR, floor=2.0, binds="signal"), "highest fundamental, 2 Hz"),
+        (replace(GENERATOR, floor=np.nan), "floor = nan Hz"),
     ],
 )
 def test_limits_that_cannot_be_are_refused(space, complaint):
-    with pytest.raises(BadInput, match=complaint):
+    with pytest.raises(BadInput, match=complaint) as refused:
         check_space(space)
+    assert str(refused.value).count(". ") == 0  # one sentence
 
 
 def test_bad_actions_and_bands_are_refused():
@@ -142,6 +180,7 @@ def test_bad_actions_and_bands_are_refused():
     with pytest.raises(BadInput, match="identified band ends at 3 Hz"):
         check_band(GENERATOR, 3.0)
     check_band(replace(GENERATOR, binds="signal"), 3.0)
+    check_band(replace(GENERATOR, floor=0.5), 4.0)  # below the lower edge, if so asked
     assert set(asdict(GENERATOR)) >= {"ceiling", "tau", "kind", "low", "high"}  # the contract
 
 
@@ -222,14 +261,42 @@ def test_the_running_share_follows_the_last_four_seconds():
     assert monitor.share() is None
 
 
-def test_the_band_s_edge_comes_from_recordings():
+@pytest.mark.parametrize(
+    ("beat", "side"), [(0.4, "below"), (2.0, "inside"), (3.0, "inside"), (6.0, "above")]
+)
+def test_a_beat_counts_on_its_side_of_the_band(beat, side):
     time = np.arange(0, 10, 0.02)
-    slow, fast = (np.sin(2 * np.pi * f * time) for f in (1.0, 3.5))
-    assert edge_of([(time, slow), (time, fast)]) == pytest.approx(3.5, abs=0.2)
-    with pytest.raises(BadInput, match="no recordings"):
-        edge_of([])
+    found = velocity_spectrum(time, np.sin(2 * np.pi * beat * time)).shares((1.0, 4.0))
+    assert getattr(found, side) > 0.95
+    assert found.below + found.inside + found.above == pytest.approx(1.0)
+
+
+def test_both_edges_lie_inside_and_a_still_tail_has_no_shares():
+    time = np.arange(0, 10.001, 0.02)
+    angle = np.sin(2 * np.pi * 2 * time)
+    found = velocity_spectrum(time, angle)
+    band = (float(found.frequency[18]), float(found.frequency[20]))  # the tone's three lines
+    assert found.shares(band).inside > 0.999
+    assert np.isnan(velocity_spectrum(time, 0 * time).shares(band).inside)
     with pytest.raises(BadInput, match="needs 8"):
-        velocity_spectrum(time[:3], slow[:3])
+        velocity_spectrum(time[:3], angle[:3])
+
+
+def test_a_piece_too_short_for_the_lower_edge_does_not_say_what_lies_below():
+    for seconds, known in ((2.0, False), (4.0, True)):
+        time = np.arange(0, seconds, 0.02)
+        found = velocity_spectrum(time, np.sin(2 * np.pi * 0.4 * time)).shares((1.0, 4.0))
+        assert np.isfinite(found.above) and np.isfinite([found.below, found.inside]).all() == known
+
+
+def test_the_running_monitor_tells_below_from_inside():
+    monitor = Monitor(4.0, floor=1.0)
+    assert monitor.shares() is None
+    for t in np.arange(0, 6, 0.02):
+        monitor.add(t, 0.5 * np.sin(2 * np.pi * 0.4 * t))
+    slow, share = monitor.shares(), monitor.share()
+    assert slow is not None and slow.below > 0.9
+    assert share == pytest.approx(1 - slow.above)
 
 
 def test_a_bearing_is_from_straight_ahead_and_to_the_left():

@@ -19,7 +19,14 @@ from stable_baselines3 import SAC
 from tailbeat.control import actions as act
 from tailbeat.control.actions import Direct, Generator
 from tailbeat.control.observation import TABLE
-from tailbeat.control.policy import Policy, check_fits, decide, differences, load_policy
+from tailbeat.control.policy import (
+    Policy,
+    _digests,
+    check_fits,
+    decide,
+    differences,
+    load_policy,
+)
 from tailbeat.files import BadInput
 from tailbeat.fish.store import digest, load_fish
 from tailbeat.learn.closeup import CloseUp
@@ -146,6 +153,25 @@ def test_unknown_versions_and_strangers_are_refused(written, tmp_path):
         load_policy(tmp_path / "bare.onnx")
     with pytest.raises(BadInput, match="no such file"):
         load_policy(tmp_path / "none.onnx")
+
+
+def test_a_contract_from_before_the_floor_still_loads(written, tmp_path):
+    path, _, policy = written
+    model = onnx.load(str(path))
+    held = json.loads(model.metadata_props[0].value)
+    assert held["contract"]["actions"].pop("floor") == 0.0
+    held["digests"] = _digests(held["contract"])
+    model.metadata_props[0].value = json.dumps(held)
+    onnx.save(model, str(tmp_path / "old.onnx"))
+    old = load_policy(str(tmp_path / "old.onnx")).contract
+    assert old == policy.contract and differences(old, policy.contract) == []
+
+
+def test_a_floor_travels_in_the_contract(tmp_path):
+    space = Generator(LOW, HIGH, floor=1.0)
+    export(untrained(space), FISH, space, sights(64), {"stage": "x"}, tmp_path / "floor.onnx")
+    found = load_policy(str(tmp_path / "floor.onnx")).contract.actions
+    assert isinstance(found, Generator) and found.floor == 1.0
 
 
 def test_other_weights_fail_the_golden_pairs(written, tmp_path):

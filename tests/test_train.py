@@ -25,7 +25,7 @@ from tailbeat.control.actions import Direct, Generator
 from tailbeat.control.observation import TABLE
 from tailbeat.control.policy import decide, load_policy
 from tailbeat.evaluate import update_bench
-from tailbeat.files import BadInput
+from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import load_fish
 from tailbeat.learn import checkpoint, randomize
 from tailbeat.learn import plan as planned
@@ -34,7 +34,7 @@ from tailbeat.learn.buffer import FIRST, MIRRORED, RelabelBuffer, _seen
 from tailbeat.learn.curriculum import FALL, LOWEST, STAGES, learning_rate, settings_of
 from tailbeat.learn.env import FishVecEnv
 from tailbeat.learn.export import act
-from tailbeat.learn.plan import Plan, action_space
+from tailbeat.learn.plan import Plan, action_space, check
 from tailbeat.learn.recipe import paper, quick, recipe_of, smoke
 from tailbeat.learn.sac import STEADY, YOUNG, QuickSAC, _products, rounds
 from tailbeat.learn.sensors import quiet
@@ -309,6 +309,7 @@ def planned_for(out: Path, **changes: Any) -> Plan:
         ({"device": "tpu"}, "--device tpu"),
         ({"actions": Generator(-9.0, 9.0)}, "motor allows"),
         ({"actions": Generator(-1.0, 1.0, ceiling=6.0)}, "band ends at 4 Hz"),
+        ({"actions": Generator(-1.0, 1.0, floor=4.0)}, "floor = 4 Hz; give 0 or more"),
         ({"recipe": replace(smoke(), buffer=10**12)}, "GB of memory"),
     ],
 )
@@ -326,6 +327,10 @@ def test_unknown_names_are_refused():
         action_space("soup", FISH)
     with pytest.raises(BadInput, match="--binds tail"):
         action_space("generator", FISH, "tail")
+    with pytest.raises(BadInput, match="--floor 1: direct actions have no floor"):
+        action_space("direct", FISH, floor=1.0)
+    plain, floored = action_space("generator", FISH), action_space("generator", FISH, floor=1.0)
+    assert vars(floored) == {**vars(plain), "floor": 1.0}
     assert recipe_of("paper") == paper() and not paper().relabel
 
 
@@ -418,6 +423,24 @@ def test_other_settings_are_named_and_full_folders_refused(run):
         train(other, True, print)
     with pytest.raises(BadInput, match="no run to resume"):
         train(planned_for(run.parent / "nothing"), True, print)
+
+
+def test_a_run_begun_before_the_floor_is_the_same_run_without_one(tmp_path):
+    held = planned_for(tmp_path).record()
+    del held["actions"]["floor"]
+    write_json(tmp_path / "run.json", held)
+    check(planned_for(tmp_path), resume=True)
+    floored = planned_for(tmp_path, actions=action_space("generator", FISH, floor=1.0))
+    with pytest.raises(BadInput, match=r"actions.floor was 0.0, now 1.0"):
+        check(floored, resume=True)
+
+
+def test_a_floor_above_the_ceiling_is_refused_at_the_command_line(tmp_path):
+    args = ("--fish", FISH.name, "--recipe", "smoke", "--floor", "9", "--out", tmp_path / "run")
+    command = [sys.executable, "-m", "tailbeat", "train", *map(str, args)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "floor = 9 Hz" in done.stderr
+    assert "Traceback" not in done.stderr and not (tmp_path / "run").exists()
 
 
 def test_a_full_disk_is_told_and_the_last_checkpoint_kept(run, monkeypatch):

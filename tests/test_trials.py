@@ -219,10 +219,21 @@ def test_velocity_power_of_a_known_beat_falls_on_its_side_of_the_edge():
     pose = np.zeros((2, 501, 3))
     pose[0, :, 0], pose[1, :, 0] = 0.1 * time, -0.1 * time
     swum = runs(pose, np.ones((2, 501, 2)), motor=motor)
-    rows = {row["gait"]: row for row in spectrum.numbers({"made": swum}, 4.0)}
+    rows = {row["gait"]: row for row in spectrum.numbers({"made": swum}, (3.0, 4.0))}
     assert rows["forward"]["share_below"] > 0.98 and rows["reversing"]["share_below"] < 0.02
     # the same angle at three times the rate has nine times the velocity power
     assert rows["all"]["share_below"] == pytest.approx(0.1, abs=0.01)
+    assert rows["forward"]["share_below_floor"] > 0.98 and rows["forward"]["share_inside"] < 0.02
+    assert rows["reversing"]["share_above"] > 0.98
+    for row in rows.values():
+        parts = [row[f"share_{name}"] for name in ("below_floor", "inside", "above")]
+        assert sum(parts) == pytest.approx(1.0)
+        assert parts[0] + parts[1] == pytest.approx(row["share_below"])
+    short = {row["gait"]: row for row in spectrum.numbers({"made": swum}, (1.0, 4.0))}
+    assert short["forward"]["share_below_floor"] is None  # in 2 s 1 Hz beats twice
+    assert short["forward"]["share_above"] < 0.02 and short["all"]["share_below_floor"] < 0.02
+    assert rows["all"] == {k: spectrum.complete(rows["all"])[k] for k in rows["all"]}
+    assert spectrum.complete({"runs": "old", "share_below": 0.9})["share_above"] is None
 
 
 def test_a_gait_swum_in_the_twin_is_replayed_at_its_own_speed():
@@ -253,6 +264,7 @@ def test_an_evaluation_leaves_numbers_figures_and_one_page(evaluated):
     assert open_water["swims"] == 6 and open_water["within_20cm"] >= 4 / 6
     assert {row["runs"] for row in found["spectrum"]} >= {"identification", "reach open"}
     page = (out / "report.html").read_text()
+    assert "share_below_floor" in page and "band 1 to 4 Hz" in page
     assert "11 of 22" in page and "data:image/svg+xml;base64," in page
     assert 'src="' not in page.replace("src='data:", "")  # needs no other file
     assert json.loads((out / "report.json").read_text())["plan"]["seed"] == 0
@@ -292,6 +304,8 @@ def test_a_comparison_pairs_every_policy_with_its_twin_and_is_shared_between_pro
     )
     full = next(row for row in found["rows"] if row["arm"] == "full")
     assert full["speed"] > 0.05 and full["speed_in_twin"] > 0.05 and full["actuator_watts"] > 0
+    parts = [full[f"share_{name}"] for name in ("below_floor", "inside", "above")]
+    assert sum(parts) == pytest.approx(1.0)
     assert full["gap_20cm"]["interval"][0] <= full["gap_20cm"]["difference"]
     assert swim_tasks.report(tmp_path / "c", "pulley-fish")[0].is_file()
 

@@ -41,10 +41,10 @@ def tables(rows_by_title: dict[str, list[dict[str, Any]]]) -> None:
 def _table(title: str, rows: list[dict[str, Any]]) -> Table:
     table = Table(title=escape(title), title_justify="left", header_style="bold")
     for name in rows[0]:
-        numeric = all(isinstance(row[name], int | float | None) for row in rows)
+        numeric = all(isinstance(row.get(name), int | float | None) for row in rows)
         table.add_column(escape(name), justify="right" if numeric else "left")
     for row in rows:
-        table.add_row(*(_cell(value) for value in row.values()))
+        table.add_row(*(_cell(row.get(name)) for name in rows[0]))
     return table
 
 

@@ -29,6 +29,9 @@ def train(
         str | None,
         typer.Option(help="What the generator's ceiling binds: fundamental (paper) or signal."),
     ] = None,
+    floor: Annotated[
+        float, typer.Option(help="Lowest fundamental of the generator, in Hz; 0 lets it stop.")
+    ] = 0.0,
     stage: Annotated[str | None, typer.Option(help="Go on in this stage, by hand.")] = None,
     json: JsonOption = None,
 ) -> None:
@@ -47,6 +50,7 @@ def train(
             device,
             servo,
             binds,
+            floor,
             stage,
             report,
             console.say,

@@ -27,6 +27,7 @@ def train(
     device: str,
     servo: str | None,
     binds: str | None,
+    floor: float,
     stage: str | None,
     report: Report,
     note: Callable[[str], None],
@@ -38,7 +39,7 @@ def train(
     from tailbeat.learn.train import train as run
 
     described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe)
-    space = action_space(actions, described, binds or chosen.binds)
+    space = action_space(actions, described, binds or chosen.binds, floor)
     plan = Plan(described, space, chosen, seed, out, hours, device)
     note(f"replay buffer: {chosen.buffer_bytes / 1e6:.0f} MB of memory and of every checkpoint")
     course = run(plan, resume, report, stage)

@@ -29,6 +29,9 @@ class Generator:
     below half. `offset`, `first`, `second` [rad] are the largest theta_c, |a_1|, |b_1| and |a_2|,
     |b_2|: the paper does not print them; these are chosen. `tau` [s] is the paper's. `low`, `high`
     [rad] are the servo's range, to which the setpoint is clipped.
+
+    `floor` [Hz] is the lowest fundamental that an action can ask for. 0 lets the generator stop.
+    Contracts written before this field have none and mean 0.
     """
 
     low: float
@@ -39,6 +42,7 @@ class Generator:
     first: float = 1.0
     second: float = 0.4
     tau: float = 0.1
+    floor: float = 0.0
     kind: Literal["generator"] = "generator"
 
     @property
@@ -94,10 +98,16 @@ def check_space(space: ActionSpace) -> None:
             raise BadInput(f"actions: ceiling = {space.ceiling:g} Hz; give a frequency above 0.")
         if min(space.offset, space.first, space.second) < 0:
             raise BadInput("actions: offset, first and second are sizes; give 0 or more.")
+        if not 0 <= space.floor < space.fundamental:
+            raise BadInput(
+                f"actions: floor = {space.floor:g} Hz; give 0 or more, and less than the highest"
+                f" fundamental, {space.fundamental:g} Hz."
+            )
 
 
 def check_band(space: ActionSpace, edge: float) -> None:
-    """Refuse a generator whose ceiling lies above a band's edge [Hz]."""
+    """Refuse a generator whose ceiling lies above a band's upper edge [Hz]. Its floor may lie
+    below the lower edge."""
     if isinstance(space, Generator) and space.fundamental > edge * (1 + 1e-9):
         raise BadInput(
             f"actions: the generator's fundamental reaches {space.fundamental:g} Hz and the"
@@ -106,7 +116,8 @@ def check_band(space: ActionSpace, edge: float) -> None:
 
 
 def reset(space: ActionSpace, count: int) -> ActionState:
-    """Straight tail, still: the setpoint is 0, or the range's nearest angle."""
+    """Straight tail, still: the setpoint is 0, or the range's nearest angle. A generator starts
+    at 0 Hz and rises to its floor within a few `tau`."""
     if isinstance(space, Generator):
         return ActionState(np.zeros((count, 6)), np.zeros(count))
     rest = np.clip(0.0, space.low, space.high)
@@ -136,10 +147,10 @@ def bound(values: Array, low: float, high: float) -> Array:
 
 
 def targets(space: Generator, action: Array) -> Array:
-    """u* (n, 6) of actions: frequency from 0 to its ceiling [rad/s], the rest [rad]."""
-    half = np.pi * space.fundamental
+    """u* (n, 6) of actions: frequency from floor to ceiling [rad/s], the rest [rad]."""
+    half = np.pi * (space.fundamental - space.floor)
     wanted = action * [half, space.offset, space.first, space.first, space.second, space.second]
-    wanted[:, 0] += half
+    wanted[:, 0] += np.pi * (space.fundamental + space.floor)
     return np.asarray(wanted)
 
 

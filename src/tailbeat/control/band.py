@@ -1,11 +1,11 @@
-"""How much of the tail's motion lies inside the identified band?
+"""How much of the tail's motion lies inside the identified band, and how much on either side?
 
 The twin is known to hold where it was identified and nowhere else. The certificate is the share of
-the tail's velocity power below the band's edge; the edge comes from the identification recordings.
+the tail's velocity power below, inside and above the band. The band is `band` [Hz] of the fish's
+description, set by its author.
 """
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,19 @@ from tailbeat.files import BadInput
 Array = NDArray[np.float64]
 HIGHEST = 12.0  # Hz: beyond three times the paper's edge a servo does not get
 SECONDS = 4.0  # of the robot's running estimate
+PERIODS = 3  # of the lower edge that a piece must last; in less, slow motion passes for fast
 QUIET = 0.05  # rad/s rms: below, there is no beat to judge
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Fractions of the velocity power below, inside and above a band; both edges count as inside.
+    They add up to 1. All are NaN where nothing moves; `below` and `inside` are NaN where the piece
+    is too short to tell them apart."""
+
+    below: float
+    inside: float
+    above: float
 
 
 @dataclass(frozen=True)
@@ -32,6 +44,26 @@ class Spectrum:
         return (
             float(self.power[self.frequency <= edge].sum() / total) if total > 0 else float("nan")
         )
+
+    def shares(self, band: tuple[float, float]) -> Shares:
+        """Shares of the power below, inside and above a band (lower, upper edge) [Hz]."""
+        powers = self.powers(band)
+        total, unknown = powers.sum(), float("nan")
+        if not total > 0:
+            return Shares(unknown, unknown, unknown)
+        below, inside, above = (powers / total).tolist()
+        if not self.resolves(band[0]):
+            below = inside = unknown
+        return Shares(below, inside, above)
+
+    def resolves(self, edge: float) -> bool:
+        """Whether the piece lasts `PERIODS` periods of `edge` [Hz], so that slower motion shows."""
+        return edge <= 0 or bool(self.frequency[0] * PERIODS <= edge)
+
+    def powers(self, band: tuple[float, float]) -> Array:
+        """Sums (3,) of the power below, inside and above a band (lower, upper edge) [Hz]."""
+        under, over = self.frequency < band[0], self.frequency > band[1]
+        return np.array([self.power[part].sum() for part in (under, ~under & ~over, over)])
 
 
 def velocity_spectrum(time: Array, angle: Array, highest: float = HIGHEST) -> Spectrum:
@@ -63,25 +95,14 @@ def share_below(time: Array, angle: Array, edge: float) -> float:
     return velocity_spectrum(time, angle).share_below(edge)
 
 
-def edge_of(recordings: Sequence[tuple[Array, Array]], share: float = 0.9) -> float:
-    """Upper edge [Hz] of the band that recordings (time, angle) cover: the frequency below which
-    `share` of each one's velocity power lies, of the one that reaches furthest."""
-    edges = []
-    for time, angle in recordings:
-        spectrum = velocity_spectrum(time, angle)
-        below = np.cumsum(spectrum.power) / spectrum.power.sum()
-        edges.append(float(spectrum.frequency[np.searchsorted(below, share)]))
-    if not edges:
-        raise BadInput("no recordings; the band comes from those the twin was identified on.")
-    return max(edges)
-
-
 @dataclass(eq=False)
 class Monitor:
-    """The running share over the last four seconds, for the robot; `edge` [Hz]."""
+    """The running shares over the last four seconds, for the robot; `edge` and `floor` [Hz] are the
+    band's upper and lower edge."""
 
     edge: float
     seconds: float = SECONDS
+    floor: float = 0.0
     samples: deque[tuple[float, float]] = field(default_factory=deque)
 
     def add(self, time: float, angle: float) -> None:
@@ -92,9 +113,19 @@ class Monitor:
 
     def share(self) -> float | None:
         """Share of velocity power below the edge; None before half the time is full, or at rest."""
+        found = self.spectrum()
+        return None if found is None else found.share_below(self.edge)
+
+    def shares(self) -> Shares | None:
+        """Shares below, inside and above the band; None where `share` is."""
+        found = self.spectrum()
+        return None if found is None else found.shares((self.floor, self.edge))
+
+    def spectrum(self) -> Spectrum | None:
+        """Of the last seconds; None before half the time is full, or at rest."""
         time, angle = np.array(self.samples).reshape(-1, 2).T
         if time.size < 8 or time[-1] - time[0] < self.seconds / 2:
             return None
         if np.std(np.gradient(angle, time)) < QUIET:
             return None
-        return share_below(time, angle, self.edge)
+        return velocity_spectrum(time, angle)

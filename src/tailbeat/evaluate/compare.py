@@ -18,7 +18,7 @@ from tailbeat.evaluate.evaluation import ENSEMBLE_SEED, POOLS, provenance, read_
 from tailbeat.evaluate.reach import paired, shares
 from tailbeat.evaluate.runs import NEAR, Runs, surge
 from tailbeat.evaluate.scenes import grid
-from tailbeat.evaluate.spectrum import power_below, windows
+from tailbeat.evaluate.spectrum import SHARES, power_shares, windows
 from tailbeat.evaluate.trial import CHUNK, Arm, Progress, part, pools, swim
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
@@ -105,27 +105,28 @@ def cell(entrant: Entrant, arm: Arm, field: Field) -> dict[str, Any]:
         "targets": arm.count,
         "field": [field.fish.name, field.count, field.seed],
         **shares(found.reached, found.nearest),
-        **manner(found, contract.band[1]),
+        **manner(found, contract.band),
         "speed_in_twin": None if arm.name == "twin" else replayed(found, entrant.twin),
         "hits_5cm": found.reached.tolist(),
         "hits_20cm": (found.nearest < NEAR).tolist(),
     }
 
 
-def manner(found: Runs, edge: float) -> dict[str, Any]:
+def manner(found: Runs, band: tuple[float, float]) -> dict[str, Any]:
     """How the fish swam: speed [m/s], power of the actuator [W], turns of the gait per minute, and
-    the share of the motor's velocity power below `edge` [Hz]."""
+    the shares of the motor's velocity power below, inside and above a band [Hz]."""
     speed, time = surge(found), PERIOD * found.steps
     signs = [np.sign(np.where(np.abs(row) < 0.02, np.nan, row)) for row in speed]
     turns = sum(int((np.diff(one[np.isfinite(one)]) != 0).sum()) for one in signs)
     energy = np.asarray(found.energy, float)
+    power = power_shares(windows(found, speed, None), band)
     return {
         "speed": path_speed(found.pose),
         "actuator_watts": float(np.nansum(energy) / time.sum())
         if np.isfinite(energy).any()
         else None,
         "reversals_per_minute": 60 * turns / float(time.sum()),
-        "share_below": power_below(windows(found, speed, None), edge)["share_below"],
+        **{name: power[name] for name in SHARES},
     }
 
 
@@ -174,6 +175,7 @@ def read(out: Path) -> dict[str, Any]:
 
 def _row(one: dict[str, Any], twin: dict[str, Any] | None) -> dict[str, Any]:
     kept = {k: v for k, v in one.items() if not k.startswith("hits") and k != "field"}
+    kept |= {name: one.get(name) for name in SHARES}  # older cells hold the first alone
     gaps = {f"gap_{k}": _gap(one, twin, k) if twin else None for k in ("5cm", "20cm")}
     return kept | gaps
 
@@ -199,7 +201,7 @@ def _kind(actions: str, servo: str, arm: str, own: list[dict[str, Any]]) -> dict
     half = float(np.sqrt(np.square(halves).sum()) / len(gaps)) if gaps else float("nan")
     means = {
         name: float(np.mean([row[name] for row in own if row[name] is not None] or [np.nan]))
-        for name in ("within_5cm", "within_20cm", "share_below", "actuator_watts",
+        for name in ("within_5cm", "within_20cm", *SHARES, "actuator_watts",
                      "reversals_per_minute", "speed", "speed_in_twin")
     }  # fmt: skip
     seeds = {"actions": actions, "servo": servo, "arm": arm, "policies": len(own)}

@@ -85,7 +85,7 @@ def evaluate(
         found["speeds"] = flutter(pool.fish, [pool.twin.servo], pool.twin)
         write_json(out / "twin" / "twin.json", found, overwrite=True)
     if "spectrum" in tasks:
-        own = spectrum.identification(pool.fish, policy.contract.band[1], pool.seed)
+        own = spectrum.identification(pool.fish, policy.contract.band, pool.seed)
         write_json(out / "identification.json", own, overwrite=True)
     done = read(out)
     write_json(out / "evaluation.json", done, overwrite=True)
@@ -136,9 +136,10 @@ def read(out: Path) -> dict[str, Any]:
         reference = {"disturb": disturb.CALM, "beyond": beyond.AS_TRAINED}.get(task)
         if swum[task] and (reference is None or reference in swum[task]):
             found[task] = TASKS[task].numbers(swum[task])
-    found["spectrum"] = spectrum.numbers(swum["reach"], plan["band"][1])
+    found["spectrum"] = spectrum.numbers(swum["reach"], tuple(plan["band"]))
     if (out / "identification.json").is_file():
-        found["spectrum"] = [read_json(out / "identification.json"), *found["spectrum"]]
+        own = spectrum.complete(read_json(out / "identification.json"))
+        found["spectrum"] = [own, *found["spectrum"]]
     if (out / "twin" / "twin.json").is_file():
         found["twin"] = read_json(out / "twin" / "twin.json")
     return found

@@ -98,9 +98,11 @@ def evaluated(out: Path, data: dict[str, Any], fish: Fish, twin: Fish) -> list[S
         sections.append(("Following", [table(data["track"]), figure(drawn, out, "following")]))
     rows = data["spectrum"]
     if rows:
-        drawn = swim_figures.power(rows, spectrum.BINS, data["plan"]["band"][1])
+        drawn = swim_figures.power(rows, spectrum.BINS, data["plan"]["band"])
         shown = [{k: v for k, v in row.items() if k != "cumulative"} for row in rows]
-        sections.append(("Velocity power", [table(shown), figure(drawn, out, "power")]))
+        low, high = data["plan"]["band"]
+        title = f"Velocity power, band {low:g} to {high:g} Hz"
+        sections.append((title, [table(shown), figure(drawn, out, "power")]))
     if "twin" in data:
         found = data["twin"]
         blocks = [table(found["tail"]), table(found["servo"]), table(_swims(found["swims"]))]
@@ -251,7 +253,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         return ""
     head = "".join(f"<th>{escape(str(name))}</th>" for name in rows[0])
     lines = (
-        "<tr>" + "".join(f"<td>{escape(_cell(value))}</td>" for value in row.values()) + "</tr>"
+        "<tr>" + "".join(f"<td>{escape(_cell(row.get(name)))}</td>" for name in rows[0]) + "</tr>"
         for row in rows
     )
     return f"<table><tr>{head}</tr>{''.join(lines)}</table>"

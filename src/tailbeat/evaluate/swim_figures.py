@@ -146,8 +146,8 @@ def following(by_path: dict[str, Runs], rows: Sequence[dict[str, Any]]) -> Figur
     return figure
 
 
-def power(rows: Sequence[dict[str, Any]], bins: Any, edge: float) -> Figure:
-    """Cumulative share of the motor's velocity power over frequency."""
+def power(rows: Sequence[dict[str, Any]], bins: Any, band: Sequence[float]) -> Figure:
+    """Cumulative share of the motor's velocity power over frequency; the band's edges as lines."""
     figure = _figure(5.5, 3.8)
     axes = figure.subplots()
     styles = {"all": "-", "forward": "--", "reversing": ":"}
@@ -157,9 +157,10 @@ def power(rows: Sequence[dict[str, Any]], bins: Any, edge: float) -> Figure:
             colour = COLOURS[names.index(row["runs"]) % len(COLOURS)]
             label = f"{row['runs']}, {row['gait']}: {100 * row['share_below']:.0f} %"
             axes.plot(bins, row["cumulative"], styles[row["gait"]], color=colour, label=label)
-    axes.axvline(edge, color=BLACK, lw=0.8)
+    for edge in band:
+        axes.axvline(edge, color=BLACK, lw=0.8)
     axes.set(xlabel="frequency [Hz]", ylabel="share of velocity power below", ylim=(0, 1.02))
-    axes.set(title=f"share below {edge:g} Hz")
+    axes.set(title=f"share below {band[1]:g} Hz; lines at the band's edges")
     axes.legend(fontsize="x-small")
     axes.grid(alpha=0.3)
     return figure

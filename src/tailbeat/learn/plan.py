@@ -48,21 +48,25 @@ class Plan:
         }
 
 
-def action_space(kind: str, fish: Fish, binds: str = "fundamental") -> ActionSpace:
-    """A fish's action space by name; the generator's ceiling is the band's edge, and `binds` what
-    keeps below it."""
+def action_space(
+    kind: str, fish: Fish, binds: str = "fundamental", floor: float = 0.0
+) -> ActionSpace:
+    """A fish's action space by name. The generator's ceiling is the band's upper edge, `binds` is
+    what keeps below it, and `floor` [Hz] is the lowest fundamental."""
     if kind not in ACTIONS:
         raise BadInput(f"--actions {kind}: allowed are {', '.join(ACTIONS)}.")
+    if floor and kind != "generator":
+        raise BadInput(f"--floor {floor:g}: {kind} actions have no floor; leave it out.")
     low, high = fish.motor.range or (-3.141592653589793, 3.141592653589793)
     if kind == "direct":
         return Direct(low, high)
     if kind == "filtered":
         return Filtered(low, high)
     if binds == "signal":
-        return Generator(low, high, ceiling=fish.band[1], binds="signal")
+        return Generator(low, high, ceiling=fish.band[1], binds="signal", floor=floor)
     if binds != "fundamental":
         raise BadInput(f"--binds {binds}: allowed are fundamental, signal.")
-    return Generator(low, high, ceiling=fish.band[1])
+    return Generator(low, high, ceiling=fish.band[1], floor=floor)
 
 
 def check(plan: Plan, resume: bool) -> None:
@@ -109,6 +113,8 @@ def _check_same(plan: Plan) -> None:
         held = leaves("", json.loads(path.read_text(encoding="utf-8")))
     except ValueError:
         raise BadInput(f"{path}: not readable JSON; the run cannot be resumed.") from None
+    if held.get("actions.kind") == "generator":
+        held.setdefault("actions.floor", 0.0)  # runs begun before the floor have none
     asked = leaves("", json.loads(json.dumps(plan.record())))
     wrong = [
         f"{name} was {held.get(name)}, now {asked.get(name)}"

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control import pilot
-from tailbeat.control.band import Monitor
+from tailbeat.control.band import Monitor, Shares
 from tailbeat.control.policy import Policy
 from tailbeat.swim import link, plausible, safety
 from tailbeat.swim.imu import Imu, ImuFault, YawRate
@@ -32,6 +32,7 @@ from tailbeat.swim.timing import Pace, sleep_until
 
 Array = NDArray[np.float64]
 NEVER = -math.inf
+NOTHING_MOVES = Shares(math.nan, math.nan, math.nan)
 ASK_EVERY = 0.25  # s between two questions for the laptop's clock
 FRAMES = 3
 CURRENT_TIME = 0.5  # s over which the servo's current is averaged
@@ -76,7 +77,8 @@ class Loop:
         space = self.policy.contract.actions
         self.period, self.low, self.high = self.policy.contract.period, space.low, space.high
         self.course = pilot.begin(self.policy)
-        self.monitor = Monitor(self.policy.contract.band[1])
+        floor, edge = self.policy.contract.band
+        self.monitor = Monitor(edge, floor=floor)
         self.servo: ServoState | None = None
         self.yaw = YawRate(NEVER, 0.0)
         self.seen: deque[Frame] = deque(maxlen=FRAMES)  # newest last, the fish in all of them
@@ -91,7 +93,7 @@ class Loop:
         self.travelled: deque[tuple[float, float]] = deque(maxlen=following)  # asked, seen
         self.owing, self.reopened, self.gone = False, NEVER, {"servo": False, "imu": False}
         self.lost, self.hardware, self.turn, self.late = False, "", 0, 0.0
-        self.share: float | None = None
+        self.shares = NOTHING_MOVES
         self.decided_on = np.zeros((FRAMES, 6))
 
     # ---- one period -----------------------------------------------------------------------------
@@ -410,7 +412,7 @@ class Loop:
         servo, frame = self.servo, self.seen[-1] if self.seen else None
         x, y, yaw = (frame.fish if frame and frame.fish else None) or (math.nan,) * 3
         if self.pace.periods % BAND_EVERY == 0:
-            self.share = self.monitor.share()
+            self.shares = self.monitor.shares() or NOTHING_MOVES
         return {
             "time_s": now,
             "state": self.stand.state.value,
@@ -427,7 +429,8 @@ class Loop:
             "temperature_deg_c": health.temperature,
             "voltage_v": health.voltage,
             "current_a": health.current,
-            "band_share": math.nan if self.share is None else self.share,
+            "band_share": 1 - self.shares.above,
+            "below_band_share": self.shares.below,
             "late_s": self.late,
             "missed": health.overruns,
             "spikes": self.gate.count,

@@ -26,8 +26,8 @@ class Numbers:
     """What a status says in numbers, SI, NaN where nothing is known: age of the newest pose and
     what age holds and stops; motor angle and the setpoint sent [rad]; servo temperature [deg C],
     voltage, current; how late a period began and how long it took, longest since the status
-    before; share of the tail's power inside the band; how far the clocks' offset may be off; share
-    of poses lost; the target that the fish swims to."""
+    before; share of the tail's power below the band's upper edge; how far the clocks' offset may be
+    off; share of poses lost; the target that the fish swims to."""
 
     pose_age: float = math.nan
     pose_hold: float = math.nan
