@@ -75,7 +75,7 @@ def as_run(recording: Recording, fish: Fish) -> Run:
         _check_tip(recording, fish, track)
         frequency = beat_frequency(track.time, beat_signal(track), fish.band, recording.name)
     else:
-        _check_motor(recording, fish, motor)
+        check_motor(recording, fish, motor)
         frequency = steady_beat(track.time, np.sin(motor), fish.band)
     return Run(recording.name, track, measure_gait(track, frequency), motor, _from_rest(track))
 
@@ -100,8 +100,8 @@ def _check_tip(recording: Recording, fish: Fish, track: Track) -> None:
         )
 
 
-def _check_motor(recording: Recording, fish: Fish, motor: Array) -> None:
-    """A pulley cannot turn beyond its range."""
+def check_motor(recording: Recording, fish: Fish, motor: Array) -> None:
+    """Raises BadInput where a pulley turned beyond its range, which it cannot."""
     if fish.motor.range is None:
         return
     low, high = fish.motor.range
