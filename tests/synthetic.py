@@ -15,12 +15,23 @@ def record(fish: Fish, name: str, frequency: float, amplitude: float, **options)
     `noise` is the standard deviation of position [m] (of heading, three times that in rad);
     `offset` [rad] bends the swim into a turn; `seconds` is its length.
     """
-    seconds, noise = options.get("seconds", 5.0), options.get("noise", 0.0)
-    twin = compile_twin(fish, Options(replayed=True))
-    clock = np.arange(0, seconds + 0.1, fish.simulation.step)
+    seconds = options.get("seconds", 5.0)
+    clock = clock_of(fish, seconds)
     phase = 2 * np.pi * frequency * clock * (1 + 0.15 * clock / seconds)
     ramp = np.square(np.minimum(1.0, clock * frequency))
     angle = ramp * (options.get("offset", 0.0) + amplitude * np.sin(phase))
+    return filmed(fish, name, angle, **options)
+
+
+def clock_of(fish: Fish, seconds: float) -> np.ndarray:
+    """Times [s] of the motor angles that `filmed` needs for a swim of so many seconds."""
+    return np.arange(0, seconds + 0.1, fish.simulation.step)
+
+
+def filmed(fish: Fish, name: str, angle: np.ndarray, **options) -> Recording:
+    """A swim from rest on given motor angles [rad] at `clock_of`; options as in `record`."""
+    seconds, noise = options.get("seconds", 5.0), options.get("noise", 0.0)
+    twin = compile_twin(fish, Options(replayed=True))
     done = swim([twin], [Start.at_rest()], [replay_command(twin, angle)], 1)[0]
     pose = tracked_pose(fish, done.qpos[:, :3])
     film = np.arange(0, seconds, 1 / 60)

@@ -267,9 +267,13 @@ def _swim(run: dict[str, Any], role: str) -> list[str]:
     return [
         run["recording"],
         "fitted" if role == "fit" else "held out",
-        f"{run['beat_frequency']:.2f}",
+        _known(run["beat_frequency"], ".2f"),
         f"{run['measured_speed']:.3f}",
         f"{run['predicted_speed']:.3f}",
         f"{100 * run['position_error_share']:.1f} %",
-        f"{run['heading_error_deg']:.1f}",
+        _known(run["heading_error_deg"], ".1f"),
     ]
+
+
+def _known(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)

@@ -57,7 +57,7 @@ for verb in (
 
 # options that take any number of values; a servo's port, elsewhere, is one
 LISTS = {"--fit": "identify", "--validate": "identify", "--commands": "record"}
-LISTS |= {"--servo": "flutter", "--tasks": "evaluate", "--only": "faults"}
+LISTS |= {"--servo": "flutter", "--tasks": "evaluate", "--only": "faults", "--against": "coverage"}
 FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
@@ -271,6 +271,26 @@ def predict(fish: FishOption, recordings: Recordings, json: JsonOption = None) -
     result = tasks.predict(fish, recordings, json)
     console.predicted(result)
     if not all(run["settled"] for run in result["runs"]):
+        raise typer.Exit(1)
+
+
+@app.command()
+def coverage(
+    swims: Annotated[
+        list[Path],
+        typer.Argument(help="A policy's swims: logs as CSV or Parquet, or OUT/runs/*.npz."),
+    ],
+    against: Annotated[
+        list[Path], typer.Option("--against", help="Recordings the fish was identified on; repeat.")
+    ],
+    fish: FishOption,
+    json: JsonOption = None,
+) -> None:
+    """Check whether an identification's recordings cover a policy's swims, and say what to record
+    next; exit code 1 if over 5 % of some quantity lies outside the recorded range."""
+    result = tasks.coverage(fish, swims, against, json)
+    console.covered(result)
+    if not result["covered"]:
         raise typer.Exit(1)
 
 

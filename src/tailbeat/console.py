@@ -207,6 +207,36 @@ def predicted(result: dict[str, Any]) -> None:
     say(f"mean absolute speed error {1e3 * result['speed_mae']:.1f} mm/s")
 
 
+def covered(result: dict[str, Any]) -> None:
+    """Ranges and shares of each quantity, power by band, and what to record next."""
+    rows = [
+        {
+            "quantity": f"{one['quantity']} [{one['unit']}]",
+            "recorded from": one["low"],
+            "to": one["high"],
+            "below [%]": 100 * one["below"],
+            "above [%]": 100 * one["above"],
+            "histogram overlap [%]": 100 * one["overlap"],
+            "covered": "yes" if one["covered"] else "NO",
+        }
+        for one in result["quantities"]
+    ]
+    bands = [
+        {
+            "from [Hz]": band["low"],
+            "to": band["high"],
+            "swims [%]": 100 * band["swims"],
+            "recordings [%]": 100 * band["recordings"],
+        }
+        for band in result["bands"]
+    ]
+    tables({"swims against recordings": rows, "the motor's power": bands})
+    for line in (*result["missing"], *result["advice"]):
+        say(line)
+    if result["covered"]:
+        say("The recordings cover the swims.")
+
+
 def summary(report: dict[str, Any]) -> None:
     """What the main job did and where it left things."""
     if "parameters" in report:

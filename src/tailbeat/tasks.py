@@ -13,6 +13,7 @@ from tailbeat import importers
 from tailbeat.evaluate import bench as benchmark
 from tailbeat.evaluate import figures
 from tailbeat.evaluate import open_loop as loop
+from tailbeat.evaluate import runs as swims_store
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
 from tailbeat.fish.render import save_picture
 from tailbeat.fish.show import tables
@@ -27,6 +28,7 @@ from tailbeat.fish.store import (
 )
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.fish.water import whole
+from tailbeat.identify import coverage as cover
 from tailbeat.identify import job
 from tailbeat.identify.predict import as_json
 from tailbeat.identify.predict import predict as predict_runs
@@ -158,6 +160,31 @@ def predict(fish: str, recordings: Sequence[Path], json: Path | None) -> dict[st
     if json is not None:
         write_json(json, result)
     return result
+
+
+def coverage(
+    fish: str, swims: Sequence[Path], against: Sequence[Path], json: Path | None
+) -> dict[str, Any]:
+    """Compare swims, logs or an evaluation's chunks, with the recordings of an identification."""
+    if json is not None:
+        refuse_existing(json)
+    described = load_fish(fish)
+    played = [recording for path in swims for recording in _swims(path)]
+    found = cover.coverage(played, [read_recording(path) for path in against], described)
+    result = cover.as_json(found)
+    if json is not None:
+        write_json(json, result)
+    return result
+
+
+def _swims(path: Path) -> list[Recording]:
+    """The swims of a file. Raises BadInput where an evaluation's chunk holds none long enough."""
+    if path.suffix != ".npz":
+        return [read_recording(path)]
+    found = swims_store.as_recordings(swims_store.read_chunk(path), path.stem)
+    if not found:
+        raise BadInput(f"{path}: no swim of 1 s or more; give another chunk.")
+    return found
 
 
 def open_loop(fish: str, out: Path) -> dict[str, Any]:

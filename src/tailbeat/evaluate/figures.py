@@ -57,7 +57,7 @@ def _draw_path(axes: Axes, prediction: Prediction, title: str) -> None:
 def _draw_beat(axes: Axes, prediction: Prediction) -> None:
     """Sideways motion of the tip in the head frame, the twin's shifted to the same phase."""
     run = prediction.run
-    if run.track.markers is None:
+    if run.track.markers is None or not np.isfinite(run.gait.tail_amplitude):
         axes.plot(run.track.time, run.track.pose[:, 2], color=MEASURED, label="measured")
         axes.plot(prediction.track.time, prediction.track.pose[:, 2], color=TWIN, label="twin")
         axes.set(xlabel="time [s]", ylabel="heading [rad]")
@@ -83,9 +83,8 @@ def _draw_figures(axes: Axes, prediction: Prediction) -> None:
     axes.bar(place - 0.2, values[0], 0.4, color=MEASURED, label="measured")
     axes.bar(place + 0.2, values[1], 0.4, color=TWIN, label="twin")
     axes.set_xticks(place, names)
-    axes.set_title(
-        f"{measured.frequency:.3f} Hz, marker error {1e3 * prediction.marker_error:.1f} mm"
-    )
+    beat = f"{measured.frequency:.3f} Hz" if np.isfinite(measured.frequency) else "no steady beat"
+    axes.set_title(f"{beat}, marker error {1e3 * prediction.marker_error:.1f} mm")
     axes.grid(alpha=0.3, axis="y")
 
 

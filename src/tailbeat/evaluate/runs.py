@@ -5,6 +5,7 @@ short is read up to its end and says so.
 """
 
 import json
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from tailbeat.control.observation import bearing
 from tailbeat.files import BadInput, leaves, new_file, write_json
 from tailbeat.learn.body import PERIOD
+from tailbeat.recording import Recording
 
 Single = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -87,6 +89,23 @@ def surge(runs: Runs, seconds: float = 0.5) -> Single:
     return np.asarray(smooth, dtype=np.float32)
 
 
+def as_recordings(runs: Runs, name: str, shortest: float = 1.0) -> list[Recording]:
+    """The swims of `shortest` seconds or more as recordings: motor angle and pose of the tag."""
+    return [
+        _recording(runs, int(swim), f"{name} swim {swim + 1}")
+        for swim in np.flatnonzero(runs.seconds >= shortest - 1e-9)
+    ]
+
+
+def _recording(runs: Runs, swim: int, name: str) -> Recording:
+    numbers = np.column_stack([runs.motor[swim], runs.pose[swim]]).astype(np.float64)
+    numbers = numbers[: runs.steps[swim] + 1]
+    finite = np.isfinite(numbers).all(axis=1)  # a swim that was lost ends beside the numbers
+    names = ("motor_angle_rad", "x_m", "y_m", "yaw_rad")
+    columns = dict(zip(names, numbers[finite].T, strict=True))
+    return Recording(name, np.flatnonzero(finite).astype(np.float64) * PERIOD, columns)
+
+
 # ---- on disk ------------------------------------------------------------------------------------
 
 
@@ -141,14 +160,17 @@ def load(out: Path, arm: str, chunks: int) -> tuple[Runs, bool]:
     found = [path for path in paths if path.is_file()]
     if not found:
         raise BadInput(f"{out}: no swims of {arm!r} here; run the evaluation again to fill it.")
-    return joined([_read(path) for path in found]), len(found) < chunks
+    return joined([read_chunk(path) for path in found]), len(found) < chunks
 
 
-def _read(path: Path) -> Runs:
+def read_chunk(path: Path) -> Runs:
+    """One chunk's swims. Raises BadInput."""
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file; give a chunk that `tailbeat evaluate` wrote.")
     try:
         with np.load(path) as held:
             return Runs(**{field.name: held[field.name] for field in fields(Runs)})
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise BadInput(f"{path}: cannot be read; delete it and evaluate again.") from error
 
 

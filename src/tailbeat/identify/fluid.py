@@ -17,7 +17,7 @@ from tailbeat.fish.description import COEFFICIENTS, Fish
 from tailbeat.fish.rollout import Swim
 from tailbeat.fish.store import value_at, with_values
 from tailbeat.identify.gait import Track, measure_gait, surge
-from tailbeat.identify.runs import Cruise, Run, last_beats, repeat, twin_track
+from tailbeat.identify.runs import Cruise, Run, camera_track, last_beats, repeat
 from tailbeat.identify.search import Parameter, sensitivity
 
 Array = NDArray[np.float64]
@@ -171,7 +171,7 @@ def _residuals(
 def _compare(fish: Fish, run: Run, done: Swim, start_weight: bool | None, cruise: Cruise) -> Array:
     """Residuals of one run, all infinite where the twin diverged."""
     with np.errstate(all="ignore"):
-        track = twin_track(fish, done)
+        track = camera_track(fish, run, done)
         if run.motor is None:
             found = _compare_cruise(run, track, cruise)
         else:
@@ -203,7 +203,10 @@ def _behind(run: Run) -> NDArray[np.bool_]:
 
 
 def _compare_poses(run: Run, track: Track, weigh_start: bool) -> Array:
-    """Pose errors at `SAMPLES` times of a replayed run, the first pose's own error taken out."""
+    """Pose errors at `SAMPLES` times of a replayed run, the first pose's own error taken out.
+
+    Without a recorded heading positions alone are compared, after any turn of the first pose.
+    """
     span = run.track.time[-1] - run.track.time[0]
     time = np.linspace(span / SAMPLES, min(span, track.time[-1]), SAMPLES)
     scale = np.array([SIGMA.position, SIGMA.position, SIGMA.yaw])
@@ -211,18 +214,24 @@ def _compare_poses(run: Run, track: Track, weigh_start: bool) -> Array:
     weight = np.linspace(START_WEIGHT, 1.0, SAMPLES) if weigh_start else np.ones(SAMPLES)
     weight = np.sqrt(weight / weight.mean())[:, None] / scale
     error = ((_at(time, track.time, track.pose) - measured) * weight).ravel()
-    return _without_first_pose(error, measured - run.track.pose[0], weight)
+    way = measured - run.track.pose[0]
+    if run.track.has_heading:
+        return _without_first_pose(error, way, weight)
+    known = error.reshape(-1, 3)[:, :2].ravel()
+    return _without_first_pose(known, way, weight[:, :2], yaw=np.pi)
 
 
-def _without_first_pose(error: Array, way: Array, weight: Array) -> Array:
+def _without_first_pose(error: Array, way: Array, weight: Array, yaw: float | None = None) -> Array:
     """Residuals left by the best small shift and turn of the first pose, ridge-regularised.
 
-    The twin starts from one camera frame; its noise would turn the whole path with it.
+    The twin starts from one camera frame; its noise would turn the whole path with it. `weight`
+    has one column per compared coordinate; `yaw` [rad] is how wrong the heading may be.
     """
     zero, one = np.zeros(len(way)), np.ones(len(way))
     moves = [[one, zero, zero], [zero, one, zero], [-way[:, 1], way[:, 0], one]]
-    basis = np.stack([(np.stack(m, 1) * weight).ravel() for m in moves], axis=1)
-    prior = np.diag(1 / np.square([FIRST_POSITION, FIRST_POSITION, FIRST_YAW]))
+    columns = weight.shape[1]
+    basis = np.stack([(np.stack(m[:columns], 1) * weight).ravel() for m in moves], axis=1)
+    prior = np.diag(1 / np.square([FIRST_POSITION, FIRST_POSITION, yaw or FIRST_YAW]))
     best = np.linalg.solve(basis.T @ basis + prior, basis.T @ error)
     return np.asarray(error - basis @ best)
 

@@ -14,6 +14,7 @@ from tailbeat.files import BadInput
 Array = NDArray[np.float64]
 MINIMUM_BEATS = 2.0
 EDGE = 0.03  # a beat driven at the band's edge may be measured a little beyond it
+STEADY = 0.5  # share of the rate's variance that one sine must explain to be a beat, chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,13 +22,18 @@ class Track:
     """A swim seen from above: `time` (k,) s, `pose` (k, 3) of the tracked point (x, y [m], yaw).
 
     `markers` (k, m, 2) m in the world, NaN where unseen, or None; `tip` is the index of the marker
-    nearest the fin's rear edge.
+    nearest the fin's rear edge. The yaw is NaN throughout where no heading was recorded.
     """
 
     time: Array
     pose: Array
     markers: Array | None = None
     tip: int = -1
+
+    @property
+    def has_heading(self) -> bool:
+        """Whether the yaw was recorded."""
+        return bool(np.isfinite(self.pose[0, 2]))
 
     def cut(self, start: int, stop: int) -> "Track":
         """The samples from `start` to `stop`."""
@@ -44,6 +50,9 @@ class Gait:
     `tail_amplitude` the fin tip's sideways stroke in the head frame, peak to peak [m];
     `yaw_wave` [rad] and `wave` (m,) [m] are the complex amplitudes of heading and of each marker's
     sideways motion in the head frame at the beat frequency, phases relative to the tip's.
+
+    Without a steady beat all are NaN but `speed`, then the mean over the whole track. Without a
+    heading `speed` is that over ground, and everything that needs the head frame is NaN.
     """
 
     frequency: float
@@ -88,6 +97,26 @@ def distance(track: Track) -> Array:
     yaw = track.pose[1:, 2]
     along = steps[:, 0] * np.cos(yaw) + steps[:, 1] * np.sin(yaw)
     return np.concatenate([[0.0], np.cumsum(along)])
+
+
+def ground_distance(track: Track) -> Array:
+    """Path length since the start (k,) [m], between mean positions of about a second each.
+
+    Averaging keeps a camera's noise and the head's own swaying from adding up to a path.
+    """
+    pieces = max(int(track.time[-1] - track.time[0]), 1)
+    piece = np.minimum(np.linspace(0, pieces, track.time.size).astype(int), pieces - 1)
+    count = np.maximum(np.bincount(piece, minlength=pieces), 1)
+    columns = np.column_stack([track.time, track.pose[:, :2]])
+    means = np.stack([np.bincount(piece, c, pieces) / count for c in columns.T], axis=1)
+    marks = np.concatenate([columns[:1], means, columns[-1:]])
+    steps = np.linalg.norm(np.diff(marks[:, 1:], axis=0), axis=1)
+    return np.interp(track.time, marks[:, 0], np.concatenate([[0.0], np.cumsum(steps)]))
+
+
+def way(track: Track) -> float:
+    """Way swum [m]: along the heading, over ground where no heading was recorded."""
+    return float(np.abs((distance if track.has_heading else ground_distance)(track)[-1]))
 
 
 def last_seconds(track: Track, seconds: float) -> Track:
@@ -136,19 +165,43 @@ def beat_frequency(time: Array, signal: Array, band: tuple[float, float], name: 
     """
     seen = np.isfinite(signal)
     time, signal = time[seen], signal[seen]
-    lowest = max(0.5 * band[0], 0.8 / np.ptp(time))
-    grid = np.arange(lowest, 2.0 * band[1], 0.1 / np.ptp(time))
+    found = _strongest(time, signal, 0.5 * band[0], 2.0 * band[1])
+    _check_frequency(found, np.ptp(time), band, name)
+    return found
+
+
+def steady_beat(time: Array, signal: Array, band: tuple[float, float]) -> float:
+    """Beat frequency [Hz] up to twice the band's upper edge, NaN where there is no steady beat.
+
+    Steady: two beats or more, and one sine on a slow drift explains half of the variance of the
+    signal's rate (of the rate, because one turn of a motor outweighs many small beats).
+    """
+    low, high = 0.5 * band[0], 2.0 * band[1]
+    found = [_strongest(time, signal, *span) for span in ((low, high), (0.0, low))]
+    found = [frequency for frequency in found if frequency * np.ptp(time) >= MINIMUM_BEATS]
+    rate = np.gradient(signal, time)
+    misfits = [_misfit(frequency, time, rate) for frequency in found]
+    limit = (1 - STEADY) * _misfit(0.0, time, rate, harmonics=0)
+    steady = found and min(misfits) < limit
+    return found[int(np.argmin(misfits))] if steady else float("nan")
+
+
+def _strongest(time: Array, signal: Array, low: float, high: float) -> float:
+    """Frequency [Hz] of the sine that fits best; NaN where the time is too short to tell."""
+    span = np.ptp(time)
+    grid = np.arange(max(low, 0.8 / span), high, 0.1 / span)
+    if grid.size < 2:
+        return float("nan")
     costs = [_misfit(f, time, signal) for f in grid]
     best, step = grid[int(np.argmin(costs))], grid[1] - grid[0]
     found = minimize_scalar(
         _misfit, bounds=(best - step, best + step), args=(time, signal), method="bounded"
     )
-    _check_frequency(float(found.x), np.ptp(time), band, name)
     return float(found.x)
 
 
-def _misfit(frequency: float, time: Array, signal: Array) -> float:
-    basis = _basis(time, frequency, 1)
+def _misfit(frequency: float, time: Array, signal: Array, harmonics: int = 1) -> float:
+    basis = _basis(time, frequency, harmonics)
     fit, *_ = np.linalg.lstsq(basis, signal, rcond=None)
     return float(np.square(signal - basis @ fit).mean())
 
@@ -156,6 +209,8 @@ def _misfit(frequency: float, time: Array, signal: Array) -> float:
 def _check_frequency(
     frequency: float, duration: float, band: tuple[float, float], name: str
 ) -> None:
+    if np.isnan(frequency):
+        raise BadInput(f"{name}: {duration:.2f} s; record at least {MINIMUM_BEATS:.0f} beats.")
     if frequency * duration < MINIMUM_BEATS:
         raise BadInput(
             f"{name}: {duration:.2f} s holds {frequency * duration:.1f} beats of"
@@ -169,13 +224,18 @@ def _check_frequency(
 
 
 def measure_gait(track: Track, frequency: float) -> Gait:
-    """The gait over the largest whole number of beats from the start."""
+    """The gait over the largest whole number of beats from the start; of all where it is NaN."""
+    nan = float("nan")
+    if not np.isfinite(frequency):
+        return Gait(nan, mean_speed(track), nan, complex(nan), None, nan)
     period = float(np.median(np.diff(track.time)))
     beats = int(frequency * (track.time[-1] - track.time[0]) + 0.02)
     whole = track.cut(0, min(track.time.size, round(beats / frequency / period) + 1))
+    if not track.has_heading:
+        return Gait(frequency, mean_speed(whole), beats, complex(nan), None, nan)
     yaw = amplitude(whole.time, whole.pose[:, 2], frequency)
     if whole.markers is None:
-        return Gait(frequency, float(surge(whole).mean()), beats, yaw, None, float("nan"))
+        return Gait(frequency, float(surge(whole).mean()), beats, yaw, None, nan)
     sideways = head_frame(whole)[..., 1]
     wave = np.array([amplitude(whole.time, y, frequency) for y in sideways.T])
     turn = np.exp(-1j * np.angle(wave[whole.tip]))
@@ -183,3 +243,12 @@ def measure_gait(track: Track, frequency: float) -> Gait:
     return Gait(
         frequency, float(surge(whole).mean()), beats, yaw * turn, wave * turn, float(stroke)
     )
+
+
+def mean_speed(track: Track) -> float:
+    """Mean over time of the velocity along the heading [m/s]; where no heading was recorded, of
+    the speed over ground, which is never below 0."""
+    span = track.time[-1] - track.time[0]
+    if track.has_heading:
+        return float(np.trapezoid(surge(track), track.time) / span)
+    return float(ground_distance(track)[-1] / span)

@@ -39,8 +39,8 @@ class Kinematic:
 
 
 def fit_kinematic(runs: Sequence[Run]) -> Kinematic:
-    """The five numbers by least squares on the poses of replayed runs."""
-    made = [_resampled(run) for run in runs if run.motor is not None]
+    """The five numbers by least squares on the poses of replayed runs with a heading."""
+    made = [_resampled(run) for run in runs if _known(run)]
 
     def residuals(numbers: Array) -> Array:
         model = Kinematic(*numbers)
@@ -83,7 +83,11 @@ def _smooth(values: Array, lag: float) -> Array:
 
 def predict_kinematic(model: Kinematic, runs: Sequence[Run]) -> list[Prediction]:
     """What the five numbers make of replayed runs, as `predict` says it of a twin."""
-    return [_predicted(model, run) for run in runs if run.motor is not None]
+    return [_predicted(model, run) for run in runs if _known(run)]
+
+
+def _known(run: Run) -> bool:
+    return run.motor is not None and run.track.has_heading
 
 
 def _predicted(model: Kinematic, run: Run) -> Prediction:

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from tailbeat.files import plain
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Swim
-from tailbeat.identify.gait import Gait, Track, distance
-from tailbeat.identify.runs import Cruise, Run, last_beats, repeat, twin_gait, twin_track
+from tailbeat.identify.gait import Gait, Track, way
+from tailbeat.identify.runs import Cruise, Run, camera_track, last_beats, repeat, twin_gait
 
 # A prediction settles longer than a fit can afford, and is averaged over more beats.
 LONG = Cruise(settle=20, measure=3)
@@ -35,7 +36,7 @@ def predict(fish: Fish, runs: Sequence[Run]) -> list[Prediction]:
 
 
 def _judge(fish: Fish, run: Run, swim: Swim) -> Prediction:
-    track = twin_track(fish, swim)
+    track = camera_track(fish, run, swim)
     gait = twin_gait(fish, run, swim, LONG)
     return Prediction(
         run, gait, track, marker_error(run, gait, track), _settled(run, track) and not swim.diverged
@@ -56,7 +57,8 @@ def _settled(run: Run, track: Track) -> bool:
 
 def marker_error(run: Run, gait: Gait, track: Track) -> float:
     """Root mean square error [m]: of a cruise, the markers' sideways motion at the beat in the
-    head frame, phases aligned at the tip; of a replayed run, the tracked point's path in time."""
+    head frame, phases aligned at the tip; of a replayed run, the tracked point's path in time
+    (turned onto the recorded one at its start where no heading was recorded)."""
     if run.motor is None:
         assert gait.wave is not None and run.gait.wave is not None
         return float(np.sqrt(np.nanmean(np.abs(gait.wave - run.gait.wave) ** 2) / 2))
@@ -67,16 +69,19 @@ def marker_error(run: Run, gait: Gait, track: Track) -> float:
 
 def path_errors(prediction: Prediction) -> dict[str, float]:
     """Of a replayed run: way swum along the heading [m], position error (rms) as a share of it, and
-    heading error [deg] after 8 s or at the end, a tenth of a second's noise averaged out."""
+    heading error [deg] after 8 s or at the end, a tenth of a second's noise averaged out.
+
+    Without a recorded heading the way is that over ground, and the heading error is NaN.
+    """
     track, found = prediction.run.track, prediction.track
     when = track.time - track.time[0]
-    way = float(np.abs(distance(track)[-1]))
+    swum = way(track)
     at = min(JUDGED, float(when[-1]) - 0.1)
     around = np.abs(when - at) <= 0.1
     yaw = np.interp(when[around], found.time, found.pose[:, 2]) - track.pose[around, 2]
     return {
-        "distance": way,
-        "position_error_share": prediction.marker_error / max(way, 1e-9),
+        "distance": swum,
+        "position_error_share": prediction.marker_error / max(swum, 1e-9),
         "heading_error_deg": float(np.degrees(yaw.mean())),
     }
 
@@ -95,7 +100,7 @@ def speed_mae(predictions: Sequence[Prediction]) -> float:
 
 
 def row(prediction: Prediction) -> dict[str, Any]:
-    """One run of `as_json`."""
+    """One run of `as_json`; None stands for what a run without a beat or a heading cannot say."""
     found: dict[str, Any] = {
         "recording": prediction.run.name,
         "beat_frequency": prediction.run.gait.frequency,
@@ -108,4 +113,4 @@ def row(prediction: Prediction) -> dict[str, Any]:
     for name in ("speed", "stride", "strouhal", "tail_amplitude"):
         found[f"measured_{name}"] = getattr(prediction.run.gait, name)
         found[f"predicted_{name}"] = getattr(prediction.gait, name)
-    return found
+    return {name: plain(value) for name, value in found.items()}

@@ -4,6 +4,11 @@ Two kinds. A *replayed* run has `motor_angle_rad`: the twin's motor is led throu
 recorded pose, and poses are compared in time. A *cruise* has marker tracks alone: the crank is
 turned at the beat frequency found in the tracks, from the recorded speed, and the steady gait is
 compared, so the crank's unknown phase drops out.
+
+A replayed run needs no beat: where its motor keeps no steady one, the figures of its gait are NaN.
+It needs no `yaw_rad` either. Still water looks the same in every direction, so the twin is started
+along the path's first direction, and its whole path is then turned about the first position onto
+the recorded one (`camera_track`). A run that starts while moving is taken to start nose first.
 """
 
 from collections.abc import Sequence
@@ -24,12 +29,14 @@ from tailbeat.identify.gait import (
     beat_frequency,
     beat_signal,
     measure_gait,
+    steady_beat,
 )
 from tailbeat.identify.launch import launch_of
 from tailbeat.recording import Recording, markers, require
 
 Array = NDArray[np.float64]
 SAMPLE = 0.02  # s between samples of a twin's run
+FIRST_WAY = 1.0  # s whose mean direction is the first heading where none was recorded
 REPLAYED = Options(replayed=True)
 
 
@@ -44,7 +51,10 @@ class Cruise:
 @dataclass(frozen=True, eq=False)
 class Run:
     """A recording made ready: its track and gait; `motor` (k,) rad, None for a cruise; `launch`
-    (3,) surge, sway and yaw rate at the start where the recording states them."""
+    (3,) surge, sway and yaw rate at the start where the recording states them.
+
+    A cruise has a heading and a beat; a replayed run may lack either (`Track`, `Gait`).
+    """
 
     name: str
     track: Track
@@ -56,23 +66,32 @@ class Run:
 
 def as_run(recording: Recording, fish: Fish) -> Run:
     """Check a recording against a fish and measure its gait. Raises BadInput with the reason."""
-    x, y, yaw = require(recording, ["x_m", "y_m", "yaw_rad"])
-    pose = np.stack([x, y, np.unwrap(yaw)], axis=1)
     motor = recording.columns.get("motor_angle_rad")
     if motor is None and fish.motor.kind != "crank":
         raise BadInput(
             f"{recording.name}: column motor_angle_rad is missing; {fish.name} has a servo, whose"
             f" recorded angle is replayed."
         )
+    pose = _recorded_pose(recording, needs_yaw=motor is None)
     track = Track(recording.time, pose, *_marker_tracks(recording, fish))
     if motor is None:
         _check_tip(recording, fish, track)
+        frequency = beat_frequency(track.time, beat_signal(track), fish.band, recording.name)
     else:
-        _check_motor(recording, fish, motor)
-    signal = beat_signal(track) if motor is None else np.sin(motor)
-    frequency = beat_frequency(recording.time, signal, fish.band, recording.name)
+        check_motor(recording, fish, motor)
+        frequency = steady_beat(track.time, np.sin(motor), fish.band)
     gait, launch = measure_gait(track, frequency), launch_of(recording, fish)
     return Run(recording.name, track, gait, motor, _from_rest(track), launch)
+
+
+def _recorded_pose(recording: Recording, needs_yaw: bool) -> Array:
+    """x, y and unwrapped yaw (k, 3); the yaw is NaN where a replayed run has none."""
+    x, y = require(recording, ["x_m", "y_m"])
+    if needs_yaw or "yaw_rad" in recording.columns:
+        yaw = np.unwrap(require(recording, ["yaw_rad"])[0])
+    else:
+        yaw = np.full_like(x, np.nan)
+    return np.stack([x, y, yaw], axis=1)
 
 
 def _check_tip(recording: Recording, fish: Fish, track: Track) -> None:
@@ -85,8 +104,8 @@ def _check_tip(recording: Recording, fish: Fish, track: Track) -> None:
         )
 
 
-def _check_motor(recording: Recording, fish: Fish, motor: Array) -> None:
-    """A pulley cannot turn beyond its range."""
+def check_motor(recording: Recording, fish: Fish, motor: Array) -> None:
+    """Raises BadInput where a pulley turned beyond its range, which it cannot."""
     if fish.motor.range is None:
         return
     low, high = fish.motor.range
@@ -156,7 +175,7 @@ def _plan(twin: Twin, run: Run, cruise: Cruise) -> tuple[Start, Array]:
         # A cubic: straight lines between 60 frames a second lose half a percent of a 2 Hz beat.
         curve = CubicSpline(run.track.time - run.track.time[0], run.motor)
         angle = curve(np.minimum(time, run.track.time[-1] - run.track.time[0]))
-        start = Start(_root_pose(twin.fish, run.track.pose[0]), _first_velocity(run))
+        start = Start(_root_pose(twin.fish, _first_pose(run)), _first_velocity(run))
     rate = (angle[1] - angle[0]) / step
     return replace(start, motor=float(angle[0]), motor_speed=float(rate)), replay_command(
         twin, angle
@@ -190,20 +209,62 @@ def _moved(poses, x, y):  # type: ignore[no-untyped-def]
     return moved
 
 
+def _first_pose(run: Run) -> Array:
+    """The recorded pose at the start; without a heading, along the way of the first second."""
+    x, y, yaw = run.track.pose[0]
+    if not run.track.has_heading:
+        vx, vy, _ = _drift(run.track, FIRST_WAY)
+        yaw = np.arctan2(vy, vx)
+    return np.array([x, y, yaw])
+
+
 def _first_velocity(run: Run) -> Array:
     """Velocity at the start: as stated, else zero from rest, else a straight line through the
-    first 0.2 s."""
+    first 0.2 s, or the first second where no heading was recorded."""
     if run.launch is not None:
         surge, sway, turn = run.launch
-        cos, sin = np.cos(run.track.pose[0, 2]), np.sin(run.track.pose[0, 2])
+        yaw = _first_pose(run)[2]
+        cos, sin = np.cos(yaw), np.sin(yaw)
         return np.array([cos * surge - sin * sway, sin * surge + cos * sway, turn])
     if run.from_rest:
         return np.zeros(3)
-    first = run.track.time <= run.track.time[0] + 0.2
+    return _drift(run.track, 0.2 if run.track.has_heading else FIRST_WAY)
+
+
+def _drift(track: Track, seconds: float) -> Array:
+    """Mean velocity (x, y [m/s], yaw [rad/s]) over the first seconds; an unknown yaw rate is 0."""
+    first = track.time <= track.time[0] + seconds
     if first.sum() < 3:
         return np.zeros(3)
-    fit = np.polyfit(run.track.time[first], run.track.pose[first], 1)
+    fit = np.polyfit(track.time[first], np.nan_to_num(track.pose[first]), 1)
     return np.asarray(fit[0])
+
+
+def camera_track(fish: Fish, run: Run, done: Swim) -> Track:
+    """A twin's run with what the camera knew of the recorded one.
+
+    Without a recorded heading the path is turned about its first position onto the recorded path
+    (least squares), and the yaw is NaN like the recording's.
+    """
+    track = twin_track(fish, done)
+    if run.track.has_heading:
+        return track
+    turn, first = _turn_onto(run.track, track), track.pose[0, :2]
+    path = first + (track.pose[:, :2] - first) @ turn
+    markers = None if track.markers is None else first + (track.markers - first) @ turn
+    pose = np.column_stack([path, np.full(len(path), np.nan)])
+    return Track(track.time, pose, markers, track.tip)
+
+
+def _turn_onto(recorded: Track, track: Track) -> Array:
+    """Rotation (2, 2), for rows, of a twin's path about its first position onto the recorded."""
+    when = recorded.time - recorded.time[0]
+    wanted = recorded.pose[:, :2] - recorded.pose[0, :2]
+    own = track.pose[:, :2] - track.pose[0, :2]
+    own = np.stack([np.interp(when, track.time, c) for c in own.T], axis=1)
+    cross = float((own[:, 0] * wanted[:, 1] - own[:, 1] * wanted[:, 0]).sum())
+    angle = np.arctan2(cross, float((own * wanted).sum()))
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
 def twin_track(fish: Fish, done: Swim) -> Track:
@@ -215,7 +276,7 @@ def twin_track(fish: Fish, done: Swim) -> Track:
 
 def twin_gait(fish: Fish, run: Run, done: Swim, cruise: Cruise = Cruise()) -> Gait:
     """The twin's gait over the same span that was measured: a cruise's last beats, or all."""
-    track = twin_track(fish, done)
+    track = camera_track(fish, run, done)
     if run.motor is not None:
         return measure_gait(track, run.gait.frequency)
     return measure_gait(last_beats(track, run.gait.frequency, cruise.measure), run.gait.frequency)

@@ -1,0 +1,321 @@
+"""Do the recordings of an identification cover what a policy does?
+
+A twin is known where it was recorded. Each quantity of the swims is compared with the range that
+the recordings hold, and what lies outside is said as what to record next. What the recordings
+themselves have outside their range is taken off, so recordings always cover themselves.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import periodogram
+
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
+from tailbeat.identify.gait import Track, distance
+from tailbeat.identify.runs import check_motor
+from tailbeat.recording import Recording, uniform
+
+Array = NDArray[np.float64]
+PERIOD = 0.02  # s between compared samples: the robot's own loop
+AVERAGE = 1.0  # s over which speed and yaw rate are averaged: a beat, not its sway
+PERCENTILES = (0.5, 99.5)  # between them lies the recorded range
+CENTRAL = 0.9  # of each recording's motor power, between whose frequencies it counts as covered
+BANDS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 12.0)  # Hz, edges of the table; beyond is noise
+QUIET = 0.05  # rad/s rms: below, there is no motion to take frequencies from
+BINS = 40  # of the histograms that are overlapped
+LIMIT = 0.05  # share outside above which a quantity is not covered
+
+
+@dataclass(frozen=True)
+class Term:
+    """A quantity's name and unit, and what to record where swims go beyond either end of the range;
+    `edge` stands for that end, `swims` for the share beyond it."""
+
+    name: str
+    unit: str
+    below: str
+    above: str
+
+
+POWER = Term(
+    "motor power",
+    "Hz",
+    "swims below {edge:.2g} Hz: {swims} of the motor's power lies there",
+    "swims above {edge:.2g} Hz: {swims} of the motor's power lies there",
+)
+SPEED = Term(
+    "speed",
+    "m/s",
+    "slower or backward swims: {swims} of the time the speed is below {edge:.3f} m/s",
+    "faster swims: {swims} of the time the speed is above {edge:.3f} m/s",
+)
+YAW_RATE = Term(
+    "yaw rate",
+    "rad/s",
+    "turns to the right: {swims} of the time the yaw rate is below {edge:.2f} rad/s",
+    "turns to the left: {swims} of the time the yaw rate is above {edge:.2f} rad/s",
+)
+ANGLE = Term(
+    "motor angle",
+    "rad",
+    "larger motor angles to the right: {swims} of the time the angle is below {edge:.2f} rad",
+    "larger motor angles to the left: {swims} of the time the angle is above {edge:.2f} rad",
+)
+RATE = Term(
+    "motor rate",
+    "rad/s",
+    "faster strokes to the right: {swims} of the time the motor's rate is below {edge:.1f} rad/s",
+    "faster strokes to the left: {swims} of the time the motor's rate is above {edge:.1f} rad/s",
+)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One quantity's recorded range, and the shares of time (of power) beyond either end.
+
+    `below` and `above` are the swims', `own_below` and `own_above` the recordings'; `overlap` is
+    the common area of the two normalised histograms, 1 where they are equal.
+    """
+
+    term: Term
+    low: float
+    high: float
+    below: float
+    above: float
+    own_below: float
+    own_above: float
+    overlap: float
+
+    @property
+    def outside(self) -> float:
+        """Share of the swims outside the range, beyond what the recordings have there."""
+        return max(self.below - self.own_below, 0.0) + max(self.above - self.own_above, 0.0)
+
+    @property
+    def covered(self) -> bool:
+        """Whether at most `LIMIT` lies outside."""
+        return self.outside <= LIMIT
+
+
+@dataclass(frozen=True)
+class Band:
+    """Shares of the motor's power between two frequencies [Hz]."""
+
+    low: float
+    high: float
+    swims: float
+    recordings: float
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What was compared; `missing` says which quantities could not be, and why."""
+
+    quantities: tuple[Quantity, ...]
+    bands: tuple[Band, ...]
+    missing: tuple[str, ...]
+
+    @property
+    def covered(self) -> bool:
+        """Whether the recordings cover every compared quantity."""
+        return all(one.covered for one in self.quantities)
+
+    @property
+    def advice(self) -> list[str]:
+        """What to record next, one plain sentence each; empty where all is covered."""
+        return [line for one in self.quantities if not one.covered for line in _advice(one)]
+
+
+def _advice(one: Quantity) -> Iterator[str]:
+    """What to record for one quantity: the end that lacks most, and the other if it lacks too."""
+    ends = (
+        (one.term.below, one.low, one.below, one.own_below),
+        (one.term.above, one.high, one.above, one.own_above),
+    )
+    for text, edge, swims, own in sorted(ends, key=lambda end: end[3] - end[2]):
+        if swims - own > LIMIT / 2:
+            said = text.format(edge=edge, swims=_percent(swims))
+            yield f"record {said}, the recordings have {_percent(own)}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def as_json(found: Coverage) -> dict[str, Any]:
+    """The result of `tailbeat coverage`: SI, shares from 0 to 1."""
+    return {
+        "covered": found.covered,
+        "limit": LIMIT,
+        "quantities": [_row(one) for one in found.quantities],
+        "bands": [asdict(band) for band in found.bands],
+        "missing": list(found.missing),
+        "advice": found.advice,
+    }
+
+
+def _row(one: Quantity) -> dict[str, Any]:
+    numbers = {name: value for name, value in asdict(one).items() if name != "term"}
+    named = {"quantity": one.term.name, "unit": one.term.unit, "covered": one.covered}
+    return {**named, "outside": one.outside, **numbers}
+
+
+def coverage(swims: Sequence[Recording], recordings: Sequence[Recording], fish: Fish) -> Coverage:
+    """Compare a policy's swims with the recordings a fish was identified on.
+
+    Both need `motor_angle_rad`; those with `yaw_rad` are compared by yaw rate, those with `x_m`
+    and `y_m` too by speed. Raises BadInput with the reason.
+    """
+    for one in (*swims, *recordings):
+        _check(one)
+    for one in recordings:  # angles in degrees would make every swim look covered
+        check_motor(one, fish, one.columns["motor_angle_rad"])
+    played, recorded = ([uniform(r, PERIOD) for r in group] for group in (swims, recordings))
+    found, missing = [_power(played, recorded, fish)], []
+    for term, measure in MEASURES:
+        a, b = _pooled(played, measure, fish), _pooled(recorded, measure, fish)
+        if a is None or b is None:
+            side = "swims" if a is None else "recordings"
+            missing.append(f"{term.name} is not compared: no columns for it in the {side}")
+        else:
+            found.append(_compared(term, a, b))
+    return Coverage(tuple(found), _bands(played, recorded, fish), tuple(missing))
+
+
+def _check(recording: Recording) -> None:
+    if "motor_angle_rad" not in recording.columns:
+        raise BadInput(
+            f"{recording.name}: column motor_angle_rad is missing; coverage compares the motor's"
+            f" motion, so give recordings of its angle."
+        )
+    if recording.time[-1] - recording.time[0] < AVERAGE:
+        raise BadInput(
+            f"{recording.name}: {recording.time[-1] - recording.time[0]:.2f} s; coverage needs"
+            f" swims of {AVERAGE:g} s or more, so leave this one out."
+        )
+
+
+# ---- quantities over time -----------------------------------------------------------------------
+
+
+def _angle(recording: Recording, fish: Fish) -> Array:
+    """The motor's angle; a crank's, which turns for ever, as its sine."""
+    angle = np.asarray(recording.columns["motor_angle_rad"])
+    return np.sin(angle) if fish.motor.kind == "crank" else angle
+
+
+def _rate(recording: Recording, fish: Fish) -> Array:
+    return np.asarray(np.diff(_angle(recording, fish)) / PERIOD)
+
+
+def _yaw_rate(recording: Recording, fish: Fish) -> Array | None:
+    yaw = recording.columns.get("yaw_rad")
+    return None if yaw is None else _averaged_rate(yaw)
+
+
+def _speed(recording: Recording, fish: Fish) -> Array | None:
+    names = ("x_m", "y_m", "yaw_rad")
+    if not recording.columns.keys() >= set(names):
+        return None
+    pose = np.stack([recording.columns[name] for name in names], axis=1)
+    return _averaged_rate(distance(Track(recording.time, pose)))
+
+
+def _averaged_rate(values: Array) -> Array:
+    """Mean rate over every stretch of `AVERAGE` seconds."""
+    step = min(round(AVERAGE / PERIOD), values.size - 1)
+    return np.asarray((values[step:] - values[:-step]) / (step * PERIOD))
+
+
+Measure = Callable[[Recording, Fish], Array | None]
+MEASURES: tuple[tuple[Term, Measure], ...] = (
+    (SPEED, _speed),
+    (YAW_RATE, _yaw_rate),
+    (ANGLE, _angle),
+    (RATE, _rate),
+)
+
+
+def _pooled(recordings: Sequence[Recording], measure: Measure, fish: Fish) -> Array | None:
+    found = [values for one in recordings if (values := measure(one, fish)) is not None]
+    return np.concatenate(found) if found else None
+
+
+def _compared(term: Term, swims: Array, recorded: Array) -> Quantity:
+    low, high = (float(edge) for edge in np.percentile(recorded, PERCENTILES))
+    shares = [float(s) for v in (swims, recorded) for s in ((v < low).mean(), (v > high).mean())]
+    below, above, own_below, own_above = shares
+    edges = np.histogram_bin_edges(np.concatenate([swims, recorded]), BINS)
+    a, b = (np.histogram(v, edges)[0] / v.size for v in (swims, recorded))
+    return Quantity(term, low, high, below, above, own_below, own_above, _overlap(a, b))
+
+
+def _overlap(a: Array, b: Array) -> float:
+    return float(np.minimum(a, b).sum())
+
+
+# ---- frequencies --------------------------------------------------------------------------------
+
+
+def _power(swims: Sequence[Recording], recorded: Sequence[Recording], fish: Fish) -> Quantity:
+    """The frequencies that hold the central 90 % of any recording's motor power are covered, and
+    all between them; the shares are of power."""
+    played, known = list(_spectra(swims, fish)), list(_spectra(recorded, fish))
+    if not known:
+        raise BadInput(
+            "The motor stands still in every recording; give those the fish was identified on."
+        )
+    edges = [_central(frequency, energy) for frequency, energy in known]
+    low, high = min(edge[0] for edge in edges), max(edge[1] for edge in edges)
+    shares = [
+        _share(group, start, stop)
+        for group in (played, known)
+        for start, stop in ((0.0, low), (high, BANDS[-1]))
+    ]
+    fine = np.linspace(0, BANDS[-1], BINS + 1)
+    a, b = (
+        np.array([_share(group, *edge) for edge in pairwise(fine)]) for group in (played, known)
+    )
+    below, above, own_below, own_above = shares
+    return Quantity(POWER, low, high, below, above, own_below, own_above, _overlap(a, b))
+
+
+def _spectra(recordings: Sequence[Recording], fish: Fish) -> Iterator[tuple[Array, Array]]:
+    """Frequencies [Hz] up to 12 and the energy [rad^2/s] of the motor's rate at each."""
+    for one in recordings:
+        rate = _rate(one, fish)
+        if np.std(rate) < QUIET:
+            continue
+        frequency, density = periodogram(rate, 1 / PERIOD, window=("tukey", 0.25))
+        kept = frequency < BANDS[-1]
+        # Lines lie 1/T apart: power per Hz, summed as it is, is power times the time T.
+        yield frequency[kept], density[kept]
+
+
+def _central(frequency: Array, energy: Array) -> tuple[float, float]:
+    """Frequencies [Hz] between which `CENTRAL` of the energy lies, half a spectral line added."""
+    below = np.cumsum(energy) / energy.sum()
+    first, last = np.searchsorted(below, [(1 - CENTRAL) / 2, (1 + CENTRAL) / 2])
+    half = (frequency[1] - frequency[0]) / 2
+    return float(frequency[first] - half), float(frequency[last] + half)
+
+
+def _share(spectra: Sequence[tuple[Array, Array]], low: float, high: float) -> float:
+    """Share of the energy of all spectra from `low` to below `high` [Hz]; 0 where nothing moves."""
+    inside = sum(float(e[(f >= low) & (f < high)].sum()) for f, e in spectra)
+    return inside / max(sum(float(e.sum()) for _, e in spectra), 1e-12)
+
+
+def _bands(
+    swims: Sequence[Recording], recorded: Sequence[Recording], fish: Fish
+) -> tuple[Band, ...]:
+    played, known = list(_spectra(swims, fish)), list(_spectra(recorded, fish))
+    return tuple(
+        Band(low, high, _share(played, low, high), _share(known, low, high))
+        for low, high in pairwise(BANDS)
+    )
