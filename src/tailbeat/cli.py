@@ -57,7 +57,8 @@ for verb in (
 
 # options that take any number of values; a servo's port, elsewhere, is one
 LISTS = {"--fit": "identify", "--validate": "identify", "--commands": "record"}
-LISTS |= {"--servo": "flutter", "--tasks": "evaluate", "--only": "faults", "--against": "coverage"}
+LISTS |= {"--servo": "flutter", "--tasks": "evaluate", "--only": "faults"}
+LISTS |= {"--against": "coverage", "--fitted-on": "predict"}
 FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
@@ -265,10 +266,20 @@ def flutter(
 
 
 @app.command()
-def predict(fish: FishOption, recordings: Recordings, json: JsonOption = None) -> None:
-    """What the twin makes of recorded swims, beside what was measured; exit code 1 if the twin
-    diverged or reached no steady speed."""
-    result = tasks.predict(fish, recordings, json)
+def predict(
+    fish: FishOption,
+    recordings: Annotated[
+        list[Path], typer.Argument(help="Recordings or logs, CSV or Parquet, or OUT/runs/*.npz.")
+    ],
+    fitted_on: Annotated[
+        list[Path] | None,
+        typer.Option("--fitted-on", help="Fit a naive model of five numbers on these; repeat."),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Predict recorded swims with the twin, beside what was measured; exit code 1 if the twin
+    diverged or reached no steady speed. With --fitted-on, compare it with a naive model."""
+    result = tasks.predict(fish, recordings, fitted_on or [], json)
     console.predicted(result)
     if not all(run["settled"] for run in result["runs"]):
         raise typer.Exit(1)

@@ -205,6 +205,16 @@ def predicted(result: dict[str, Any]) -> None:
     """One row per recording and the mean absolute speed error."""
     tables({"measured and predicted": [_run_cells(run) for run in result["runs"]]})
     say(f"mean absolute speed error {1e3 * result['speed_mae']:.1f} mm/s")
+    if "naive" in result:
+        _say_rival(result)
+
+
+def _say_rival(result: dict[str, Any]) -> None:
+    for who, key in (("twin", ""), ("naive model of five numbers", "naive_")):
+        path = 100 * result[f"{key}median_position_error_share"]
+        say(f"{who}: median path error {path:.1f} %, heading"
+            f" {result[f'{key}median_heading_error_deg']:.1f} deg")  # fmt: skip
+    say(f"the twin is better on {100 * result['twin_better_share']:.0f} % of the swims")
 
 
 def covered(result: dict[str, Any]) -> None:

@@ -30,6 +30,7 @@ from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.fish.water import whole
 from tailbeat.identify import coverage as cover
 from tailbeat.identify import job
+from tailbeat.identify import kinematic as rival
 from tailbeat.identify.predict import as_json
 from tailbeat.identify.predict import predict as predict_runs
 from tailbeat.identify.runs import Run, as_run
@@ -151,12 +152,18 @@ def _runs(paths: Sequence[Path], fish: Any) -> list[Run]:
     return [as_run(read_recording(path), fish) for path in paths]
 
 
-def predict(fish: str, recordings: Sequence[Path], json: Path | None) -> dict[str, Any]:
-    """Measured and predicted figures of recordings."""
+def predict(
+    fish: str, swims: Sequence[Path], fitted_on: Sequence[Path], json: Path | None
+) -> dict[str, Any]:
+    """Measured and predicted figures of recordings, logs or an evaluation's chunks; with
+    `fitted_on`, those of the naive model fitted on these recordings too."""
     if json is not None:
         refuse_existing(json)
     described = load_fish(fish)
-    result = as_json(predict_runs(described, _runs(recordings, described)))
+    runs = [as_run(recording, described) for path in swims for recording in _swims(path)]
+    result = as_json(predict_runs(described, runs))
+    if fitted_on:
+        result |= rival.beside(result, runs, _runs(fitted_on, described))
     if json is not None:
         write_json(json, result)
     return result

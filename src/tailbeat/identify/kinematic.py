@@ -6,8 +6,9 @@ smoothed over another, gives turn rate. Whoever cannot beat this has not identif
     speed = gain (smooth_1(rate^2))^exponent,  turn rate = turn smooth_2(angle)
 """
 
-from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,9 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from tailbeat.files import BadInput
 from tailbeat.identify.gait import Track
-from tailbeat.identify.predict import Prediction, marker_error
+from tailbeat.identify.predict import Prediction, marker_error, path_errors
 from tailbeat.identify.runs import Run
 
 Array = NDArray[np.float64]
@@ -98,6 +100,30 @@ def _predicted(model: Kinematic, run: Run) -> Prediction:
     return Prediction(run, gait, track, marker_error(run, gait, track), True)
 
 
-def numbers(model: Kinematic) -> list[float]:
-    """The five numbers in their order."""
-    return list(astuple(model))
+def beside(result: dict[str, Any], runs: Sequence[Run], fitted_on: Sequence[Run]) -> dict[str, Any]:
+    """What the naive model, fitted on `fitted_on`, adds to `predict.as_json` of the same runs:
+    its errors run by run, both medians, and the share of runs on which the twin is the better.
+
+    Raises BadInput where no run has a motor angle and a heading.
+    """
+    if not any(map(_known, fitted_on)) or not any(map(_known, runs)):
+        raise BadInput(
+            "--fitted-on: the naive model needs swims with motor_angle_rad and yaw_rad; give some."
+        )
+    found = predict_kinematic(fit_kinematic(fitted_on), runs)
+    theirs = {p.run.name: path_errors(p) for p in found}
+    ours = {row["recording"]: row for row in result["runs"] if row["recording"] in theirs}
+    pairs = [(ours[name]["position_error_share"], theirs[name]["position_error_share"])
+             for name in theirs]  # fmt: skip
+    return {
+        "naive": [{"recording": name, **row} for name, row in theirs.items()],
+        "median_position_error_share": float(np.median([a for a, _ in pairs])),
+        "median_heading_error_deg": _median_heading(ours.values()),
+        "naive_median_position_error_share": float(np.median([b for _, b in pairs])),
+        "naive_median_heading_error_deg": _median_heading(theirs.values()),
+        "twin_better_share": float(np.mean([a < b for a, b in pairs])),
+    }
+
+
+def _median_heading(rows: Iterable[dict[str, Any]]) -> float:
+    return float(np.median([abs(row["heading_error_deg"]) for row in rows]))

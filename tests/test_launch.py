@@ -1,0 +1,106 @@
+"""Swims that begin with a velocity, what policies do as commands, and the naive rival."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tailbeat.evaluate.bench_day import EVERY
+from tailbeat.files import BadInput
+from tailbeat.fish.store import load_fish
+from tailbeat.fish.water import whole
+from tailbeat.identify.gait import Track
+from tailbeat.identify.kinematic import STEP, Kinematic, fit_kinematic, path, predict_kinematic
+from tailbeat.identify.launch import body_length, check_launches, launch_of, stuck
+from tailbeat.identify.manoeuvres import manoeuvres
+from tailbeat.identify.predict import path_errors, predict
+from tailbeat.identify.protocol import fluid_runs, limits
+from tailbeat.identify.runs import Run, as_run
+from tailbeat.pool.protocols import record_fluid
+from tailbeat.recording import Recording
+
+FISH = load_fish("pulley-fish")
+POOL = load_fish("pulley-fish-pool")
+MADE = manoeuvres(FISH, limits(FISH))
+
+
+def command(**meta: str) -> Recording:
+    time = np.arange(0, 4, 0.02)
+    sine = 0.6 * np.sin(2 * np.pi * 1.5 * time)
+    return Recording("fluid-x", time, {"command_rad": sine}, meta)
+
+
+def test_a_launched_swim_begins_with_its_velocity() -> None:
+    (swim,) = record_fluid(FISH, commands=[command(launch="-0.2 0.05 0.5")])
+    first = swim.time < 0.15
+    fit = [np.polyfit(swim.time[first], swim.columns[c][first], 1)[0] for c in ("x_m", "y_m")]
+    yaw = np.polyfit(swim.time[first], swim.columns["yaw_rad"][first], 1)[0]
+    assert fit[0] == pytest.approx(-0.2, abs=0.04)
+    assert fit[1] > 0.02 and yaw > 0.2
+    assert launch_of(swim, FISH) == pytest.approx([-0.2, 0.05, 0.5])
+    run = as_run(swim, FISH)
+    twin = predict(POOL, [run])[0].track
+    began = twin.pose[2] - twin.pose[0]
+    assert began[0] / twin.time[2] == pytest.approx(-0.2, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("launch", "said"),
+    [
+        ("-2 0 0", r"launch = -2 0 0 is faster than the fish could move; allowed are .* m/s"),
+        ("0 0 30", r"faster than the fish could move"),
+        ("fast", r"launch = 'fast'; give surge and sway"),
+        ("1 2", r"give surge and sway"),
+        ("nan 0 0", r"give surge and sway"),
+    ],
+)
+def test_a_launch_that_cannot_be_is_refused(launch: str, said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        list(record_fluid(FISH, commands=[command(launch=launch)]))
+    assert 0.4 < body_length(FISH) < 0.7
+
+
+def test_the_launch_check_tells_the_even_law_from_a_trailing_edge() -> None:
+    gaits = [(1.2, 0.3), (2.0, 0.2), (3.0, 0.13)]
+    bare = POOL.model_copy(update={"trailing_edge": None, "added_along": 1.0})
+    backward = stuck(check_launches(bare, gaits))
+    assert {one.launch for one in backward} == {-0.03, -0.1, -0.3}
+    assert not stuck(check_launches(POOL, gaits))
+
+
+def test_manoeuvres_hold_out_one_of_each_kind_and_stay_inside_the_limits() -> None:
+    limit = limits(FISH)
+    names = [*fluid_runs(FISH, limit), *MADE]
+    assert names == sorted(names)
+    kinds = {name.split("-")[2] for name in MADE}
+    held = {name.split("-")[2] for name in names[EVERY - 1 :: EVERY] if name.count("-") == 2}
+    assert held == kinds == {"launch", "brake", "slow", "turn", "wander"}
+    for one in MADE.values():
+        assert np.abs(one.columns["command_rad"]).max() <= limit.angle + 1e-9
+        assert abs(one.columns["command_rad"][0]) < 0.2
+
+
+def test_the_naive_model_recovers_its_own_numbers() -> None:
+    truth = Kinematic(0.15, 0.6, 0.8, 0.7, 0.3)
+    runs = []
+    for seed in range(3):
+        rng, time = np.random.default_rng(seed), np.arange(400, dtype=np.float64) * STEP
+        angle = 0.3 * rng.normal() + rng.uniform(0.3, 0.6) * np.sin(2 * np.pi * (1 + seed) * time)
+        pose = path(truth, angle, np.zeros(3))
+        runs.append(Run(f"r{seed}", Track(time, pose), as_run(filmed(), FISH).gait, angle, True))
+    found = fit_kinematic(runs)
+    assert list(vars(found).values()) == pytest.approx(list(vars(truth).values()), rel=0.05)
+    for one in predict_kinematic(found, runs):
+        assert path_errors(one)["position_error_share"] < 0.02
+
+
+def filmed() -> Recording:
+    (swim,) = record_fluid(FISH, commands=[command()])
+    return swim
+
+
+def test_the_whole_law_is_what_a_new_fish_has() -> None:
+    fish = whole(FISH)
+    assert (fish.added_inertia, fish.added_along) == (1.0, 0.0)
+    assert fish.trailing_edge is not None and fish.simulation.integrator == "Euler"
+    assert replace(limits(FISH)) == limits(fish)
