@@ -21,8 +21,8 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
+from tailbeat.fish import edge
 from tailbeat.fish.description import Fish
-from tailbeat.fish.edge import HOLD, root_motion
 
 Array = NDArray[np.float64]
 NAME = "surge_excess"  # of the number that a compiled model carries [kg]
@@ -74,8 +74,10 @@ def begin(state: Relief, chosen: NDArray[np.int64]) -> None:
 
 def relieve(state: Relief) -> Array:
     """Move the force on by one `HOLD`; returns it in world axes (n, 3) [N]."""
-    speed = root_motion(state.root, state.qpos, state.qvel, np.zeros((len(state.force), 3)))[:, 0]
-    wanted = state.excess * np.nan_to_num((speed - state.before) / HOLD)
+    speed = edge.root_motion(state.root, state.qpos, state.qvel, np.zeros((len(state.force), 3)))[
+        :, 0
+    ]
+    wanted = state.excess * np.nan_to_num((speed - state.before) / edge.HOLD)
     state.force += state.gain * (wanted - state.force) * np.isfinite(state.before)
     state.before = speed
     return state.force[:, None] * heading(state.root, state.qpos)
