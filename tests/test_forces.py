@@ -1,11 +1,13 @@
 """The fluid law: ours equals the engine's, both equal closed forms, and the engine is pinned."""
 
+from copy import copy
 from dataclasses import fields
 
 import mujoco
 import numpy as np
 import pytest
 
+from tailbeat.fish import edge
 from tailbeat.fish.forces import (
     FluidForces,
     clamped_kutta,
@@ -77,8 +79,14 @@ def random_batch(count: int = 300) -> dict[str, np.ndarray]:
 
 
 def error_against_engine(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """The engine gets the coefficients that a trailing edge gives at this state."""
     mujoco.mj_forward(model, data)
     ours = generalised(model, data, fluid_forces(model, data))
+    if (blend := edge.blend_of(model)) is not None:
+        where, model = edge.chords(model), copy(model)
+        speed = edge.chord_speeds(where, data.qpos[None], data.qvel[None], np.zeros((1, 3)))
+        model.geom_fluid[where.geom, edge.KUTTA] *= edge.weights(speed, blend)[0]
+        mujoco.mj_forward(model, data)
     return float(np.linalg.norm(ours - data.qfrc_fluid) / np.linalg.norm(data.qfrc_fluid))
 
 
