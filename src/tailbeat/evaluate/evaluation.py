@@ -27,7 +27,8 @@ NAMES = (*TASKS, "spectrum", "twin")
 POOLS = 16  # waters of the ensemble
 ENSEMBLE_SEED = 0
 # What an identification may change of a description; all else is the fish's body.
-FITTED = ("name", "summary", "servo", "zones", "added_inertia", "simulation", "uncertain")
+LAW = ("zones", "added_inertia", "added_along", "trailing_edge")  # of the fluid
+FITTED = ("name", "summary", "servo", "simulation", "uncertain", *LAW)
 FITTED_IN_TAIL = ("tail.damping_time", "tail.friction", "tail.k_eff", "tail.stiffness_scale")
 
 
