@@ -7,11 +7,12 @@ import pytest
 
 from tailbeat.evaluate.bench_day import EVERY
 from tailbeat.files import BadInput
+from tailbeat.fish.show import length_of
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.water import whole
 from tailbeat.identify.gait import Track
 from tailbeat.identify.kinematic import STEP, Kinematic, fit_kinematic, path, predict_kinematic
-from tailbeat.identify.launch import body_length, check_launches, launch_of, stuck
+from tailbeat.identify.launch import check_launches, launch_of, stuck
 from tailbeat.identify.manoeuvres import manoeuvres
 from tailbeat.identify.predict import path_errors, predict
 from tailbeat.identify.protocol import fluid_runs, limits
@@ -57,7 +58,7 @@ def test_a_launched_swim_begins_with_its_velocity() -> None:
 def test_a_launch_that_cannot_be_is_refused(launch: str, said: str) -> None:
     with pytest.raises(BadInput, match=said):
         list(record_fluid(FISH, commands=[command(launch=launch)]))
-    assert 0.4 < body_length(FISH) < 0.7
+    assert 0.4 < length_of(FISH) < 0.7
 
 
 def test_the_launch_check_tells_the_even_law_from_a_trailing_edge() -> None:

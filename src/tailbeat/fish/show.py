@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.fish import surge
 from tailbeat.fish.description import Fish, Part
 from tailbeat.fish.twin import Options, Twin, compile_twin
 
@@ -48,7 +49,7 @@ def read_back(fish: Fish) -> Compiled:
         fish.added_inertia * sum(part.added_mass for part in _parts(fish)),
         tuple(float(c) for c in data.subtree_com[1]),
         yaw_inertia(twin, data),
-        _length(fish),
+        length_of(fish),
         arms,
         motor_arm,
         stiffness,
@@ -115,7 +116,8 @@ def _parts(fish: Fish) -> list[Part]:
     return [part for body in (fish.head, *fish.tail.links) for part in body.parts]
 
 
-def _length(fish: Fish) -> float:
+def length_of(fish: Fish) -> float:
+    """From the foremost to the rearmost part [m]."""
     parts = [p for body in (fish.head, *fish.tail.links) for p in body.parts]
     ends = np.array([[p.position[0] + p.size[0] / 2, p.position[0] - p.size[0] / 2] for p in parts])
     return float(ends[:, 0].max() - ends[:, 1].min())
@@ -131,6 +133,11 @@ def _warnings(fish: Fish, k_read: float) -> list[str]:
             "added inertia is off: the engine applies only the velocity half of added mass, which"
             " pulls a beating fin rearwards (docs/twin.md)"
         )
+    if fish.trailing_edge is None:
+        found.append(
+            "lift has no trailing edge: a twin that is launched backward may swim backward for good"
+            " (docs/fluid.md)"
+        )
     for name, zone in fish.zones.items():
         if zone.kutta > 6.3:
             found.append(f"zone {name}: Kutta {zone.kutta:g} is above what any ellipsoid can lift")
@@ -145,6 +152,7 @@ def tables(fish: Fish) -> dict[str, list[dict[str, Any]]]:
         "bodies": _bodies(fish),
         "hinges": _hinges(fish, compiled),
         "zones": [{"zone": name, **zone.model_dump()} for name, zone in fish.zones.items()],
+        "fluid law": [_law(fish)],
         "servo": [{"servo": fish.servo, **fish.servos[fish.servo].model_dump()}],
         "warnings": [{"warning": text} for text in compiled.warnings],
     }
@@ -163,6 +171,17 @@ def _whole(fish: Fish, compiled: Compiled) -> dict[str, Any]:
         "k_eff_stated": fish.tail.k_eff,
         "step_s": fish.simulation.step,
         "integrator": fish.simulation.integrator,
+    }
+
+
+def _law(fish: Fish) -> dict[str, Any]:
+    blend = fish.trailing_edge
+    return {
+        "added_inertia": fish.added_inertia,
+        "added_along": fish.added_along,
+        "relieved_along_kg": surge.excess(fish),
+        "trailing_edge_m_s": blend and blend.speed,
+        "reverse_lift": blend and blend.reverse,
     }
 
 

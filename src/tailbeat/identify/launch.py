@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, Swim, replay_command, swim
+from tailbeat.fish.show import length_of
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.recording import Recording
 
@@ -42,7 +43,7 @@ def launch_of(recording: Recording, fish: Fish) -> Array | None:
             f"{recording.name}: {KEY} = {text!r}; give surge and sway [m/s] and yaw rate [rad/s],"
             f" such as '-0.1 0 0'."
         )
-    _check_launch(recording.name, launch, body_length(fish))
+    _check_launch(recording.name, launch, length_of(fish))
     return launch
 
 
@@ -54,13 +55,6 @@ def _check_launch(name: str, launch: Array, length: float) -> None:
             f" could move; allowed are {fastest:.2g} m/s (two body lengths a second) and"
             f" {TURNING:g} rad/s. Check the units."
         )
-
-
-def body_length(fish: Fish) -> float:
-    """From the foremost to the rearmost part [m]."""
-    parts = [part for body in (fish.head, *fish.tail.links) for part in body.parts]
-    ends = [(p.position[0] + p.size[0] / 2, p.position[0] - p.size[0] / 2) for p in parts]
-    return max(front for front, _ in ends) - min(rear for _, rear in ends)
 
 
 # ---- does the twin recover? ---------------------------------------------------------------------
