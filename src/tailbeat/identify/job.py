@@ -33,6 +33,7 @@ from tailbeat.identify.search import (
 )
 
 Array = NDArray[np.float64]
+NAMED = 8  # swims that every identified number names; more are named once
 Progress = Callable[[int, str, float, float], None]  # seed, stage, share done, best cost
 
 
@@ -226,7 +227,9 @@ def rival_row(prediction: Prediction) -> dict[str, Any]:
 
 def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Field -> {value, unit, interval, source} for `store.write_identified`, zones spelled out."""
-    source = f"identified on {len(recordings)} swims"
+    few = len(recordings) <= NAMED
+    swims = ", ".join(recordings) if few else f"{len(recordings)} swims, named on top"
+    source = f"identified on {swims}"
     written: dict[str, dict[str, Any]] = {}
     for path, known in parameter_rows(found).items():
         remark = source if known["decided_by_data"] else f"{source}; not decided by the data"
