@@ -11,6 +11,7 @@ from tailbeat.fish.show import length_of
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.water import whole
 from tailbeat.identify.gait import Track
+from tailbeat.identify.job import gaits
 from tailbeat.identify.kinematic import STEP, Kinematic, fit_kinematic, path, predict_kinematic
 from tailbeat.identify.launch import check_launches, launch_of, stuck
 from tailbeat.identify.manoeuvres import manoeuvres
@@ -105,3 +106,11 @@ def test_the_whole_law_is_what_a_new_fish_has() -> None:
     assert (fish.added_inertia, fish.added_along) == (1.0, 0.0)
     assert fish.trailing_edge is not None and fish.simulation.integrator == "Euler"
     assert replace(limits(FISH)) == limits(fish)
+
+
+def test_the_launch_check_needs_no_steady_beat_and_no_range_of_the_motor() -> None:
+    run = as_run(filmed(), FISH)
+    still = replace(run, gait=replace(run.gait, frequency=float("nan")))
+    assert all(1 <= rate <= 4 and stroke for rate, stroke in gaits(FISH, [still]))
+    crank = load_fish("crank-fish")
+    assert {stroke for _, stroke in gaits(crank, [run])} == {None}

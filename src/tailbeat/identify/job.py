@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.fluid import apply, fluid_space, insensitive, residual_function
-from tailbeat.identify.kinematic import fit_kinematic, predict_kinematic
+from tailbeat.identify.kinematic import errors_row, fit_kinematic, predict_kinematic, replayable
 from tailbeat.identify.launch import Launched, check_launches, stuck
-from tailbeat.identify.predict import Prediction, path_errors, predict, row, speed_mae
+from tailbeat.identify.predict import Prediction, predict, row, speed_mae
 from tailbeat.identify.protocol import largest, limits
 from tailbeat.identify.runs import Run
 from tailbeat.identify.search import (
@@ -143,17 +143,17 @@ def _conclude(
 
 def gaits(fish: Fish, runs: Sequence[Run]) -> list[tuple[float, float | None]]:
     """Steady beats (frequency [Hz], stroke [rad], None for a crank) over the recorded band."""
-    beats = sorted(r.gait.frequency for r in runs if np.isfinite(r.gait.frequency))
-    low, high = max(beats[0], fish.band[0]), min(beats[-1], fish.band[1])
-    chosen = np.geomspace(low, high, 6)
-    if all(run.motor is None for run in runs):
+    known = [r.gait.frequency for r in runs if np.isfinite(r.gait.frequency)]
+    beats = np.clip(known or [max(fish.band[0], fish.band[1] / 4), fish.band[1]], *fish.band)
+    chosen = np.geomspace(beats.min(), beats.max(), 6)
+    if fish.motor.range is None:
         return [(float(rate), None) for rate in chosen]
     limit = limits(fish)
     return [(float(rate), 0.7 * largest(limit, float(rate))) for rate in chosen]
 
 
 def _rival(fit: Sequence[Run], validate: Sequence[Run]) -> tuple[Prediction, ...]:
-    if not validate or all(run.motor is None for run in fit):
+    if not validate or not any(map(replayable, fit)):
         return ()
     return tuple(predict_kinematic(fit_kinematic(fit), validate))
 
@@ -213,16 +213,11 @@ def as_report(found: Identified, plan: Plan) -> dict[str, Any]:
         "validate_speed_mae": speed_mae(found.validated) if found.validated else None,
         "launches": [asdict(one) for one in found.launched],
         "launches_that_end_backward": len(stuck(found.launched)),
-        "rival": [rival_row(p) for p in found.rival],
+        "rival": [errors_row(p) for p in found.rival],
         "engine": f"mujoco {mujoco.__version__}",
         "tailbeat": version("tailbeat"),
         "seconds": found.seconds,
     }
-
-
-def rival_row(prediction: Prediction) -> dict[str, Any]:
-    """The naive model's errors on one held-out swim."""
-    return {"recording": prediction.run.name, **path_errors(prediction)}
 
 
 def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[str, Any]]:

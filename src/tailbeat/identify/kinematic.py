@@ -42,7 +42,7 @@ class Kinematic:
 
 def fit_kinematic(runs: Sequence[Run]) -> Kinematic:
     """The five numbers by least squares on the poses of replayed runs with a heading."""
-    made = [_resampled(run) for run in runs if _known(run)]
+    made = [_resampled(run) for run in runs if replayable(run)]
 
     def residuals(numbers: Array) -> Array:
         model = Kinematic(*numbers)
@@ -85,10 +85,11 @@ def _smooth(values: Array, lag: float) -> Array:
 
 def predict_kinematic(model: Kinematic, runs: Sequence[Run]) -> list[Prediction]:
     """What the five numbers make of replayed runs, as `predict` says it of a twin."""
-    return [_predicted(model, run) for run in runs if _known(run)]
+    return [_predicted(model, run) for run in runs if replayable(run)]
 
 
-def _known(run: Run) -> bool:
+def replayable(run: Run) -> bool:
+    """Whether a run has what the five numbers need: a motor angle and a heading."""
     return run.motor is not None and run.track.has_heading
 
 
@@ -100,13 +101,18 @@ def _predicted(model: Kinematic, run: Run) -> Prediction:
     return Prediction(run, gait, track, marker_error(run, gait, track), True)
 
 
+def errors_row(prediction: Prediction) -> dict[str, Any]:
+    """The model's errors on one swim."""
+    return {"recording": prediction.run.name, **path_errors(prediction)}
+
+
 def beside(result: dict[str, Any], runs: Sequence[Run], fitted_on: Sequence[Run]) -> dict[str, Any]:
     """What the naive model, fitted on `fitted_on`, adds to `predict.as_json` of the same runs:
     its errors run by run, both medians, and the share of runs on which the twin is the better.
 
     Raises BadInput where no run has a motor angle and a heading.
     """
-    if not any(map(_known, fitted_on)) or not any(map(_known, runs)):
+    if not any(map(replayable, fitted_on)) or not any(map(replayable, runs)):
         raise BadInput(
             "--fitted-on: the naive model needs swims with motor_angle_rad and yaw_rad; give some."
         )
@@ -116,7 +122,7 @@ def beside(result: dict[str, Any], runs: Sequence[Run], fitted_on: Sequence[Run]
     pairs = [(ours[name]["position_error_share"], theirs[name]["position_error_share"])
              for name in theirs]  # fmt: skip
     return {
-        "naive": [{"recording": name, **row} for name, row in theirs.items()],
+        "naive": [errors_row(one) for one in found],
         "median_position_error_share": float(np.median([a for a, _ in pairs])),
         "median_heading_error_deg": _median_heading(ours.values()),
         "naive_median_position_error_share": float(np.median([b for _, b in pairs])),

@@ -105,8 +105,7 @@ def record_fluid(
     Cut where the fish comes near a wall. The encoder is read at the loop's rate and interpolated to
     the frames, as a recorder that joins two logs would do.
     """
-    limit = limits(fish)
-    played = commands or (*fluid_runs(fish, limit).values(), *manoeuvres(fish, limit).values())
+    played = commands or _swims(fish)
     for number, command in enumerate(_checked(fish, played)):
         rng = np.random.default_rng([seed, 200 + number])
         side, launch = rng.uniform(-0.2, 0.2, 2), launch_of(command, fish)
@@ -125,6 +124,12 @@ def record_fluid(
         columns = {"motor_angle_rad": angle, **columns}
         stated = {} if launch is None else {LAUNCH: command.meta[LAUNCH]}
         yield Recording(command.name, seen, columns, {**_meta(water), **stated})
+
+
+def _swims(fish: Fish) -> list[Recording]:
+    """The protocol's commands, for a fish whose motor can be swung."""
+    limit = limits(fish)
+    return [*fluid_runs(fish, limit).values(), *manoeuvres(fish, limit).values()]
 
 
 def _begin(command: Recording, surge: float) -> float:
