@@ -71,6 +71,7 @@ def test_identify_writes_fish_report_and_figure_and_its_fish_predicts(tmp_path, 
     report = json.loads((tmp_path / "id.json").read_text())
     assert report["engine"].startswith("mujoco 4.") and len(report["seeds"]) == 1
     assert "identified on swim" in out.read_text()
+    assert load_fish(out).name == "id"  # a contract names the fish: not the one it came from
     again = tailbeat("predict", "--fish", out, swim)
     assert again.returncode == 0 and "mean absolute speed error" in again.stdout
 

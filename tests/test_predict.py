@@ -11,6 +11,7 @@ from tailbeat import chain_tasks, tasks
 from tailbeat.evaluate.figures import measured_against_twin, speeds
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish, value_at, with_values
+from tailbeat.identify import kinematic
 from tailbeat.identify.fluid import apply, fluid_space, residual_function
 from tailbeat.identify.gait import Track, ground_distance, steady_beat, way
 from tailbeat.identify.predict import as_json, predict, row
@@ -167,3 +168,16 @@ def test_a_run_is_of_rest_with_or_without_heading():
     runs: list[Run] = [as_run(one, FISH) for one in (swum, without_yaw(swum, 1.0))]
     assert [run.from_rest for run in runs] == [True, True]
     assert [run.track.has_heading for run in runs] == [True, False]
+
+
+def test_the_naive_model_stands_beside_every_swim_that_has_a_heading():
+    """Two logs of one name count twice; one without heading counts not at all."""
+    swum, other = wandering(), replace(record(OTHER, "wandering", 1.5, 0.5), name="wandering")
+    runs = [as_run(one, FISH) for one in (swum, without_yaw(swum, 1.0), other)]
+    found = kinematic.beside(as_json(predict(FISH, runs)), runs, runs[:1])
+    assert len(found["naive"]) == 2
+    errors = [predicted(one)["position_error_share"] for one in (swum, other)]
+    assert found["median_position_error_share"] == pytest.approx(np.mean(errors))
+    assert found["twin_better_share"] in (0.5, 1.0)  # the twin is the first one's truth
+    with pytest.raises(BadInput, match="motor_angle_rad and yaw_rad"):
+        kinematic.beside(as_json(predict(FISH, runs[1:2])), runs[1:2], runs[:1])

@@ -13,7 +13,7 @@ from tailbeat.evaluate import figures
 from tailbeat.evaluate.bench_day import EVERY, HELD_OUT_MOTOR
 from tailbeat.evaluate.flutter import flutter as speeds_of
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
-from tailbeat.fish.store import check_fish_name, fish_path, load_fish
+from tailbeat.fish.store import check_fish_name, fish_path, load_fish, write_identified
 from tailbeat.identify import job
 from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
 from tailbeat.recording import Recording, read_recording, write_recording
@@ -185,8 +185,7 @@ def _publish(
     write_json(targets["json"], report)
     with new_file(targets["page"]) as beside:
         beside.write_text(text, encoding="utf-8")
-    with new_file(targets["fish"]) as beside:
-        shutil.copyfile(stages["fluid"], beside)
+    write_identified(stages["fluid"], targets["fish"], {"name": targets["fish"].stem}, "")
 
 
 def flutter(

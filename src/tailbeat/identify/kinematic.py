@@ -6,7 +6,7 @@ smoothed over another, gives turn rate. Whoever cannot beat this has not identif
     speed = gain (smooth_1(rate^2))^exponent,  turn rate = turn smooth_2(angle)
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -117,19 +117,19 @@ def beside(result: dict[str, Any], runs: Sequence[Run], fitted_on: Sequence[Run]
             "--fitted-on: the naive model needs swims with motor_angle_rad and yaw_rad; give some."
         )
     found = predict_kinematic(fit_kinematic(fitted_on), runs)
-    theirs = {p.run.name: path_errors(p) for p in found}
-    ours = {row["recording"]: row for row in result["runs"] if row["recording"] in theirs}
-    pairs = [(ours[name]["position_error_share"], theirs[name]["position_error_share"])
-             for name in theirs]  # fmt: skip
+    theirs = [path_errors(one) for one in found]
+    ours = [row for row, run in zip(result["runs"], runs, strict=True) if replayable(run)]
+    key = "position_error_share"
+    better = [a[key] < b[key] for a, b in zip(ours, theirs, strict=True)]
     return {
         "naive": [errors_row(one) for one in found],
-        "median_position_error_share": float(np.median([a for a, _ in pairs])),
-        "median_heading_error_deg": _median_heading(ours.values()),
-        "naive_median_position_error_share": float(np.median([b for _, b in pairs])),
-        "naive_median_heading_error_deg": _median_heading(theirs.values()),
-        "twin_better_share": float(np.mean([a < b for a, b in pairs])),
+        "median_position_error_share": _median(ours, key),
+        "median_heading_error_deg": _median(ours, "heading_error_deg"),
+        "naive_median_position_error_share": _median(theirs, key),
+        "naive_median_heading_error_deg": _median(theirs, "heading_error_deg"),
+        "twin_better_share": float(np.mean(better)),
     }
 
 
-def _median_heading(rows: Iterable[dict[str, Any]]) -> float:
-    return float(np.median([abs(row["heading_error_deg"]) for row in rows]))
+def _median(rows: Sequence[dict[str, Any]], key: str) -> float:
+    return float(np.median([abs(row[key]) for row in rows]))
