@@ -1,9 +1,9 @@
 """What tests that look at rendered pictures share: a calibration that knows the truth."""
 
-from tailbeat.pool.film import Filming, known_calibration
-from tailbeat.pool.optics import Optics
-from tailbeat.swim.calibration import Calibration
-from tailbeat.swim.tags import Tag
+from tailbeat.emulators.film import Filming, known_calibration
+from tailbeat.emulators.optics import Optics
+from tailbeat.vision.calibration import Calibration
+from tailbeat.vision.tags import Tag
 
 FISH, TARGET = Tag(height=-0.03), Tag()
 

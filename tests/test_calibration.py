@@ -13,12 +13,12 @@ pytest.importorskip("cv2", reason="the robot extra is not installed")
 pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 
 from sights import FISH, TARGET, true_calibration
+from tailbeat.emulators.camera import Picture, board_views
+from tailbeat.emulators.optics import Optics, project
 from tailbeat.files import BadInput
-from tailbeat.pool.camera import Picture, board_views
-from tailbeat.pool.optics import Optics, project
-from tailbeat.swim.calibration import Calibration, Lens, read_calibration, write_calibration
-from tailbeat.swim.survey import Surveyed, fit_lens, hang, read_survey
-from tailbeat.swim.tags import Board
+from tailbeat.vision.calibration import Calibration, Lens, read_calibration, write_calibration
+from tailbeat.vision.survey import Surveyed, fit_lens, hang, read_survey
+from tailbeat.vision.tags import Board
 
 OPTICS, BOARD = Optics(), Board()
 RNG = np.random.default_rng(1)

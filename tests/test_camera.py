@@ -16,13 +16,13 @@ pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 import cv2
 
 from sights import FISH, true_calibration
+from tailbeat.emulators import film
+from tailbeat.emulators.camera import Conditions, Renderer, Scene, calm
+from tailbeat.emulators.film import Filming, as_numbers, as_scene, listen, packed, serve
+from tailbeat.emulators.optics import Optics, project
 from tailbeat.files import BadInput
-from tailbeat.pool import film
-from tailbeat.pool.camera import Conditions, Renderer, Scene, calm
-from tailbeat.pool.film import Filming, as_numbers, as_scene, listen, packed, serve
-from tailbeat.pool.optics import Optics, project
-from tailbeat.swim.camera import FROZEN, CameraFault, Drained, _from_socket, open_camera
-from tailbeat.swim.detector import open_detector
+from tailbeat.vision.camera import FROZEN, CameraFault, Drained, _from_socket, open_camera
+from tailbeat.vision.detector import open_detector
 
 SCENE = Scene((0.5, -0.4, 0.7), (0.2, 0.1, 1.0), None, (-1.0, 0.5, 2.0))
 PLACES = np.array([[x, y] for x in (-2.6, -1.0, 0.05, 2.6) for y in (-1.3, -0.03, 1.3)])

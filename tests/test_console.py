@@ -33,16 +33,17 @@ from websockets.exceptions import InvalidStatus
 
 from tailbeat import laptop_cli, robot_cli, robot_tasks
 from tailbeat.control.policy import load_policy
+from tailbeat.emulators import rig as bench
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
-from tailbeat.pool import rig as bench
-from tailbeat.swim import link
-from tailbeat.swim.console.desk import Desk, announce, is_local, open_desk, turn
-from tailbeat.swim.console.snapshot import body
-from tailbeat.swim.imu import connect as connect_imu
-from tailbeat.swim.loop import Devices, Loop
-from tailbeat.swim.safety import Limits, State
-from tailbeat.swim.servo import connect as connect_servo
+from tailbeat.link import datagrams as link
+from tailbeat.link.status import State
+from tailbeat.operator.page import Desk, announce, is_local, open_desk, turn
+from tailbeat.operator.snapshot import body
+from tailbeat.robot.imu import connect as connect_imu
+from tailbeat.robot.loop import Devices, Loop
+from tailbeat.robot.safety import Limits
+from tailbeat.robot.servo import connect as connect_servo
 
 KEY, ROOM, TAG = bytes(32), (5.5, 2.7), (1.5, 0.5)
 FISH, POLICY = load_fish("pulley-fish"), load_policy("pulley-fish-pool-generator")
@@ -412,7 +413,7 @@ def test_where_a_console_cannot_be_is_one_sentence_and_an_open_one_is_warned_of(
         open_desk(("0.0.0.0", 0), ROOM)
     assert len(announce(lab.desk)) == 1 and lab.desk.token in announce(lab.desk)[0]
     assert not is_local("192.168.4.1") and is_local("127.0.0.1")
-    monkeypatch.setattr("tailbeat.swim.console.desk.is_local", lambda host: False)
+    monkeypatch.setattr("tailbeat.operator.page.is_local", lambda host: False)
     assert "open to this network" in announce(lab.desk)[1]
 
 
@@ -429,7 +430,7 @@ def test_the_fish_is_drawn_where_its_tag_is_and_bends_to_the_motor_s_side():
 
 def test_the_laptop_answers_orders_and_stops_the_fish_when_it_ends(tmp_path: Path):
     """The test is the fish here: it asks, hears and reports over real sockets."""
-    from tailbeat.swim.status import Numbers, Status, status_datagram
+    from tailbeat.link.status import Numbers, Status, status_datagram
 
     link.make_key(tmp_path / "fish.key")
     key, fish, probe = link.read_key(tmp_path / "fish.key"), link.bind("127.0.0.1", 0), None

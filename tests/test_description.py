@@ -131,7 +131,7 @@ def test_a_field_that_the_file_lacks_is_added_where_it_belongs(tmp_path):
 
 def test_template_is_a_fish_that_compiles_and_swims_forward(tmp_path):
     from tailbeat import tasks
-    from tailbeat.evaluate.open_loop import open_loop
+    from tailbeat.report.open_loop import open_loop
 
     tasks.new_fish(tmp_path / "mine.toml")
     fish = load_fish(tmp_path / "mine.toml")

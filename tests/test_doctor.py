@@ -17,12 +17,13 @@ pytest.importorskip("serial", reason="the robot extra is not installed")
 
 from lines import served
 from tailbeat import doctor_tasks
-from tailbeat.pool.imu import Bno055
-from tailbeat.pool.imu import serve as serve_imu
-from tailbeat.pool.servo import Dynamixel
-from tailbeat.pool.servo import serve as serve_servo
-from tailbeat.swim import doctor, link
-from tailbeat.swim.doctor import ADVICE, BAD, OK, WARN, Finding
+from tailbeat.emulators.imu import Bno055
+from tailbeat.emulators.imu import serve as serve_imu
+from tailbeat.emulators.servo import Dynamixel
+from tailbeat.emulators.servo import serve as serve_servo
+from tailbeat.link import datagrams as link
+from tailbeat.robot import doctor
+from tailbeat.robot.doctor import ADVICE, BAD, OK, WARN, Finding
 
 PATIENT = 0.25
 
@@ -216,7 +217,7 @@ def test_rights_that_are_missing_are_found():
     code = (
         "import os, resource; resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536));"
         "resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0)); os.geteuid = lambda: 1000;"
-        "from tailbeat.swim.doctor import check_scheduling;"
+        "from tailbeat.robot.doctor import check_scheduling;"
         "print([one.verdict for one in check_scheduling()])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

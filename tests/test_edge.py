@@ -6,6 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from tailbeat.env import randomize
+from tailbeat.env.randomize import FIELDS, Randomisation
+from tailbeat.env.simulator import PERIOD, TwinBody
 from tailbeat.files import BadInput
 from tailbeat.fish import edge
 from tailbeat.fish.description import Fish, TrailingEdge
@@ -13,9 +16,6 @@ from tailbeat.fish.forces import ellipsoid_forces, fluid_forces, generalised
 from tailbeat.fish.rollout import Start, Swim, swim
 from tailbeat.fish.store import load_fish, shipped, with_values
 from tailbeat.fish.twin import Options, compile_twin
-from tailbeat.learn import randomize
-from tailbeat.learn.body import PERIOD, TwinBody
-from tailbeat.learn.randomize import FIELDS, Randomisation
 
 GAITS = [(1.2, 0.5), (1.5, 0.6), (2.0, 0.3), (3.0, 0.2), (3.5, 0.18)]  # Hz, rad
 PLATE = np.array([0.035, 0.001, 0.08])

@@ -23,10 +23,17 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("chain_tasks", "doctor_tasks", "safety_tasks", "swim_tasks"),
     ("laptop_tasks", "live_tasks"),
     ("bench_tasks", "console", "learn_tasks", "robot_tasks", "tasks", "track_tasks"),
+    ("report",),
+    ("benchmarks",),
     ("evaluate",),
+    ("emulators",),
     ("pool",),
-    ("swim",),
-    ("learn",),
+    ("train",),
+    ("env",),
+    ("operator",),
+    ("robot",),
+    ("vision",),
+    ("link",),
     ("control",),
     ("identify",),
     ("fish",),
@@ -221,24 +228,24 @@ def test_folders_are_at_most_two_deep() -> None:
 # The checker itself can fail.
 
 TWIN = Module("tailbeat.fish.twin", "")
-LOOP = Module("tailbeat.swim.loop", "")
+LOOP = Module("tailbeat.robot.loop", "")
 
 
 @pytest.mark.parametrize(
     "text",
     [
-        "import tailbeat.swim.loop",
-        "from tailbeat.swim.loop import run",
+        "import tailbeat.robot.loop",
+        "from tailbeat.robot.loop import run",
         "from tailbeat.swim import loop",
         "from ..swim import loop",
-        "def late():\n    from tailbeat.swim.loop import run",
+        "def late():\n    from tailbeat.robot.loop import run",
         "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from tailbeat.swim import loop",
-        "import importlib\nimportlib.import_module('tailbeat.swim.loop')",
+        "import importlib\nimportlib.import_module('tailbeat.robot.loop')",
     ],
 )
 def test_an_upward_import_is_found(text: str) -> None:
     (fault,) = House(Module("tailbeat.fish.twin", text), LOOP).upward_imports()
-    assert "tailbeat.fish.twin imports tailbeat.swim.loop" in fault
+    assert "tailbeat.fish.twin imports tailbeat.robot.loop" in fault
 
 
 def test_an_import_of_a_whole_room_above_is_found() -> None:
@@ -251,9 +258,9 @@ def test_imports_downward_aside_and_of_the_version_pass() -> None:
     text = (
         "from tailbeat import __version__\nfrom tailbeat.fish import twin\nfrom .safety import stop"
     )
-    loop, safety = Module("tailbeat.swim.loop", text), Module("tailbeat.swim.safety", "")
+    loop, safety = Module("tailbeat.robot.loop", text), Module("tailbeat.robot.safety", "")
     house = House(Module("tailbeat", "", is_package=True), loop, safety, TWIN)
-    assert house.inside(loop) == {"tailbeat", "tailbeat.fish.twin", "tailbeat.swim.safety"}
+    assert house.inside(loop) == {"tailbeat", "tailbeat.fish.twin", "tailbeat.robot.safety"}
     assert not house.upward_imports() and not house.cycle()
 
 

@@ -10,10 +10,10 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
 from lines import served
+from tailbeat.emulators.imu import Bno055, serve
 from tailbeat.files import BadInput
-from tailbeat.pool.imu import Bno055, serve
-from tailbeat.swim import imu as driver
-from tailbeat.swim.imu import Imu, ImuFault, Mounting, connect
+from tailbeat.robot import imu as driver
+from tailbeat.robot.imu import Imu, ImuFault, Mounting, connect
 
 PATIENT = 0.25  # s: the emulator is a thread of this process and waits for the interpreter
 

@@ -13,13 +13,13 @@ from stable_baselines3.common.env_checker import check_env as check_sb3
 
 from tailbeat.control.actions import Direct, Generator
 from tailbeat.control.observation import TABLE
+from tailbeat.env import randomize, sensors
+from tailbeat.env.randomize import Randomisation
+from tailbeat.env.sensors import SensorModel, quiet
+from tailbeat.env.vector_env import FishEnv, FishVecEnv, FishVectorEnv
+from tailbeat.env.world import PERIOD, Settings, Task, World, check_settings
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
-from tailbeat.learn import randomize, sensors
-from tailbeat.learn.env import FishEnv, FishVecEnv, FishVectorEnv
-from tailbeat.learn.randomize import Randomisation
-from tailbeat.learn.sensors import SensorModel, quiet
-from tailbeat.learn.world import PERIOD, Settings, Task, World, check_settings
 
 FISH = load_fish("pulley-fish")
 STILL = Settings(sensors=quiet(), physics=randomize.none())

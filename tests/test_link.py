@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tailbeat.files import BadInput
-from tailbeat.swim import link
-from tailbeat.swim.link import (
+from tailbeat.link import datagrams as link
+from tailbeat.link.datagrams import (
     FRAMES,
     LENGTHS,
     POSES,

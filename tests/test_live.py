@@ -18,17 +18,16 @@ from psutil import NoSuchProcess, Process, process_iter
 
 from tailbeat import console, laptop_tasks, swim_tasks
 from tailbeat.evaluate.live_swim import tour_of
-from tailbeat.evaluate.pool_swim import draw_targets
+from tailbeat.evaluate.tour import draw_targets
 from tailbeat.files import BadInput
 from tailbeat.fish.outline import guessed_shape, outline
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.runs import tracked_pose
-from tailbeat.swim import link
-from tailbeat.swim.link import Order
-from tailbeat.swim.safety import State
-from tailbeat.swim.sender import Sender
-from tailbeat.swim.status import Numbers, Status
-from tailbeat.swim.tour import Tour
+from tailbeat.link import datagrams as link
+from tailbeat.link.datagrams import Order
+from tailbeat.link.sender import Sender
+from tailbeat.link.status import Numbers, State, Status
+from tailbeat.operator.tour import Tour
 
 POLICY, FISH = "pulley-fish-pool-generator", load_fish("pulley-fish")
 

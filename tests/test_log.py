@@ -16,8 +16,8 @@ from mcap.reader import make_reader
 
 from tailbeat.files import BadInput
 from tailbeat.recording import read_recording, write_recording
-from tailbeat.swim import log as logs
-from tailbeat.swim.log import COLUMNS, as_recording, read_rows, start
+from tailbeat.robot import log as logs
+from tailbeat.robot.log import COLUMNS, as_recording, read_rows, start
 
 
 def row(k: int) -> dict:
@@ -53,7 +53,7 @@ def test_a_killed_writer_loses_less_than_half_a_second(tmp_path):
     path = tmp_path / "killed.mcap"
     code = (
         "import sys, time; sys.path.insert(0, 'tests')\n"
-        "from pathlib import Path; from test_log import row; from tailbeat.swim.log import start\n"
+        "from pathlib import Path; from test_log import row; from tailbeat.robot.log import start\n"
         f"log = start(Path({str(path)!r}), {{}})\n"
         "for k in range(10**6):\n"
         "    log.put(row(k)); print(k, flush=True); time.sleep(0.02)\n"

@@ -21,16 +21,17 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 pytest.importorskip("mcap", reason="the robot extra is not installed")
 
-from tailbeat.control import pilot
+from tailbeat.control import runner as pilot
 from tailbeat.control.policy import load_policy
+from tailbeat.emulators import rig as bench
 from tailbeat.fish.store import load_fish
-from tailbeat.pool import rig as bench
+from tailbeat.link import datagrams as link
+from tailbeat.link.status import State
 from tailbeat.recording import read_recording
-from tailbeat.swim import link
-from tailbeat.swim.imu import connect as connect_imu
-from tailbeat.swim.loop import Devices, Loop
-from tailbeat.swim.safety import Limits, State
-from tailbeat.swim.servo import connect as connect_servo
+from tailbeat.robot.imu import connect as connect_imu
+from tailbeat.robot.loop import Devices, Loop
+from tailbeat.robot.safety import Limits
+from tailbeat.robot.servo import connect as connect_servo
 
 KEY, POLICY = bytes(32), load_policy("pulley-fish-pool-generator")
 WIDE = Limits(pose_hold=2.0, pose_stop=5.0, imu_hold=2.0, servo_hold=2.0, servo_stop=4.0,
@@ -154,7 +155,7 @@ def test_an_answer_that_is_no_number_is_held_and_not_sent(swimming, monkeypatch)
     swimming.swim()
     swimming.ticks(lambda: swimming.rows[-1]["state"] == "run")
     nothing = np.full((1, 6), np.nan, np.float32)
-    monkeypatch.setattr("tailbeat.control.pilot.decide", lambda *_: nothing)
+    monkeypatch.setattr("tailbeat.control.runner.decide", lambda *_: nothing)
     swimming.ticks(lambda: swimming.loop.stand.state is State.HOLD, 3.0)
     assert "not a number" in swimming.loop.stand.reason
     swimming.ticks(lambda: abs(swimming.loop.sent) < 0.01, 10.0)  # back to straight, slowly

@@ -9,20 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat.swim import link
-from tailbeat.swim.link import SECOND, Frame, Order, Receiver, order_datagram
-from tailbeat.swim.safety import Limits, State
-from tailbeat.swim.sender import GIVE_UP, LIVE, Sender
-from tailbeat.swim.status import (
+from tailbeat.link import datagrams as link
+from tailbeat.link.datagrams import SECOND, Frame, Order, Receiver, order_datagram
+from tailbeat.link.sender import GIVE_UP, LIVE, Sender
+from tailbeat.link.status import (
     LENGTH,
     STATUS,
     TEXT_BYTES,
     Numbers,
-    Reporter,
+    State,
     Status,
     read_status,
     status_datagram,
 )
+from tailbeat.robot.reporter import Reporter
+from tailbeat.robot.safety import Limits
 
 KEY, RUN = bytes(range(32)), 77
 FRAME = Frame(0, (0.1, -0.2, 1.5), (1.0, 0.5))

@@ -9,12 +9,13 @@ import pytest
 
 pytest.importorskip("onnxruntime")
 
-from tailbeat.control.pilot import Readings, begin, steer
 from tailbeat.control.policy import decide, load_policy, shipped
+from tailbeat.control.runner import Readings, begin, steer
+from tailbeat.env.world import Settings, World
 from tailbeat.fish.store import load_fish
-from tailbeat.learn.world import Settings, World
-from tailbeat.swim import safety
-from tailbeat.swim.safety import Health, Limits, Stand, State, arm, disarm, judge, run, shaped
+from tailbeat.link.status import State
+from tailbeat.robot import safety
+from tailbeat.robot.safety import Health, Limits, Stand, arm, disarm, judge, run, shaped
 
 FISH, LIMITS = load_fish("pulley-fish-pool"), Limits()
 WELL = Health(

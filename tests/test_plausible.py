@@ -8,8 +8,8 @@ import pytest
 
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
-from tailbeat.swim.link import SECOND, Frame
-from tailbeat.swim.plausible import (
+from tailbeat.link.datagrams import SECOND, Frame
+from tailbeat.robot.plausible import (
     Bounds,
     Gate,
     clock_step,
@@ -17,7 +17,7 @@ from tailbeat.swim.plausible import (
     pose_follows,
     shaft_follows,
 )
-from tailbeat.swim.timing import Spread, sleep_until
+from tailbeat.robot.timing import Spread, sleep_until
 
 BOUNDS = Bounds()
 

@@ -27,13 +27,13 @@ from tailbeat.control.policy import (
     differences,
     load_policy,
 )
+from tailbeat.env.vector_env import FishEnv, FishVecEnv
+from tailbeat.env.world import PERIOD, Settings
 from tailbeat.files import BadInput
 from tailbeat.fish.store import digest, load_fish
-from tailbeat.learn.closeup import CloseUp
-from tailbeat.learn.env import FishEnv, FishVecEnv
-from tailbeat.learn.export import act as act_of_sb3
-from tailbeat.learn.export import export
-from tailbeat.learn.world import PERIOD, Settings
+from tailbeat.train.export import act as act_of_sb3
+from tailbeat.train.export import export
+from tailbeat.train.features import CloseUp
 
 FISH = load_fish("pulley-fish-pool")
 LOW, HIGH = FISH.motor.range or (-1.0, 1.0)

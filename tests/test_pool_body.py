@@ -6,12 +6,12 @@ import pytest
 pytest.importorskip("gymnasium", reason="the train extra is not installed")
 
 from tailbeat.control import actions as act
+from tailbeat.env import randomize
+from tailbeat.env.sensors import quiet
+from tailbeat.env.world import PERIOD, Settings, World
 from tailbeat.fish.store import load_fish
-from tailbeat.learn import randomize
-from tailbeat.learn.sensors import quiet
-from tailbeat.learn.world import PERIOD, Settings, World
-from tailbeat.pool.body import PoolBody
 from tailbeat.pool.plant import at_rest, build_plant, step_plant
+from tailbeat.pool.simulator import PoolBody
 from tailbeat.pool.water import Water, ensemble
 
 FISH = load_fish("pulley-fish")

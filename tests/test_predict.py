@@ -8,7 +8,6 @@ import pytest
 
 from synthetic import clock_of, filmed, record
 from tailbeat import chain_tasks, tasks
-from tailbeat.evaluate.figures import measured_against_twin, speeds
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish, value_at, with_values
 from tailbeat.identify import kinematic
@@ -17,6 +16,7 @@ from tailbeat.identify.gait import Track, ground_distance, steady_beat, way
 from tailbeat.identify.predict import as_json, predict, row
 from tailbeat.identify.runs import Run, as_run
 from tailbeat.recording import Recording, crop, write_recording
+from tailbeat.report.figures import measured_against_twin, speeds
 
 FISH = with_values(load_fish("pulley-fish"), {"added_inertia": 1.0})
 OTHER = with_values(FISH, {f"zones.{zone}.kutta": 0.5 for zone in FISH.zones})

@@ -11,10 +11,10 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
 from lines import PATIENT, Bench, servo_bench
+from tailbeat.emulators import servo as emulated
 from tailbeat.files import BadInput
-from tailbeat.pool import servo as emulated
-from tailbeat.swim import servo as driver
-from tailbeat.swim.packet import (
+from tailbeat.robot import servo as driver
+from tailbeat.robot.packet import (
     PING,
     READ,
     REBOOT,
@@ -25,7 +25,7 @@ from tailbeat.swim.packet import (
     crc16,
     encode,
 )  # fmt: skip
-from tailbeat.swim.servo import COUNT, Servo, ServoFault, connect
+from tailbeat.robot.servo import COUNT, Servo, ServoFault, connect
 
 
 def raw(text: str) -> bytes:

@@ -9,11 +9,11 @@ pytest.importorskip("cv2", reason="the robot extra is not installed")
 pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 
 from sights import FISH, TARGET, true_calibration
-from tailbeat.pool.camera import Scene
-from tailbeat.pool.film import Filming, start_camera
-from tailbeat.swim.calibration import write_calibration
-from tailbeat.swim.doctor import Finding
-from tailbeat.swim.sight import check_camera
+from tailbeat.emulators.camera import Scene
+from tailbeat.emulators.film import Filming, start_camera
+from tailbeat.robot.doctor import Finding
+from tailbeat.robot.doctor_camera import check_camera
+from tailbeat.vision.calibration import write_calibration
 
 IDS = (0, 1)
 WELL = Scene(fish=(0.6, -0.4, 0.7), target=(-1.0, 0.5, 0.0))

@@ -13,8 +13,8 @@ pytest.importorskip("serial", reason="the robot extra is not installed")
 pytest.importorskip("mcap", reason="the robot extra is not installed")
 
 from tailbeat.files import BadInput
-from tailbeat.swim import systemd
-from tailbeat.swim.log import read_rows
+from tailbeat.robot import systemd
+from tailbeat.robot.log import read_rows
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_the_unit_runs_drive_disarmed_fed_by_the_loop_and_lets_go_last(tmp_path)
         '/usr/bin/python3 -m tailbeat drive "my policy.onnx" --wait --log "/var/log/fish 100%%"'
     )
     assert lines["ExecStopPost"].endswith(
-        "tailbeat.swim.warden /dev/serial/by-id/servo 1 1000000 now"
+        "tailbeat.robot.watchdog /dev/serial/by-id/servo 1 1000000 now"
     )
     wanted = {"Type": "notify", "WatchdogSec": "2", "Restart": "on-failure", "User": "fish",
               "CPUSchedulingPolicy": "fifo", "LimitMEMLOCK": "infinity",

@@ -1,6 +1,6 @@
 import pytest
 
-from tailbeat.swim.tour import Tour
+from tailbeat.operator.tour import Tour
 
 
 def test_a_tour_goes_on_after_an_arrival_and_after_patience():

@@ -16,13 +16,13 @@ import cv2
 
 from sights import FISH, TARGET, true_calibration
 from tailbeat import track_cli, track_tasks
+from tailbeat.emulators.camera import Picture, Renderer, Scene
+from tailbeat.emulators.optics import Optics
 from tailbeat.files import BadInput
-from tailbeat.pool.camera import Picture, Renderer, Scene
-from tailbeat.pool.optics import Optics
-from tailbeat.swim.calibration import read_calibration, write_calibration
-from tailbeat.swim.detector import open_detector
-from tailbeat.swim.survey import board_corners
-from tailbeat.swim.tags import IDS, Board, tag_picture
+from tailbeat.vision.calibration import read_calibration, write_calibration
+from tailbeat.vision.detector import open_detector
+from tailbeat.vision.survey import board_corners
+from tailbeat.vision.tags import IDS, Board, tag_picture
 
 MM = 150 / 25.4  # pixels of a millimetre on a printed PNG, read at half its resolution
 IDS_HERE = (0, 1)

@@ -18,16 +18,16 @@ pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 import cv2
 
 from sights import FISH, TARGET, true_calibration
-from tailbeat.evaluate.vision_bench import APART, calibrated, errors, fish_line, scattered, watch
+from tailbeat.benchmarks.vision import APART, calibrated, errors, fish_line, scattered, watch
+from tailbeat.emulators.camera import Conditions, Renderer, Scene, calm
+from tailbeat.emulators.film import CameraProcess, Filming, start_camera
+from tailbeat.emulators.optics import Optics
 from tailbeat.files import BadInput
 from tailbeat.live_tasks import ASIDE
-from tailbeat.pool.camera import Conditions, Renderer, Scene, calm
-from tailbeat.pool.film import CameraProcess, Filming, start_camera
-from tailbeat.pool.optics import Optics
-from tailbeat.swim.detector import HALF, open_detector
-from tailbeat.swim.tags import Tag
-from tailbeat.swim.tracker import Limits, Sighting, Tracker, misshapen, planar_pose
-from tailbeat.swim.tracking import TrackerProcess, start_tracker
+from tailbeat.vision.detector import HALF, open_detector
+from tailbeat.vision.tags import Tag
+from tailbeat.vision.tracker import Limits, Sighting, Tracker, misshapen, planar_pose
+from tailbeat.vision.tracking import TrackerProcess, start_tracker
 
 FRAME = 1 / 60
 POSE, AIM = (0.6, -0.4, 0.7), (-1.0, 0.5, 2.0)

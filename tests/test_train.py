@@ -21,25 +21,26 @@ pytest.importorskip("stable_baselines3", reason="the train extra is not installe
 
 import torch
 
+from tailbeat.benchmarks import update as update_bench
 from tailbeat.control.actions import Direct, Generator
 from tailbeat.control.observation import TABLE
 from tailbeat.control.policy import decide, load_policy
-from tailbeat.evaluate import update_bench
+from tailbeat.env import randomize
+from tailbeat.env.assess import assess
+from tailbeat.env.curriculum import FALL, LOWEST, STAGES, learning_rate, settings_of
+from tailbeat.env.sensors import quiet
+from tailbeat.env.vector_env import FishVecEnv
+from tailbeat.env.world import Settings, Task, World
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import load_fish
-from tailbeat.learn import checkpoint, randomize
-from tailbeat.learn import plan as planned
-from tailbeat.learn.assess import assess
-from tailbeat.learn.buffer import FIRST, MIRRORED, RelabelBuffer, _seen
-from tailbeat.learn.curriculum import FALL, LOWEST, STAGES, learning_rate, settings_of
-from tailbeat.learn.env import FishVecEnv
-from tailbeat.learn.export import act
-from tailbeat.learn.plan import Plan, action_space, check
-from tailbeat.learn.recipe import paper, quick, recipe_of, smoke
-from tailbeat.learn.sac import STEADY, YOUNG, QuickSAC, _products, rounds
-from tailbeat.learn.sensors import quiet
-from tailbeat.learn.train import train
-from tailbeat.learn.world import Settings, Task, World
+from tailbeat.train import checkpoint
+from tailbeat.train import config as planned
+from tailbeat.train.config import Plan, action_space, check
+from tailbeat.train.export import act
+from tailbeat.train.recipes import paper, quick, recipe_of, smoke
+from tailbeat.train.replay import FIRST, MIRRORED, RelabelBuffer, _seen
+from tailbeat.train.sac import STEADY, YOUNG, QuickSAC, _products, rounds
+from tailbeat.train.train import train
 
 FISH = load_fish("pulley-fish-pool")
 STILL = Settings(sensors=quiet(), physics=randomize.none())
@@ -394,7 +395,7 @@ def test_a_finished_run_goes_on_in_a_stage_asked_for_alone(run, tmp_path):
 
 def test_a_checkpoint_is_whole(run):
     """Everything that learning depends on comes back: networks, optimisers, buffer, randomness."""
-    from tailbeat.learn.train import environment, learner
+    from tailbeat.train.train import environment, learner
 
     plan = planned_for(run)
     models: list[Any] = []
@@ -444,7 +445,7 @@ def test_a_floor_above_the_ceiling_is_refused_at_the_command_line(tmp_path):
 
 
 def test_a_full_disk_is_told_and_the_last_checkpoint_kept(run, monkeypatch):
-    from tailbeat.learn.train import environment, learner
+    from tailbeat.train.train import environment, learner
 
     plan = planned_for(run)
     env = environment(plan)
@@ -458,7 +459,7 @@ def test_a_full_disk_is_told_and_the_last_checkpoint_kept(run, monkeypatch):
 def started(out: Path) -> subprocess.Popen[bytes]:
     code = (
         "import sys; sys.path.insert(0, 'tests'); from pathlib import Path\n"
-        "from test_train import planned_for; from tailbeat.learn.train import train\n"
+        "from test_train import planned_for; from tailbeat.train.train import train\n"
         f"plan = planned_for(Path({str(out)!r}), hours=1.0, checkpoint_minutes=0.02)\n"
         "train(plan, False, lambda row: None)"
     )
@@ -490,7 +491,7 @@ SMOKE = """
 import os, signal, sys
 sys.path.insert(0, "tests")
 from test_train import endless
-from tailbeat.learn.train import train
+from tailbeat.train.train import train
 train(endless(sys.argv[1]), False, lambda row: print(row["updates"], flush=True))
 """
 
@@ -557,8 +558,8 @@ def test_ctrl_c_leaves_a_checkpoint_and_a_policy(tmp_path):
 
 
 def test_networks_that_leave_the_finite_end_the_run_and_keep_the_checkpoint(run):
-    from tailbeat.learn.coach import Coach, Course
-    from tailbeat.learn.train import environment, learner
+    from tailbeat.train.callback import Coach, Course
+    from tailbeat.train.train import environment, learner
 
     plan = planned_for(run)
     env = environment(plan)

@@ -12,6 +12,10 @@ import pytest
 from tailbeat import swim_tasks
 from tailbeat.control.actions import Generator
 from tailbeat.control.policy import load_policy
+from tailbeat.env import randomize
+from tailbeat.env.sensors import quiet
+from tailbeat.env.simulator import PERIOD
+from tailbeat.env.world import Scene
 from tailbeat.evaluate import compare, disturb, evaluation, reach, scenes, spectrum, track
 from tailbeat.evaluate import runs as store
 from tailbeat.evaluate.runs import Runs, surge
@@ -19,10 +23,6 @@ from tailbeat.evaluate.trial import Arm, Pool, swim, swim_all
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.runs import tracked_pose
-from tailbeat.learn import randomize
-from tailbeat.learn.body import PERIOD
-from tailbeat.learn.sensors import quiet
-from tailbeat.learn.world import Scene
 from tailbeat.pool.plant import LENGTH, WIDTH
 from tailbeat.pool.water import Water
 

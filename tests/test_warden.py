@@ -13,14 +13,14 @@ pytest.importorskip("serial", reason="the robot extra is not installed")
 
 from lines import PATIENT, Bench, servo_bench
 from tailbeat.files import BadInput
-from tailbeat.swim import warden
-from tailbeat.swim.packet import WRITE, Packet, encode
-from tailbeat.swim.servo import connect
+from tailbeat.robot import watchdog as warden
+from tailbeat.robot.packet import WRITE, Packet, encode
+from tailbeat.robot.servo import connect
 
 # A loop in miniature: it arms, keeps the servo's watchdog at bay, and tells the warden.
 LOOP = """
 import sys, time
-from tailbeat.swim import servo, warden
+from tailbeat.robot import servo, watchdog as warden
 motor = servo.connect(sys.argv[1], deadline=0.25)
 with warden.guard(sys.argv[1]) as watcher:
     motor.prepare(-1.4, 1.4)

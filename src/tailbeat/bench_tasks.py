@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tailbeat import importers
-from tailbeat.evaluate import bench_figures
 from tailbeat.files import BadInput, refuse_existing, write_json
 from tailbeat.fish.store import Done, fish_path, load_fish, new_fish_files, write_identified
 from tailbeat.identify import job, motor_job, motor_report, protocol, tail_report
@@ -13,6 +12,7 @@ from tailbeat.identify.manoeuvres import manoeuvres
 from tailbeat.identify.motor import as_bench
 from tailbeat.identify.tail import identify_tail as fit_tail
 from tailbeat.recording import Recording, read_recording, write_recording
+from tailbeat.report import bench_figures
 
 Progress = Callable[[int, str, float, float], None]
 PROTOCOLS = ("tail", "motor", "fluid")

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from tailbeat import bench_tasks, tasks
-from tailbeat.evaluate import figures
 from tailbeat.evaluate.bench_day import EVERY, HELD_OUT_MOTOR
 from tailbeat.evaluate.flutter import flutter as speeds_of
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
@@ -17,6 +16,7 @@ from tailbeat.fish.store import check_fish_name, fish_path, load_fish, write_ide
 from tailbeat.identify import job
 from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
 from tailbeat.recording import Recording, read_recording, write_recording
+from tailbeat.report import figures
 
 Progress = Callable[[int, str, float, float], None]
 RECORDERS: dict[str, Callable[..., Iterator[Recording]]] = {

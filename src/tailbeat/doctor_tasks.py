@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from tailbeat import robot_tasks, swim_tasks, track_tasks
 from tailbeat.control.policy import check_fits, load_policy
+from tailbeat.env.simulator import PERIOD
 from tailbeat.evaluate.evaluation import check_same_body
 from tailbeat.files import BadInput
 from tailbeat.fish.store import digest, load_fish
-from tailbeat.learn.body import PERIOD
 from tailbeat.pool.plant import LENGTH, WIDTH
 
 if TYPE_CHECKING:
-    from tailbeat.swim.doctor import Finding  # needs the extra
+    from tailbeat.robot.doctor import Finding  # needs the extra
 
 Check = Callable[[], "list[Finding]"]
 BAD = "bad"
@@ -68,15 +68,15 @@ def of_camera(camera: str, calibration: Path | None) -> list[Check]:
     if calibration is None:
         raise BadInput("--camera: give its --calibration, made by `tailbeat calibrate`.")
     track_tasks.need_extra()
-    from tailbeat.swim.sight import check_camera  # needs the extra
-    from tailbeat.swim.tags import FISH, TARGET
+    from tailbeat.robot.doctor_camera import check_camera  # needs the extra
+    from tailbeat.vision.tags import FISH, TARGET
 
     return [lambda: check_camera(camera, calibration, (FISH, TARGET))]
 
 
 def check_policy(policy: str, fish: str) -> "list[Finding]":
     """Whether the policy may run, and on this fish."""
-    from tailbeat.swim.doctor import finding
+    from tailbeat.robot.doctor import finding
 
     try:
         loaded = load_policy(policy)
@@ -97,7 +97,7 @@ def check_policy(policy: str, fish: str) -> "list[Finding]":
 
 def of_computer(logs: Path) -> "list[Finding]":
     """Disk, rights, clock rate, wireless."""
-    from tailbeat.swim import doctor
+    from tailbeat.robot import doctor
 
     return [
         doctor.check_disk(logs),
@@ -109,14 +109,14 @@ def of_computer(logs: Path) -> "list[Finding]":
 
 def of_servo(parts: Parts) -> "list[Finding]":
     """From its port to its last register."""
-    from tailbeat.swim import doctor
+    from tailbeat.robot import doctor
 
     return _of_device("servo's port", parts.servo, doctor.find_servo, doctor.check_servo)
 
 
 def of_imu(parts: Parts) -> "list[Finding]":
     """From its port to its noise."""
-    from tailbeat.swim import doctor
+    from tailbeat.robot import doctor
 
     return _of_device("IMU's port", parts.imu, doctor.find_imu, doctor.check_imu)
 
@@ -125,7 +125,7 @@ def _of_device(
     name: str, path: str, find: Callable[..., Any], check: Callable[..., Any]
 ) -> "list[Finding]":
     """A device at a port: the port, whether it answers there, and what it says of itself."""
-    from tailbeat.swim import doctor
+    from tailbeat.robot import doctor
 
     if not path:
         return []
@@ -141,7 +141,8 @@ def _of_device(
 
 def of_link(parts: Parts) -> "list[Finding]":
     """Key, address, laptop."""
-    from tailbeat.swim import doctor, link
+    from tailbeat.link import datagrams as link
+    from tailbeat.robot import doctor
 
     if parts.listen is None and parts.key is None:
         return []

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tailbeat.evaluate.pool_swim import draw_targets
+from tailbeat.evaluate.tour import draw_targets
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
+from tailbeat.link.status import State
+from tailbeat.operator.tour import Pose, Tour
 from tailbeat.robot_tasks import open_console, told_to_end
-from tailbeat.swim.safety import State
-from tailbeat.swim.tour import Pose, Tour
 from tailbeat.track_tasks import need_extra
 
 Say = Callable[[str], None]
@@ -38,9 +38,9 @@ def open_tracker(
     if calibration is None:
         raise BadInput("--camera: give its --calibration, made by `tailbeat calibrate`.")
     need_extra()
-    from tailbeat.swim.calibration import read_calibration  # needs the extra
-    from tailbeat.swim.camera import open_camera
-    from tailbeat.swim.tracking import start_tracker
+    from tailbeat.vision.calibration import read_calibration  # needs the extra
+    from tailbeat.vision.camera import open_camera
+    from tailbeat.vision.tracking import start_tracker
 
     made = read_calibration(calibration)
     open_camera(camera, made.lens.size).close()  # refused here if it is none, not again and again
@@ -84,7 +84,7 @@ class Leader:
             self._tour(self.tour, sender, pose if state is State.RUN else None, now, say)
 
     def _order(self, sender: Any, state: State, now: float, say: Say) -> None:
-        from tailbeat.swim.link import Order
+        from tailbeat.link.datagrams import Order
 
         self.asked = now
         if state is State.ARMED:
@@ -135,9 +135,9 @@ def laptop(
 ) -> None:
     """Send what the tracker sees and serve the page until told to end, or a tour is over; then
     order the fish to stop, for nobody watches it any more. Raises BadInput."""
-    from tailbeat.swim import link  # needs the extra
-    from tailbeat.swim.console.desk import announce
-    from tailbeat.swim.sender import Sender
+    from tailbeat.link import datagrams as link  # needs the extra
+    from tailbeat.link.sender import Sender
+    from tailbeat.operator.page import announce
 
     described, secret = load_fish(fish), link.read_key(key)
     made = link.bind(*listen)
@@ -166,7 +166,7 @@ def _work(
     leader: Leader | None,
 ) -> None:
     """Turn by turn; says every change of the fish's state."""
-    from tailbeat.swim.console.desk import turn
+    from tailbeat.operator.page import turn
 
     sent, told = -1, ""
     while not over():
@@ -194,7 +194,7 @@ def _line(sender: Any) -> str:
 
 def _farewell(sender: Any, say: Say) -> None:
     """The fish stops before its poses end."""
-    from tailbeat.swim.link import Order
+    from tailbeat.link.datagrams import Order
 
     if sender.status is None:
         return

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from tailbeat.control.policy import check_fits, differences, load_policy
-from tailbeat.evaluate.learning_figures import courses
 from tailbeat.files import BadInput, need
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest, load_fish
+from tailbeat.report.learning_figures import courses
 
 Report = Callable[[dict[str, Any]], None]
 
@@ -34,9 +34,9 @@ def train(
 ) -> dict[str, Any]:
     """Train a policy into a folder; what came of it."""
     _need_extra()
-    from tailbeat.learn.plan import Plan, action_space  # needs the extra
-    from tailbeat.learn.recipe import recipe_of
-    from tailbeat.learn.train import train as run
+    from tailbeat.train.config import Plan, action_space  # needs the extra
+    from tailbeat.train.recipes import recipe_of
+    from tailbeat.train.train import train as run
 
     described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe)
     space = action_space(actions, described, binds or chosen.binds, floor)
@@ -84,9 +84,9 @@ def try_policy(
     """Swim a policy to seeded targets: in the twin with all noise and randomisation (`exact`:
     undisturbed), or in `pools` waters of the virtual pool's ensemble."""
     _need_extra()
+    from tailbeat.env.curriculum import Stage, settings_of
+    from tailbeat.env.world import PERIOD
     from tailbeat.evaluate.reach import in_pool, in_twin, reach
-    from tailbeat.learn.curriculum import Stage, settings_of
-    from tailbeat.learn.world import PERIOD
     from tailbeat.pool.water import ensemble
 
     if not 0 < arc <= 180 or count < 1 or pools < 0:

@@ -34,8 +34,8 @@ def calibrate(folder: Path, seed: int, say: Say) -> Path:
     """What a lab does before its first swim: film a board and tags in the water, and calibrate."""
     say(f"calibrating the camera: {VIEWS} views of a board, tags in the water")
     track_tasks.pictures(folder / "lab", VIEWS, seed)
-    from tailbeat.pool.film import Filming  # needs the extra
-    from tailbeat.swim.tags import Board
+    from tailbeat.emulators.film import Filming  # needs the extra
+    from tailbeat.vision.tags import Board
 
     filming = Filming()
     sheet = {"square": Board().square}
@@ -121,7 +121,7 @@ def swim(
     Raises BadInput where a process ends before its time."""
     robot_tasks.need_extra()
     track_tasks.need_extra()
-    from tailbeat.swim import link  # needs the extra
+    from tailbeat.link import datagrams as link  # needs the extra
 
     for number in (signal.SIGTERM, signal.SIGHUP):  # what we started ends with us
         signal.signal(number, signal.default_int_handler)

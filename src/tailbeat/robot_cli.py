@@ -8,7 +8,7 @@ import typer
 
 from tailbeat import console, robot_tasks
 from tailbeat.files import BadInput, refuse_existing, write_json
-from tailbeat.swim.ports import Ports
+from tailbeat.robot.ports import Ports
 
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 FishOption = Annotated[str, typer.Option("--fish", help="The pool's fish: a file or a name.")]
@@ -22,7 +22,7 @@ SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything rand
 def key(path: Annotated[Path, typer.Argument(help="The key file to write.")]) -> None:
     """Write a key that laptop and fish share; copy it to both, readable by its owner alone."""
     robot_tasks.need_extra()
-    from tailbeat.swim.link import make_key  # needs the extra
+    from tailbeat.link.datagrams import make_key  # needs the extra
 
     make_key(path)
     console.say(f"wrote {path}; copy it to both machines")

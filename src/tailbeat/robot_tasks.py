@@ -24,7 +24,7 @@ from tailbeat.files import BadInput, need, refuse_existing
 from tailbeat.fish.store import load_fish
 from tailbeat.pool.plant import LENGTH, WIDTH
 from tailbeat.recording import Recording, write_recording
-from tailbeat.swim.ports import Ports
+from tailbeat.robot.ports import Ports
 
 Say = Callable[[str], None]
 OPERATOR = "the operator"  # who asked to stop, where a signal did
@@ -68,7 +68,7 @@ def open_console(console: str) -> Any:
     if not console:
         return None
     need("the console", "robot", "fastapi", "uvicorn", "websockets")
-    from tailbeat.swim.console.desk import open_desk
+    from tailbeat.operator.page import open_desk
 
     return open_desk(address(console, "--console"), (LENGTH, WIDTH))
 
@@ -77,8 +77,8 @@ def filmed_rig(fish: str, camera: Path, target: str, seed: int, say: Say) -> Non
     """Serve an emulated bench that gives pictures at a socket instead of poses, until told to stop;
     says where it is as one line of JSON."""
     need_extra()
-    from tailbeat.pool import rig as bench  # needs the extra
-    from tailbeat.pool.film import Filming, start_camera
+    from tailbeat.emulators import rig as bench  # needs the extra
+    from tailbeat.emulators.film import Filming, start_camera
 
     described, aim = load_fish(fish), place(target)
     eye = start_camera(camera, Filming(seed=seed))
@@ -109,7 +109,7 @@ def told_to_end(*numbers: signal.Signals) -> list[int]:
 def _hurry(made: Any) -> None:
     """Compile before anyone waits for it, and collect no more: that would hold up the bus; a bench
     that is late looks like a servo that is."""
-    from tailbeat.swim import timing
+    from tailbeat.robot import timing
 
     timing.claim()
     made.shaft.advance(0.0, 0.01)
@@ -121,9 +121,9 @@ def _hurry(made: Any) -> None:
 def rig(fish: str, key: Path, robot: str, target: str, console: str, seed: int, say: Say) -> None:
     """Serve an emulated bench until told to stop; says where it is as one line of JSON."""
     need_extra()
-    from tailbeat.pool import rig as bench  # needs the extra
-    from tailbeat.swim.console.desk import announce, turn
-    from tailbeat.swim.link import read_key
+    from tailbeat.emulators import rig as bench  # needs the extra
+    from tailbeat.link.datagrams import read_key
+    from tailbeat.operator.page import announce, turn
 
     there, aim = address(robot, "--robot"), place(target)
     described, secret = load_fish(fish), read_key(key)
@@ -153,7 +153,7 @@ def own_rig(
     fish: str, target: str, seed: int, folder: Path, console: str = "", say: Say = print
 ) -> Iterator[tuple[Ports, Path]]:
     """A bench of our own in a process beside, and its key; says where its console is."""
-    from tailbeat.swim import link
+    from tailbeat.link import datagrams as link
 
     key = folder / "rig.key"
     link.make_key(key)
@@ -206,8 +206,10 @@ def drive(
     this process dies, and systemd hears that the loop turns. `each` is given the loop every
     period."""
     need_extra()
-    from tailbeat.swim import imu, link, loop, servo, systemd, timing, warden
-    from tailbeat.swim import log as logs
+    from tailbeat.link import datagrams as link
+    from tailbeat.robot import imu, loop, servo, systemd, timing
+    from tailbeat.robot import log as logs
+    from tailbeat.robot import watchdog as warden
 
     for refused in timing.claim():
         say(f"        {refused}")
@@ -244,7 +246,7 @@ def drive(
 
 def _outcome(own: Any, log: Path, by_itself: bool) -> dict[str, Any]:
     """A swim's numbers; of a service, whose log may hold days, how it ended alone."""
-    from tailbeat.swim.log import read_rows
+    from tailbeat.robot.log import read_rows
 
     rejected = dict(own.devices.receiver.rejected)
     if not by_itself:
@@ -254,7 +256,7 @@ def _outcome(own: Any, log: Path, by_itself: bool) -> dict[str, Any]:
 
 def _prepare(gyro: Any, path: str) -> None:
     """Set the IMU up without haste. Raises BadInput."""
-    from tailbeat.swim.imu import PATIENCE, ImuFault
+    from tailbeat.robot.imu import PATIENCE, ImuFault
 
     gyro.deadline, usual = PATIENCE, gyro.deadline
     try:
@@ -298,7 +300,7 @@ def _swim(
     stay: bool,
 ) -> None:
     """Wait until it may be armed, arm, swim, and say every change of state."""
-    from tailbeat.swim.safety import State
+    from tailbeat.link.status import State
 
     told, ended = [""], list[int]()
 
@@ -331,7 +333,7 @@ def _swim(
 
 def _begin(own: Any, since: float) -> None:
     """Arm after a second, and swim."""
-    from tailbeat.swim.safety import State
+    from tailbeat.link.status import State
 
     if own.stand.state is State.DISARMED and since > 1.0:
         own.arm(time.monotonic())
@@ -365,7 +367,7 @@ def _away(row: dict[str, Any]) -> float:
 def export(log: Path, out: Path) -> Recording:
     """A log as a recording, CSV or Parquet."""
     need_extra()
-    from tailbeat.swim.log import as_recording
+    from tailbeat.robot.log import as_recording
 
     refuse_existing(out)
     recording = replace(as_recording(log), name=out.stem)

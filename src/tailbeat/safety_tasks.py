@@ -64,8 +64,8 @@ def pace(policy: str, fish: str, minutes: float, seed: int, say: Callable[[str],
     """The loop against the emulated bench for so long: how punctual it was, and whether it drifts.
     Where it holds it is armed anew, and counted."""
     robot_tasks.need_extra()
-    from tailbeat.swim.log import read_rows
-    from tailbeat.swim.safety import State
+    from tailbeat.link.status import State
+    from tailbeat.robot.log import read_rows
 
     holds = [0]
 
@@ -89,7 +89,7 @@ def pace(policy: str, fish: str, minutes: float, seed: int, say: Callable[[str],
 def let_go(servo: str, ident: int, baud: int) -> None:
     """Torque off, from outside; raises BadInput where the servo does not confirm it."""
     robot_tasks.need_extra()
-    from tailbeat.swim import warden
+    from tailbeat.robot import watchdog as warden
 
     if not Path(servo).exists():
         raise BadInput(f"--servo {servo}: no such port; give the servo's, as /dev/ttyUSB0.")
@@ -100,7 +100,7 @@ def let_go(servo: str, ident: int, baud: int) -> None:
 
 def unit(out: Path, user: str, servo: str, words: list[str]) -> Path:
     """Write a systemd unit for `tailbeat drive` with these words. Raises BadInput."""
-    from tailbeat.swim import systemd
+    from tailbeat.robot import systemd
 
     text = systemd.unit(sys.executable, user, servo, words)
     with new_file(out) as beside:

@@ -8,16 +8,17 @@ from typing import Any
 
 from tailbeat import live_tasks
 from tailbeat.control.policy import Policy, check_fits, load_policy
+from tailbeat.env.simulator import PERIOD
 from tailbeat.evaluate import compare as comparison
-from tailbeat.evaluate import evaluation, pool_swim
-from tailbeat.evaluate import report as pages
+from tailbeat.evaluate import evaluation, tour as tours
+from tailbeat.report import tour as tour_figures
 from tailbeat.evaluate.live_swim import as_seen, tour_of
 from tailbeat.evaluate.trial import Pool, Progress
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest, load_fish
-from tailbeat.learn.body import PERIOD
 from tailbeat.pool.water import fingerprint
+from tailbeat.report import page as pages
 
 Counting = Callable[[], AbstractContextManager[Progress]]  # a bar on the terminal
 
@@ -144,7 +145,7 @@ def swim(
     picture and page in a folder."""
     loaded, where, drawn = _entered(policy, fish, twin, targets, seed)
     with counting() as progress:
-        swum = pool_swim.tour(loaded, where.fish, where.waters[0], drawn, seed, progress)
+        swum = tours.tour(loaded, where.fish, where.waters[0], drawn, seed, progress)
     return _told(swum, loaded, where, {"policy": policy, "seed": seed}, out, counting)
 
 
@@ -196,7 +197,7 @@ def _entered(
         raise BadInput(f"--targets {targets}: allowed are 1 to 100.")
     loaded = load_policy(policy)
     where = pool_of(loaded, fish, twin, "full", 2, seed)
-    return loaded, where, pool_swim.draw_targets(targets, seed)
+    return loaded, where, tours.draw_targets(targets, seed)
 
 
 def _told(
@@ -213,14 +214,14 @@ def _told(
         **asked,
         "fish": own.name,
         "water": fingerprint(where.waters),
-        **pool_swim.as_json(swum),
+        **tours.as_json(swum),
         "training": contract.training,
         "provenance": evaluation.provenance(),
     }
     write_json(out / "summary.json", data, overwrite=True)
     with counting() as progress:
-        pool_swim.film(swum, own, out / "swim.mp4", progress)
-    drawn = pages.figure(pool_swim.picture(swum, own), out, "swim")
+        tour_figures.film(swum, own, out / "swim.mp4", progress)
+    drawn = pages.figure(tour_figures.picture(swum, own), out, "swim")
     rows = [{"": k, "value": v} for k, v in {**data["provenance"], **contract.training}.items()]
     sections = [
         ("The swim", [drawn, pages.video(out / "swim.mp4"), pages.table(data["targets"])]),

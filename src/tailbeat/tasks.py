@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from tailbeat import importers
-from tailbeat.evaluate import bench as benchmark
-from tailbeat.evaluate import figures
-from tailbeat.evaluate import open_loop as loop
+from tailbeat.benchmarks import step as benchmark
+from tailbeat.report import open_loop as loop
 from tailbeat.evaluate import runs as swims_store
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
 from tailbeat.fish.render import save_picture
@@ -36,6 +35,7 @@ from tailbeat.identify.predict import predict as predict_runs
 from tailbeat.identify.runs import Run, as_run
 from tailbeat.identify.search import Effort
 from tailbeat.recording import Recording, read_recording, write_recording
+from tailbeat.report import figures
 
 Progress = Callable[[int, str, float, float], None]
 
@@ -196,7 +196,7 @@ def _swims(path: Path) -> list[Recording]:
 
 
 def open_loop(fish: str, out: Path) -> dict[str, Any]:
-    """Swim a fish without a policy; see `evaluate/open_loop.py`."""
+    """Swim a fish without a policy; see `report/open_loop.py`."""
     return loop.open_loop(load_fish(fish), out)
 
 
@@ -205,13 +205,13 @@ def bench(env: bool = True) -> dict[str, Any]:
     the camera's side where the robot extra is."""
     result = benchmark.bench()
     if find_spec("cv2") is not None and find_spec("pyapriltags") is not None:
-        from tailbeat.evaluate.vision_bench import live_bench, vision_bench  # needs the extra
+        from tailbeat.benchmarks.vision import live_bench, vision_bench  # needs the extra
 
         result["vision"] = {"pictures": vision_bench(), "live": [live_bench()]}
     if env and find_spec("stable_baselines3") is not None:
-        from tailbeat.evaluate.env_bench import env_bench  # needs the extra
-        from tailbeat.evaluate.physics_bench import physics_bench  # and so does the environment
-        from tailbeat.evaluate.update_bench import update_bench
+        from tailbeat.benchmarks.environment import env_bench  # needs the extra
+        from tailbeat.benchmarks.physics import physics_bench  # and so does the environment
+        from tailbeat.benchmarks.update import update_bench
 
         result["physics"] = physics_bench()
         result["env"] = env_bench()

@@ -30,8 +30,8 @@ def need_extra() -> None:
 def sheets(out: Path, ids: tuple[int, int], side: float, square: float) -> list[Path]:
     """Write what is to be printed."""
     need_extra()
-    from tailbeat.swim.sheet import write_sheets  # needs the extra
-    from tailbeat.swim.tags import Board
+    from tailbeat.vision.sheet import write_sheets  # needs the extra
+    from tailbeat.vision.tags import Board
 
     return write_sheets(out, ids, side, Board(square=square, marker=0.75 * square))
 
@@ -46,9 +46,9 @@ def calibrate(
     `square` and, of fish and target, `side` and `height` [m], as `fish_side` and so on."""
     need_extra()
     refuse_existing(out)
-    from tailbeat.swim.calibration import Calibration, write_calibration
-    from tailbeat.swim.survey import fit_lens, hang, read_survey
-    from tailbeat.swim.tags import Board, Tag
+    from tailbeat.vision.calibration import Calibration, write_calibration
+    from tailbeat.vision.survey import fit_lens, hang, read_survey
+    from tailbeat.vision.tags import Board, Tag
 
     board = Board(square=sheet["square"], marker=0.75 * sheet["square"])
     known = read_survey(survey)
@@ -78,7 +78,7 @@ def _is_camera(where: str) -> bool:
 
 def _pictures(where: str) -> Iterator[tuple[str, Any]]:
     """Grey pictures of a file, of a folder's files, of a film or a camera, each with a name."""
-    from tailbeat.swim.camera import CameraFault, open_camera
+    from tailbeat.vision.camera import CameraFault, open_camera
 
     path = Path(where)
     if path.is_dir() or path.suffix.lower() in PICTURES:
@@ -113,7 +113,7 @@ def _picture(path: Path) -> Any:
 def _views(where: str, board: Any, count: int, say: Say) -> Iterator[Any]:
     """Views for the lens: every picture of a folder; of films and cameras those in which the board
     has moved on, until there are `count`."""
-    from tailbeat.swim.survey import board_corners
+    from tailbeat.vision.survey import board_corners
 
     if Path(where).is_dir():
         yield from (image for _, image in _pictures(where))
@@ -136,7 +136,7 @@ def _views(where: str, board: Any, count: int, say: Say) -> Iterator[Any]:
 def _found(picture: str, known: list[Any], say: Say) -> tuple[list[Any], Any]:
     """The surveyed points that are seen, and where (n, 2) [px]; a camera is asked for twenty
     frames, and the median taken, against waves."""
-    from tailbeat.swim.detector import open_detector
+    from tailbeat.vision.detector import open_detector
 
     detector = open_detector()
     places: dict[int, list[Any]] = {}
@@ -165,9 +165,9 @@ def track(
 ) -> dict[str, Any]:  # fmt: skip
     """Watch so long (0: until told to stop), say a line now and then, sum up."""
     need_extra()
-    from tailbeat.swim.calibration import read_calibration
-    from tailbeat.swim.camera import open_camera
-    from tailbeat.swim.tracking import start_tracker
+    from tailbeat.vision.calibration import read_calibration
+    from tailbeat.vision.camera import open_camera
+    from tailbeat.vision.tracking import start_tracker
 
     made = read_calibration(calibration, oldest)
     open_camera(camera, made.lens.size).close()  # refused here if it is none, not again and again
@@ -237,8 +237,8 @@ def summary(tracker: Any, ids: tuple[int, int], took: float) -> dict[str, Any]:
 def film(socket: Path, fish: str, seconds: float, seed: int, say: Say) -> None:
     """A virtual camera at a socket over a fish that swims round and round, until told to stop."""
     need_extra()
-    from tailbeat.evaluate.vision_bench import Course, fish_line
-    from tailbeat.pool.film import Filming, start_camera
+    from tailbeat.benchmarks.vision import Course, fish_line
+    from tailbeat.emulators.film import Filming, start_camera
 
     ended: list[int] = []
     course, drawn = Course(), fish_line(fish)
@@ -259,10 +259,10 @@ def pictures(folder: Path, count: int, seed: int) -> None:
     need_extra()
     import cv2
 
+    from tailbeat.emulators.camera import Renderer, Scene, board_views
+    from tailbeat.emulators.optics import Optics
     from tailbeat.files import new_file
-    from tailbeat.pool.camera import Renderer, Scene, board_views
-    from tailbeat.pool.optics import Optics
-    from tailbeat.swim.tags import Board, Tag
+    from tailbeat.vision.tags import Board, Tag
 
     refuse_existing(folder)
     fish = Tag(height=-0.03)

@@ -1,1 +1,1 @@
-"""How well? Figures, benchmarks and the main job."""
+"""How well does a policy do? Trials in twin and pool, and what they come to."""

@@ -10,11 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from tailbeat.evaluate import bench_figures, figures
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
-from tailbeat.identify import tail_report
-from tailbeat.identify.decay import static_loop
 from tailbeat.identify.motor import as_bench, described_servo
 from tailbeat.identify.motor_job import Overlay
 from tailbeat.identify.predict import as_json, predict
@@ -104,22 +101,3 @@ def _servo_row(one: Overlay) -> dict[str, Any]:
 
 def _rms(values: Any) -> float:
     return float(np.sqrt(np.square(values).mean()))
-
-
-def draw(out: Path, twin: Fish) -> list[Path]:
-    """Tail response, servo overlay and fluid fit, as in the paper; PNG and SVG each."""
-    day = read(out)
-    sweeps = [one for one in day.tail if "sweep" in one.name]
-    static = next((one for one in day.tail if "static" in one.name), None)
-    loop = None if static is None else static_loop(static)
-    found = tail_report.combine(twin, identify_tail(sweeps), loop, None)
-    swims = predict(twin, [as_run(one, twin) for one in day.fluid])
-    rows, servo = [("held out", one) for one in swims[:2]], overlays(day, twin)
-    made = []
-    for end in (".svg", ".png"):
-        paths = [out / f"{name}{end}" for name in ("tail", "servo", "fluid")]
-        bench_figures.tail(found, static, paths[0], overwrite=True)
-        bench_figures.servo(servo, paths[1])
-        figures.measured_against_twin(rows, paths[2], overwrite=True)
-        made += paths
-    return made[:3]

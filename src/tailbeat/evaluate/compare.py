@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from tailbeat.control.policy import Policy, decide
+from tailbeat.env.simulator import PERIOD, TwinBody
+from tailbeat.env.world import seeds_from
 from tailbeat.evaluate import runs as store
 from tailbeat.evaluate.evaluation import ENSEMBLE_SEED, POOLS, provenance, read_json
 from tailbeat.evaluate.reach import paired, shares
@@ -23,8 +25,6 @@ from tailbeat.evaluate.trial import CHUNK, Arm, Progress, part, pools, swim
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.identify.runs import tracked_pose
-from tailbeat.learn.body import PERIOD, TwinBody
-from tailbeat.learn.world import seeds_from
 from tailbeat.pool.water import ablations, ensemble
 
 IDEAL = "idealised"  # the servo's name in a description

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from tailbeat.env.world import Scene
 from tailbeat.evaluate.reach import paired, shares
 from tailbeat.evaluate.runs import NEAR, Runs
 from tailbeat.evaluate.scenes import grid
 from tailbeat.evaluate.trial import Arm, Pool
-from tailbeat.learn.world import Scene
 from tailbeat.pool.plant import Surroundings, stirred
 
 # Sizes are chosen: about the fish's own speed and turning rate, pokes of a finger.

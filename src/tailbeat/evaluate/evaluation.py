@@ -13,7 +13,8 @@ from typing import Any
 
 from tailbeat import __version__
 from tailbeat.control.policy import Policy, as_text, decide
-from tailbeat.evaluate import bench_day, beyond, disturb, reach, runs, spectrum, track
+from tailbeat.evaluate import bench_day, disturb, reach, runs, spectrum, track
+from tailbeat.evaluate import out_of_distribution as beyond
 from tailbeat.evaluate.flutter import flutter
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.trial import CHUNK, Arm, Pool, Progress, swim_all

@@ -1,6 +1,6 @@
 """The fault table: each fault is put into a swimming fish, for real, and the way to safety timed.
 
-The bench (`pool.faults`) runs in one process and the loop, the very function behind `tailbeat
+The bench (`emulators.faults`) runs in one process and the loop, the very function behind `tailbeat
 drive`, in another; faults of bytes, cables and datagrams are made at the bench, those of the loop's
 process in it or by signals. What the servo did is seen inside the servo, not believed of the loop.
 """
@@ -21,11 +21,11 @@ from typing import Any
 
 import numpy as np
 
+from tailbeat.emulators.faults import serve_broken
 from tailbeat.fish.description import Fish
-from tailbeat.pool.faults import serve_broken
-from tailbeat.swim import link
-from tailbeat.swim.log import read_rows
-from tailbeat.swim.ports import Ports
+from tailbeat.link import datagrams as link
+from tailbeat.robot.log import read_rows
+from tailbeat.robot.ports import Ports
 
 Drive = Callable[..., Any]  # `robot_tasks.drive`
 Row = dict[str, Any]
@@ -179,7 +179,7 @@ def open_bench(fish: Fish, preload: list[str], patience: float = 1.0) -> Iterato
     """A bench that can be broken, in a process of its own; `preload` names what the loop's
     processes import once."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([*preload, "tailbeat.swim.loop", "tailbeat.swim.log"])
+    context.set_forkserver_preload([*preload, "tailbeat.robot.loop", "tailbeat.robot.log"])
     _start_server()
     with tempfile.TemporaryDirectory(prefix="tailbeat-") as name:
         folder = Path(name)

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.evaluate.pool_swim import Tour
+from tailbeat.env.simulator import PERIOD
+from tailbeat.evaluate.tour import Tour
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import guessed_shape
-from tailbeat.learn.body import PERIOD
-from tailbeat.swim.tour import ARRIVAL
+from tailbeat.operator.tour import ARRIVAL
 
 Array = NDArray[np.float64]
 TARGET = slice(3, 5)  # of the newest frame in `decided_on`
@@ -25,7 +25,7 @@ CLOSE = 1e-3  # m: the link sends float32
 def tour_of(log: Path, fish: Fish, targets: Array) -> Tour:
     """The swim past targets (m, 2) [m]; those never swum to count as missed. Raises BadInput for a
     log in which nothing was swum."""
-    from tailbeat.swim.log import read_rows  # needs the extra
+    from tailbeat.robot.log import read_rows  # needs the extra
 
     rows = [row for row in read_rows(log) if row["state"] == "run" and row["decided_on"]]
     if not rows:

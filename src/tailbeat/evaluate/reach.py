@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.policy import Policy, decide
+from tailbeat.env.assess import Build, assess
+from tailbeat.env.world import Settings, World
 from tailbeat.evaluate.runs import NEAR, Runs
 from tailbeat.evaluate.scenes import grid, walled
 from tailbeat.evaluate.trial import Arm, Pool
 from tailbeat.fish.description import Fish
-from tailbeat.learn.assess import Build, assess
-from tailbeat.learn.world import Settings, World
-from tailbeat.pool.body import PoolBody
 from tailbeat.pool.plant import Surroundings
+from tailbeat.pool.simulator import PoolBody
 from tailbeat.pool.water import Water
 
 Z95 = 1.96

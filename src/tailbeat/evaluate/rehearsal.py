@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.env.sensors import SensorModel
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, swim
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.identify.shaft import mean_held
-from tailbeat.learn.sensors import SensorModel
 from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]

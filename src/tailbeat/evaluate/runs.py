@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.observation import bearing
+from tailbeat.env.simulator import PERIOD
 from tailbeat.files import BadInput, leaves, new_file, write_json
-from tailbeat.learn.body import PERIOD
 from tailbeat.recording import Recording
 
 Single = NDArray[np.float32]

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from tailbeat.env.simulator import PERIOD
+from tailbeat.env.world import Scene
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.runs import tracked_pose
-from tailbeat.learn.body import PERIOD
-from tailbeat.learn.world import Scene
 
 Array = NDArray[np.float64]
 CLEAR = 0.4  # m that a start, and half of it that a target, keeps from the walls

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.band import velocity_spectrum
+from tailbeat.env.simulator import PERIOD
 from tailbeat.evaluate.runs import Runs, surge
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
-from tailbeat.learn.body import PERIOD
 from tailbeat.pool.protocols import record_fluid
 
 Array = NDArray[np.float64]

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.observation import wrapped
+from tailbeat.env.simulator import PERIOD
+from tailbeat.env.world import Scene
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.scenes import PATHS, even, follow, lap_length
 from tailbeat.evaluate.trial import Arm, Pool, pools
 from tailbeat.files import BadInput
-from tailbeat.learn.body import PERIOD
-from tailbeat.learn.world import Scene
 from tailbeat.pool.plant import Surroundings
 
 SECONDS = 73.0  # the paper's figure-eight

@@ -13,17 +13,17 @@ import numpy as np
 
 from tailbeat.control import actions as act
 from tailbeat.control.actions import ActionSpace
+from tailbeat.env.assess import Decide
+from tailbeat.env.randomize import Randomisation
+from tailbeat.env.sensors import SensorModel
+from tailbeat.env.simulator import PERIOD
+from tailbeat.env.world import Scene, Settings, Task, World, seeds_from
 from tailbeat.evaluate import runs as store
 from tailbeat.evaluate.runs import SHOWN, Runs
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
-from tailbeat.learn.assess import Decide
-from tailbeat.learn.body import PERIOD
-from tailbeat.learn.randomize import Randomisation
-from tailbeat.learn.sensors import SensorModel
-from tailbeat.learn.world import Scene, Settings, Task, World, seeds_from
-from tailbeat.pool.body import PoolBody
 from tailbeat.pool.plant import LENGTH, WIDTH, Surroundings
+from tailbeat.pool.simulator import PoolBody
 from tailbeat.pool.water import Water
 
 CHUNK = 125  # swims in one batch, and in one file

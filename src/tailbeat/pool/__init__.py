@@ -1,1 +1,1 @@
-"""What stands in for water and hardware? An independent, unsteady plant."""
+"""What stands in for water? An independent, unsteady plant, its protocols and recorders."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.learn.sensors import SensorModel
+from tailbeat.env.sensors import SensorModel
 
 Array = NDArray[np.float64]
 COUNT = SensorModel().encoder_count  # rad

@@ -1,0 +1,72 @@
+"""How fast is an update of the training, against SB3's own SAC, in one run?
+
+Needs the train extra. Networks, batch and swims behind it are the same size; the sides take turns.
+"""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import SAC
+from stable_baselines3.common.logger import configure
+
+from tailbeat.fish.store import load_fish
+from tailbeat.train.config import Plan, action_space
+from tailbeat.train.recipes import Recipe, paper, quick
+from tailbeat.train.sac import rounds
+from tailbeat.train.train import environment, learner
+
+FISH = "pulley-fish-pool"
+STEPS = 100  # control steps of all fish, swum at random before: what the batches are drawn from
+UPDATES = 50  # per turn
+TURNS = 7
+
+
+def update_bench() -> list[dict[str, Any]]:
+    """Milliseconds per update, median of the turns, and how many times SB3's own that is: SB3's SAC
+    as in the recipe `paper`, with torch's own threads; ours without and with rounded products."""
+    threads = torch.get_num_threads()
+    recipes = {"SB3's SAC": paper(), "quick, float32": replace(quick(), rounded=False)}
+    if rounds():
+        recipes["quick, rounded"] = quick()
+    models = {name: _filled(recipe) for name, recipe in recipes.items()}
+    spent: dict[str, list[float]] = {name: [] for name in models}
+    try:
+        for _ in range(TURNS):
+            for name, model in models.items():
+                torch.set_num_threads(recipes[name].torch_threads or threads)
+                spent[name].append(_turn(model, recipes[name].batch))
+    finally:
+        torch.set_num_threads(threads)
+    theirs = np.median(spent["SB3's SAC"])
+    return [
+        {
+            "update": name,
+            "batch": recipes[name].batch,
+            "ms": 1e3 * float(np.median(times)),
+            "of_sb3": float(theirs / np.median(times)),
+        }
+        for name, times in spent.items()
+    ]
+
+
+def _filled(recipe: Recipe) -> SAC:
+    """A learner with some swims in its buffer, and nothing learnt."""
+    fish = load_fish(FISH)
+    steps = STEPS * recipe.fish
+    small = replace(recipe, buffer=2 * steps, starts=2 * steps)
+    plan = Plan(fish, action_space("generator", fish), small, 0, Path(), 1.0)
+    model = learner(plan, environment(plan))
+    model.set_logger(configure(None, []))
+    return model.learn(steps, log_interval=steps)
+
+
+def _turn(model: SAC, batch: int) -> float:
+    """Seconds per update; a few before are not counted."""
+    model.train(UPDATES // 10, batch)
+    began = time.perf_counter()
+    model.train(UPDATES, batch)
+    return (time.perf_counter() - began) / UPDATES

@@ -1,0 +1,240 @@
+"""How well and how fast does the camera's side see? Poses of rendered pictures against the truth.
+
+Costs are CPU time of one core, so that a busy machine shows less; the delay from a frame's exposure
+to its pose is measured through the real processes.
+"""
+
+import os
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.control.observation import wrapped
+from tailbeat.emulators.camera import Conditions, Renderer, Scene, board_views
+from tailbeat.emulators.film import CameraProcess, Filming, start_camera
+from tailbeat.emulators.optics import Optics, project
+from tailbeat.fish.outline import outline
+from tailbeat.fish.store import load_fish
+from tailbeat.pool.plant import LENGTH, WIDTH
+from tailbeat.vision.calibration import Calibration
+from tailbeat.vision.survey import Surveyed, fit_lens, hang
+from tailbeat.vision.tags import Board, Tag
+from tailbeat.vision.tracker import Sighting, Tracker
+from tailbeat.vision.tracking import TrackerProcess, start_tracker
+
+Array = NDArray[np.float64]
+PLACES, FRAMES = 400, 300
+RATE = 60.0
+APART = 10.0  # s between scattered scenes: nothing is remembered from one to the next
+MARGIN = 0.15  # m that a tag's middle keeps from a wall
+FISH = Tag(height=-0.03)
+CORNER_NOISE = 0.1  # px rms of surveyed tags' middles
+
+
+@dataclass(frozen=True)
+class Course:
+    """A swim over the whole pool: a Lissajous figure with a beating head, and a target that is
+    moved by hand. Places in metres, times in seconds."""
+
+    seconds: float = 60.0  # of a round
+
+    def fish(self, time: float) -> Array:
+        """x, y, yaw of the fish's tag."""
+        u = 2 * np.pi * time / self.seconds
+        reach = np.array([LENGTH, WIDTH]) / 2 - MARGIN
+        place = reach * [np.sin(3 * u), np.sin(7 * u + 0.4)]
+        along = reach * [3 * np.cos(3 * u), 7 * np.cos(7 * u + 0.4)]
+        beat = 0.15 * np.sin(2 * np.pi * 2.0 * time)
+        return np.append(place, np.arctan2(along[1], along[0]) + beat)
+
+    def scene(self, time: float, line: Array | None = None) -> Scene:
+        """What there is to film; `line` is the fish's, in its tag's frame."""
+        pose, later = self.fish(time), self.fish(time + 1e-3)
+        change = later - pose
+        change[2] = wrapped(change[2])
+        place = [0.45 * LENGTH * np.sin(0.31 * time), 0.42 * WIDTH * np.cos(0.23 * time)]
+        target = (*place, 0.3 * time % (2 * np.pi))
+        return Scene(_three(pose), _three(change / 1e-3), _placed(line, pose), _three(target))
+
+
+def _three(numbers: Any) -> tuple[float, float, float]:
+    x, y, yaw = map(float, numbers)
+    return x, y, yaw
+
+
+def _placed(line: Array | None, pose: Array) -> Array | None:
+    if line is None:
+        return None
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return np.asarray(pose[:2] + line @ np.array([[c, s], [-s, c]]))
+
+
+def fish_line(name: str = "pulley-fish") -> Array:
+    """A straight fish from nose to tail (k, 2) [m], in its tag's frame."""
+    fish = load_fish(name)
+    straight = outline(fish, np.zeros(4 + len(fish.tail.links)))
+    return np.asarray(straight - np.array(fish.tracked[:2]))
+
+
+def calibrated(optics: Optics, fish: Tag = FISH, target: Tag | None = None) -> Calibration:
+    """As a lab would: twenty views of a board, nine tags surveyed at the fish's depth."""
+    rng, board = np.random.default_rng(7), Board()
+    lens = fit_lens(board_views(optics, board, 20, seed=7), board)
+    known = np.array([[x, y, fish.height] for x in (-2.2, 0.0, 2.2) for y in (-1.0, 0.0, 1.0)])
+    pixels = project(optics, known) + rng.normal(0, CORNER_NOISE, (len(known), 2))
+    hung = hang(lens, [Surveyed(_three(row)) for row in known], pixels)
+    return Calibration(lens, hung, fish, target or Tag())
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """Sightings beside the truth, and CPU seconds per frame of drawing and of seeing."""
+
+    sightings: list[Sighting]
+    truth: Array  # (n, 3)
+    targets: Array  # (n, 2)
+    drawing: Array
+    seeing: Array
+
+
+def watch(renderer: Renderer, tracker: Tracker, scenes: Sequence[Scene], step: float) -> Told:
+    """Draw scenes `step` [s] apart and track them; NaN where there is no tag."""
+    nothing = (np.nan,) * 3
+    sightings, costs = [], []
+    for number, scene in enumerate(scenes):
+        began = time.process_time()
+        image = renderer.draw(scene, number * step)
+        drawn = time.process_time()
+        sightings.append(tracker.see(image, round(1e9 * number * step)))
+        costs.append((drawn - began, time.process_time() - drawn))
+    truth = np.array([scene.fish or nothing for scene in scenes])
+    targets = np.array([(scene.target or nothing)[:2] for scene in scenes])
+    return Told(sightings, truth, targets, *np.array(costs).T)
+
+
+def errors(told: Told) -> dict[str, Any]:
+    """Position [mm] and heading [deg] rms and largest of the fish, position of the target, and the
+    shares of frames in which they were seen."""
+    nothing = (np.nan,) * 3
+    seen = np.array([one.frame.fish or nothing for one in told.sightings])
+    aims = np.array([one.frame.target or nothing[:2] for one in told.sightings])
+    off = 1e3 * np.linalg.norm(seen[:, :2] - told.truth[:, :2], axis=1)
+    aside = 1e3 * np.linalg.norm(aims - told.targets, axis=1)
+    turned = np.degrees(wrapped(seen[:, 2] - told.truth[:, 2]))
+    return {
+        "position_rms_mm": _rms(off),
+        "position_largest_mm": float(np.nanmax(off)),
+        "heading_rms_deg": _rms(turned),
+        "heading_largest_deg": float(np.nanmax(np.abs(turned))),
+        "target_rms_mm": _rms(aside),
+        "fish_seen": float(np.isfinite(off).mean()),
+        "target_seen": float(np.isfinite(aside).mean()),
+    }
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.nanmean(np.square(values))))
+
+
+CONDITIONS: dict[str, Callable[[], Conditions]] = {
+    "usual": Conditions,
+    "dim, noisy": lambda: Conditions(noise=5.0, blur=0.9, bits=6),
+    "waves, glare": lambda: Conditions(slope=0.1, glare=160.0),
+}
+
+
+def scattered(count: int, line: Array | None, seed: int = 0) -> list[Scene]:
+    """Fish and target anywhere in the pool, the fish swimming and turning."""
+    rng = np.random.default_rng(seed)
+    reach = np.array([LENGTH, WIDTH]) / 2 - MARGIN
+    scenes = []
+    for _ in range(count):
+        fish, target = (np.append(reach * rng.uniform(-1, 1, 2), yaw)
+                        for yaw in rng.uniform(-np.pi, np.pi, 2))  # fmt: skip
+        speed = rng.normal(0, [0.3, 0.3, 2.0])
+        scenes.append(Scene(_three(fish), _three(speed), _placed(line, fish), _three(target)))
+    return scenes
+
+
+def vision_bench(places: int = PLACES, frames: int = FRAMES) -> list[dict[str, Any]]:
+    """One row per condition: errors over the pool, and what pictures and poses of a swim cost."""
+    cv2.setNumThreads(1)
+    optics, line, course = Optics(), fish_line(), Course()
+    calibration = calibrated(optics)
+    swim = [course.scene(number / RATE, line) for number in range(frames)]
+    rows = []
+    for name, made in CONDITIONS.items():
+        apart = watch(Renderer(optics, made(), FISH), Tracker(calibration),
+                      scattered(places, line), APART)  # fmt: skip
+        told = watch(Renderer(optics, made(), FISH), Tracker(calibration), swim, 1 / RATE)
+        rows.append({"pictures": name, **errors(apart), **_speeds(told)})
+    return rows
+
+
+def _speeds(told: Told) -> dict[str, float]:
+    whole = np.array([one.whole for one in told.sightings])
+    return {
+        "draw_ms": 1e3 * float(np.median(told.drawing)),
+        "whole_ms": 1e3 * float(np.median(told.seeing[whole])),
+        "window_ms": 1e3 * float(np.median(told.seeing[~whole])) if (~whole).any() else np.nan,
+        "poses_per_s_core": float(len(told.seeing) / told.seeing.sum()),
+    }
+
+
+def live_bench(seconds: float = 5.0) -> dict[str, Any]:
+    """Camera and tracker as processes beside: frames per second, the delay from the middle of an
+    exposure to the pose in this process, and how long nothing is seen once its tracker dies."""
+    line, course, filming = fish_line(), Course(), Filming()
+    calibration = calibrated(filming.optics)
+    with tempfile.TemporaryDirectory(prefix="tailbeat-") as folder:
+        camera = start_camera(Path(folder) / "camera", filming)
+        tracker = start_tracker(camera.where, calibration)
+        try:
+            ages = _follow(camera, tracker, course, line, seconds)
+            back = _revived(tracker)
+        finally:
+            tracker.close()
+            camera.close()
+    late = 1e3 * np.array(ages) if ages else np.array([np.nan])
+    return {
+        "poses_per_s": len(ages) / seconds,
+        "delay_ms_median": float(np.median(late)),
+        "delay_ms_p99": float(np.quantile(late, 0.99)),
+        "blind_after_a_crash_s": back,
+    }
+
+
+def _follow(
+    camera: CameraProcess, tracker: TrackerProcess, course: Course, line: Array, seconds: float
+) -> list[float]:
+    """Ages [s] of poses as they arrive, once the first has."""
+    ages: list[float] = []
+    stamp, end = -1, time.monotonic() + 60.0
+    while time.monotonic() < end:
+        camera.show(course.scene(time.monotonic() % course.seconds, line))
+        sighting = tracker.after(stamp, 0.01)
+        if sighting is None:
+            continue
+        if stamp < 0:
+            end = time.monotonic() + seconds
+        stamp = sighting.frame.captured
+        ages.append((time.monotonic_ns() - stamp) / 1e9)
+    return ages
+
+
+def _revived(tracker: TrackerProcess) -> float:
+    """Seconds from a kill to the next pose; not a number if none came within a minute."""
+    assert tracker.pid is not None
+    began = time.monotonic()
+    os.kill(tracker.pid, signal.SIGKILL)
+    killed = time.monotonic_ns() + 50_000_000  # what was on its way is not the new one's
+    back = tracker.after(killed, 60.0)
+    return time.monotonic() - began if back is not None else float("nan")

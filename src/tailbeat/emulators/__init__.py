@@ -1,0 +1,1 @@
+"""What stands in for hardware? Servo, IMU, camera, faults, the whole rig: real bytes."""

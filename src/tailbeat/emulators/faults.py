@@ -1,0 +1,230 @@
+"""What can be broken in the emulated bench, for real: bytes, cables, datagrams, clocks.
+
+Each is a function of the rig that breaks it at once; `FAULTS` names them. `serve_broken` serves a
+rig in a process of its own that is told over a pipe what to break, and that says what the servo
+itself did and when: torque and goal are looked at inside the servo, a thousand times a second.
+"""
+
+import gc
+import os
+import secrets
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tailbeat.emulators import rig as bench
+from tailbeat.emulators.rig import Rig
+from tailbeat.emulators.servo import close_line, open_line
+from tailbeat.fish.description import Fish
+from tailbeat.robot import timing
+
+CENTRE = 2048
+AT_REST = 30  # counts about straight: 2.6 degrees
+NOWHERE = ("127.0.0.1", 9)
+
+
+@dataclass(eq=False)
+class Network:
+    """The laptop's socket with a bad network behind it: datagrams `lost` (a share), one held back
+    behind the next (`swapped`), old ones again (`replayed`), and altered or random ones beside
+    (`forged` per true one). `cut`: nothing passes."""
+
+    socket: socket.socket
+    rng: np.random.Generator
+    lost: float = 0.0
+    swapped: bool = False
+    replayed: bool = False
+    forged: int = 0
+    cut: bool = False
+    held: list[tuple[bytes, Any]] = field(default_factory=list)
+    past: list[bytes] = field(default_factory=list)
+
+    def fileno(self) -> int:
+        """For `select`."""
+        return self.socket.fileno()
+
+    def recvfrom(self, size: int) -> tuple[bytes, Any]:
+        """What the fish sent, unless the link is cut."""
+        while True:
+            data, sender = self.socket.recvfrom(size)
+            if not self.cut and self.rng.uniform() >= self.lost:
+                return data, sender
+
+    def sendto(self, data: bytes, to: Any) -> None:
+        """On its way to the fish, or not."""
+        if self.cut or self.rng.uniform() < self.lost:
+            return
+        if self.swapped and not self.held:
+            self.held.append((data, to))
+            return
+        for one, where in [(data, to), *self.held, *self._strange(data, to)]:
+            self.socket.sendto(one, where)
+        self.held.clear()
+
+    def _strange(self, data: bytes, to: Any) -> list[tuple[bytes, Any]]:
+        self.past = [*self.past[-200:], data]
+        made = [(secrets.token_bytes(len(data)), to) for _ in range(self.forged // 2)]
+        for _ in range(self.forged - self.forged // 2):
+            altered = bytearray(data)
+            altered[self.rng.integers(len(data))] ^= 1 << self.rng.integers(8)
+            made.append((bytes(altered), to))
+        again = [(self.past[self.rng.integers(len(self.past))], to)] if self.replayed else []
+        return made + again
+
+    def getsockname(self) -> Any:
+        """Where it is bound."""
+        return self.socket.getsockname()
+
+    def close(self) -> None:
+        """As a socket's."""
+        self.socket.close()
+
+
+def _unplug(rig: Rig, index: int) -> None:
+    """The line ends; a new one lies ready, and nothing leads to it yet."""
+    lines = list(rig.lines)
+    close_line(lines[index])
+    lines[index] = open_line()
+    rig.lines = (lines[0], lines[1])
+
+
+def _network(rig: Rig, **bad: Any) -> None:
+    for name, value in bad.items():
+        setattr(rig.laptop.socket, name, value)
+
+
+def _restart(rig: Rig) -> None:
+    rig.servo.reboot()
+
+
+def _spike(rig: Rig) -> None:
+    rig.imu.faults.spike = 20.0  # rad/s, once
+
+
+def _spikes(rig: Rig) -> None:
+    rig.imu.faults.spiking = 20.0
+
+
+def _turned_round(rig: Rig) -> None:
+    rig.laptop.shifted = (0.0, 0.0, np.pi)
+
+
+def _elsewhere(rig: Rig) -> None:
+    rig.laptop.shifted = (0.6, 0.0, 0.0)
+
+
+def _stand_still(rig: Rig) -> None:
+    rig.imu.faults.frozen = True
+
+
+def _stick(rig: Rig) -> None:
+    rig.servo.faults.frozen = True
+
+
+FAULTS: dict[str, Callable[[Rig], None]] = {
+    "servo cable": lambda rig: _unplug(rig, 0),
+    "imu cable": lambda rig: _unplug(rig, 1),
+    "no poses": lambda rig: setattr(rig.laptop, "due", np.inf),
+    "link cut": lambda rig: _network(rig, cut=True),
+    "loss": lambda rig: _network(rig, lost=0.3),
+    "reordering": lambda rig: _network(rig, swapped=True),
+    "replays": lambda rig: _network(rig, replayed=True),
+    "forgeries": lambda rig: _network(rig, forged=20),
+    "one spike": _spike,
+    "spikes": _spikes,
+    "imu frozen": _stand_still,
+    "encoder frozen": _stick,
+    "servo restarts": _restart,
+    "warm": lambda rig: rig.servo.put(146, 66),
+    "hot": lambda rig: rig.servo.put(146, 76),
+    "overheated": lambda rig: rig.servo.fail(2),
+    "voltage sags": lambda rig: rig.servo.put(144, 90),
+    "watchdog": lambda rig: rig.servo.trip(),
+    "clock ahead": lambda rig: setattr(rig.laptop, "stepped", 5.0),
+    "clock back": lambda rig: setattr(rig.laptop, "stepped", -5.0),
+    "turned round": _turned_round,
+    "elsewhere": _elsewhere,
+}
+
+
+@dataclass(eq=False)
+class Look:
+    """What the servo did since something was broken; times [s] monotonic, NaN: not yet."""
+
+    broken: float = float("nan")
+    off: float = float("nan")  # torque was off
+    straight: float = float("nan")  # torque was on, and the goal was straight again
+
+
+def _watch(rig: Rig, look: Look) -> None:
+    now, on = time.monotonic(), rig.servo.get(64)
+    near = abs(rig.servo.get(116, True) - CENTRE) <= AT_REST
+    if on:
+        look.off = float("nan")
+    elif np.isnan(look.off):
+        look.off = now
+    if not (on and near):
+        look.straight = float("nan")
+    elif np.isnan(look.straight):
+        look.straight = now
+
+
+def _link_to(rig: Rig, folder: Path) -> None:
+    """The ports by names that stay, as udev's: the present lines behind them."""
+    for name, path in zip(("servo", "imu"), rig.ports, strict=True):
+        (folder / name).unlink(missing_ok=True)
+        os.symlink(path, folder / name)
+
+
+def serve_broken(pipe: Connection, fish: Fish, key: bytes, folder: Path) -> None:
+    """Serve rigs, one after the other, until the pipe closes. Orders: ("new", robot) opens one and
+    answers with the laptop's address; ("break", name) answers with the time; ("plug",) puts both
+    cables back; ("look",) answers with a `Look` and whether torque is on; ("end",)."""
+    timing.claim()
+    warm = bench.PlantShaft(fish=fish)  # compiled once, before anyone waits for it
+    warm.advance(0.0, 0.01)
+    _ = warm.pose
+    gc.freeze()
+    gc.disable()
+    pipe.send("ready")
+    while (order := pipe.recv())[0] == "new":
+        rig = bench.open_rig(fish, key, order[1], (1.5, 0.5))
+        own = rig.laptop.sender
+        own.socket = Network(own.socket, np.random.default_rng(0))  # type: ignore
+        _link_to(rig, folder)
+        pipe.send(rig.laptop.socket.getsockname())
+        _serve(pipe, rig, folder)
+        bench.close_rig(rig)
+        pipe.send("closed")
+
+
+def _serve(pipe: Connection, rig: Rig, folder: Path) -> None:
+    look, ended = Look(), [False]
+
+    def order() -> bool:
+        """Called every millisecond; whether the lines changed, or it is over."""
+        _watch(rig, look)
+        if not pipe.poll():
+            return False
+        match pipe.recv():
+            case ("break", name):
+                look.broken = time.monotonic()
+                FAULTS[name](rig)
+                pipe.send(look.broken)
+            case ("plug",):
+                _link_to(rig, folder)
+                pipe.send(time.monotonic())
+            case ("look",):
+                pipe.send((look, bool(rig.servo.get(64))))
+            case ("end",):
+                ended[0] = True
+        return True
+
+    while not ended[0]:
+        bench.serve(rig, order)  # anew after each order: the lines may be others

@@ -1,0 +1,261 @@
+"""The virtual camera as a device: a process that films a scene and sends frames down a socket.
+
+Frames are made on absolute deadlines, on a clock of the laptop's own, late by a readout, unevenly,
+and some never come. Each client gets the newest frame whenever it has taken the last one: nothing
+queues.
+"""
+
+import contextlib
+import gc
+import multiprocessing
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.emulators.camera import Conditions, Renderer, Scene
+from tailbeat.emulators.optics import Optics
+from tailbeat.files import BadInput
+from tailbeat.vision.calibration import Calibration, Hung, Lens
+from tailbeat.vision.camera import HEADER, MAGIC
+from tailbeat.vision.tags import FISH, TARGET, Tag
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+SECOND = 1_000_000_000
+OUTLINE = 16  # points of a fish's line, at most
+OTHERS = 2  # more tags, at most
+READY = 60.0  # s that the process may take to start
+
+
+@dataclass(frozen=True)
+class Filming:
+    """What films, and how its frames come; chosen. The laptop's clock is `ahead` of this
+    machine's [ns] and runs `fast`."""
+
+    optics: Optics = field(default_factory=Optics)
+    conditions: Conditions = field(default_factory=Conditions)
+    fish: Tag = field(default_factory=lambda: Tag(height=-0.03))
+    target: Tag = field(default_factory=Tag)
+    ids: tuple[int, int] = (FISH, TARGET)
+    rate: float = 60.0  # Hz
+    drift: float = 0.001  # of the rate: a camera's quartz is not the nominal one
+    readout: float = 0.006  # s from the end of the exposure until a frame may leave, at least
+    jitter: float = 0.002  # s, uniform on top
+    ahead: int = 0
+    fast: float = 0.0
+    seed: int = 0
+
+    def clock(self, now: float) -> int:
+        """The laptop's monotonic clock [ns] at a time [s] of this machine's."""
+        return round(now * (1 + self.fast) * SECOND) + self.ahead
+
+
+def known_calibration(filming: Filming) -> Calibration:
+    """What calibrating this camera would find if nothing had to be measured: for emulation, and to
+    hold what was measured against."""
+    optics = filming.optics
+    (x, y), focal = optics.centre, optics.focal
+    matrix = np.array([[focal, 0, x], [0, focal, y], [0, 0, 1.0]])
+    lens = Lens(optics.size, matrix, np.array([*optics.radial, *optics.tangential, 0.0]), 0.0)
+    hung = Hung(optics.rotation, np.array(optics.position), 0.0)
+    made = datetime.now(UTC).isoformat(timespec="seconds")
+    return Calibration(lens, hung, filming.fish, filming.target, optics.index, made,
+                       {"known": "the virtual camera's own"})  # fmt: skip
+
+
+# ---- scenes as numbers, for a process beside ----------------------------------------------------
+
+
+def as_numbers(scene: Scene) -> list[float]:
+    """A scene in as many numbers as every scene has: fish, its speed, target, mirrored or not,
+    others, line; NaN where there is none."""
+    parts = [list(part or [np.nan] * 3) for part in (scene.fish, scene.speed, scene.target)]
+    parts.append([float(scene.mirrored)])
+    others = [[float(ident), *pose] for ident, pose in scene.others[:OTHERS]]
+    parts += others + [[np.nan] * 4] * (OTHERS - len(others))
+    line = np.full((OUTLINE, 2), np.nan)
+    if scene.outline is not None:
+        kept = scene.outline[:OUTLINE]
+        line[: len(kept)] = kept
+    return [number for part in parts for number in part] + line.ravel().tolist()
+
+
+def as_scene(numbers: list[float]) -> Scene:
+    """Back again."""
+    fish, speed, target = (_pose(numbers[k : k + 3]) for k in (0, 3, 6))
+    others = []
+    for k in range(10, 10 + 4 * OTHERS, 4):
+        pose = _pose(numbers[k + 1 : k + 4])
+        if pose is not None:
+            others.append((int(numbers[k]), pose))
+    line = np.array(numbers[10 + 4 * OTHERS :]).reshape(OUTLINE, 2)
+    line = line[~np.isnan(line).any(axis=1)]
+    return Scene(fish, speed or (0.0, 0.0, 0.0), line if len(line) > 1 else None, target,
+                 tuple(others), bool(numbers[9]))  # fmt: skip
+
+
+def _pose(numbers: list[float]) -> tuple[float, float, float] | None:
+    x, y, yaw = numbers
+    return None if np.isnan(numbers).any() else (x, y, yaw)
+
+
+# ---- the device ---------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class Newest:
+    """The newest frame's bytes, and who waits for it."""
+
+    data: bytes = b""
+    number: int = 0
+    over: bool = False
+    changed: threading.Condition = field(default_factory=threading.Condition)
+
+    def put(self, data: bytes, over: bool = False) -> None:
+        """Show a frame, or the end."""
+        with self.changed:
+            self.data, self.number, self.over = data, self.number + 1, over
+            self.changed.notify_all()
+
+    def after(self, number: int) -> tuple[bytes, int] | None:
+        """The newest frame past a number, when there is one; None at the end."""
+        with self.changed:
+            self.changed.wait_for(lambda: self.number > number or self.over)
+            return None if self.over else (self.data, self.number)
+
+
+def packed(image: Picture, number: int, stamp: int) -> bytes:
+    """A frame on the wire; `stamp` [ns] is the end of its exposure."""
+    rows, columns = image.shape
+    return HEADER.pack(MAGIC, number, stamp, columns, rows) + image.tobytes()
+
+
+def listen(path: Path) -> socket.socket:
+    """The socket that cameras are opened at. Raises BadInput."""
+    made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        made.bind(str(path))
+    except OSError as error:
+        made.close()
+        raise BadInput(f"{path}: {error}; choose a short path that is not taken.") from None
+    made.listen()
+    return made
+
+
+def serve(
+    listening: socket.socket, filming: Filming, look: Callable[[], Scene], stop: Callable[[], bool]
+) -> None:
+    """Film what `look` gives until `stop` says so."""
+    newest = Newest()
+    threading.Thread(target=_accept, args=(listening, newest), daemon=True).start()
+    try:
+        _film(filming, newest, look, stop)
+    finally:
+        newest.put(b"", over=True)
+        with contextlib.suppress(OSError):
+            listening.shutdown(socket.SHUT_RDWR)
+        listening.close()
+
+
+def _film(
+    filming: Filming, newest: Newest, look: Callable[[], Scene], stop: Callable[[], bool]
+) -> None:
+    made = Renderer(filming.optics, filming.conditions, filming.fish, filming.target, filming.ids,
+                    filming.seed)  # fmt: skip
+    rng = np.random.default_rng([filming.seed, 1])
+    half, period = filming.conditions.exposure / 2, (1 + filming.drift) / filming.rate
+    due, number = time.monotonic(), 0
+    while not stop():
+        number += 1
+        middle = time.monotonic()
+        image = made.draw(look(), middle)
+        leaves = middle + half + filming.readout + filming.jitter * rng.uniform()
+        time.sleep(max(leaves - time.monotonic(), 0.0))
+        if rng.uniform() >= filming.conditions.dropped:
+            newest.put(packed(image, number, filming.clock(middle + half)))
+        due = max(due + period, time.monotonic() - period)  # a late camera does not catch up
+        time.sleep(max(due - time.monotonic(), 0.0))
+
+
+def _accept(listening: socket.socket, newest: Newest) -> None:
+    with contextlib.suppress(OSError):
+        while True:
+            client, _ = listening.accept()
+            threading.Thread(target=_feed, args=(client, newest), daemon=True).start()
+
+
+def _feed(client: socket.socket, newest: Newest) -> None:
+    """One client: the newest frame each time it has taken the last."""
+    number = newest.number
+    with contextlib.suppress(OSError), client:
+        while (found := newest.after(number)) is not None:
+            data, number = found
+            client.sendall(data)
+
+
+# ---- a process beside ---------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class CameraProcess:
+    """A virtual camera in a process of its own; see `start_camera`."""
+
+    where: str  # what `open_camera` opens
+    process: Any
+    shared: Any
+
+    def show(self, scene: Scene) -> None:
+        """What is to be filmed from now on."""
+        numbers = as_numbers(scene)
+        with self.shared.get_lock():
+            self.shared[:] = numbers
+
+    def close(self) -> None:
+        """Pull its cable."""
+        self.process.terminate()
+        self.process.join(5)
+        Path(self.where.removeprefix("unix:")).unlink(missing_ok=True)
+
+
+def start_camera(path: Path, filming: Filming) -> CameraProcess:
+    """Start a camera on a socket; it ends with its parent. Raises BadInput."""
+    listening = listen(path)
+    beside = multiprocessing.get_context("spawn")
+    shared, ready = beside.Array("d", as_numbers(Scene())), beside.Event()
+    process = beside.Process(
+        target=_work, args=(listening, filming, shared, ready, os.getpid()), daemon=True
+    )
+    process.start()
+    listening.close()
+    made = CameraProcess(f"unix:{path}", process, shared)
+    if not ready.wait(READY):
+        made.close()
+        raise BadInput(f"{path}: the virtual camera did not start; see what it said above.")
+    return made
+
+
+def _work(listening: socket.socket, filming: Filming, shared: Any, ready: Any, parent: int) -> None:
+    """The process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
+    cv2.setNumThreads(1)
+    Renderer(filming.optics, filming.conditions).draw(Scene(), 0.0)  # made before anyone waits
+    gc.freeze()
+    ready.set()
+
+    def look() -> Scene:
+        with shared.get_lock():
+            numbers = list(shared)
+        return as_scene(numbers)
+
+    serve(listening, filming, look, lambda: os.getppid() != parent)

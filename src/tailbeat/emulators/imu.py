@@ -1,0 +1,120 @@
+"""An emulated BNO055 on a pseudo-terminal: registers, modes, its busy moments.
+
+Apart from the driver. What the data sheet leaves open was not checked on a real sensor.
+"""
+
+import math
+import os
+import select
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tailbeat.emulators.servo import Line
+
+COUNT = 16 * 180 / math.pi  # per rad/s
+NOISE = 0.3  # deg/s rms, in counts of 16
+CONFIG, LAST = 0x00, 0x6A
+WRITABLE = {0x07, 0x3B, 0x3D, 0x3E, 0x3F, 0x40, 0x41, 0x42, *range(0x55, 0x6B)}
+
+
+@dataclass
+class Faults:
+    """What goes wrong: replies of "bus over-run" and none at all, a spike [rad/s] in the next
+    reading, or in every second one (`spiking`), numbers that no longer change."""
+
+    busy: int = 0
+    mute: int = 0
+    spike: float = 0.0
+    spiking: float = 0.0
+    frozen: bool = False
+
+
+@dataclass(eq=False)
+class Bno055:
+    """The sensor: `rates` [rad/s] about its own x, y, z come from whoever turns it."""
+
+    rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    faults: Faults = field(default_factory=Faults)
+    table: bytearray = field(default_factory=lambda: _fresh())
+    stream: bytearray = field(default_factory=bytearray)
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+    def answer(self, data: bytes) -> bytes:
+        """Bytes in, bytes out."""
+        self.stream += data
+        out = b""
+        while len(self.stream) >= 4:
+            if self.stream[0] != 0xAA:
+                self.stream.clear()
+                return out + b"\xee\x06"
+            reading, first, length = self.stream[1] == 1, self.stream[2], self.stream[3]
+            size = 4 if reading else 4 + length
+            if len(self.stream) < size:
+                return out
+            body = bytes(self.stream[4:size])
+            del self.stream[:size]
+            out += self._spoilt(self._read(first, length) if reading else self._write(first, body))
+        return out
+
+    def _read(self, first: int, length: int) -> bytes:
+        if not 0 < length <= 128:
+            return b"\xee\x08"
+        if first + length > LAST + 1:
+            return b"\xee\x04"
+        self._sense()
+        return bytes([0xBB, length]) + bytes(self.table[first : first + length])
+
+    def _sense(self) -> None:
+        """Rates into their registers; none while it is being configured."""
+        if self.faults.frozen:
+            return
+        faults = self.faults
+        spike, faults.spike = faults.spike, 0.0 if faults.spike else faults.spiking
+        for axis, rate in enumerate(self.rates):
+            count = (rate + spike) * COUNT + 16 * NOISE * self.rng.normal()
+            whole = round(count) if self.table[0x3D] & 0x0F != CONFIG else 0
+            clipped = max(-32768, min(32767, whole))
+            place = 0x14 + 2 * axis
+            self.table[place : place + 2] = clipped.to_bytes(2, "little", signed=True)
+
+    def _write(self, first: int, body: bytes) -> bytes:
+        places = range(first, first + len(body))
+        if not body or any(place not in WRITABLE for place in places):
+            return b"\xee\x05"
+        if self.table[0x3D] & 0x0F != CONFIG and first not in (0x07, 0x3D):
+            return b"\xee\x03"  # all else only while it is being configured
+        self.table[first : first + len(body)] = body
+        return b"\xee\x01"
+
+    def _spoilt(self, reply: bytes) -> bytes:
+        if self.faults.mute > 0:
+            self.faults.mute -= 1
+            return b""
+        if self.faults.busy > 0:
+            self.faults.busy -= 1
+            return b"\xee\x07"
+        return reply
+
+
+def _fresh() -> bytearray:
+    """Power-up values."""
+    table = bytearray(128)
+    table[0x00:0x04] = b"\xa0\xfb\x32\x0f"
+    table[0x39], table[0x3B] = 5, 0x80
+    return table
+
+
+def serve(sensor: Bno055, line: Line, stop: Callable[[], bool]) -> None:
+    """Answer until `stop` says so, as slowly as 115,200 baud."""
+    while not stop():
+        ready, _, _ = select.select([line.master], [], [], 0.001)
+        if not ready:
+            continue
+        data = os.read(line.master, 256)
+        reply = sensor.answer(data)
+        if reply:
+            time.sleep(10 * (len(data) + len(reply)) / 115_200)
+            os.write(line.master, reply)

@@ -1,0 +1,219 @@
+"""The whole bench without hardware: plant, emulated servo and IMU on pseudo-terminals, poses sent.
+
+One process that a robot's loop cannot tell from a lab: the plant turns the servo's shaft and the
+IMU, and the laptop's end sends signed poses at sixty frames a second, late, noisy and now and then
+without a tag, on a clock of its own; or a camera films the plant, and the poses are another's work.
+"""
+
+import os
+import select
+import socket
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.emulators.camera import Scene
+from tailbeat.emulators.film import CameraProcess
+from tailbeat.emulators.imu import Bno055
+from tailbeat.emulators.servo import Dynamixel, Line, Shaft, close_line, hears, open_line
+from tailbeat.env.sensors import SensorModel
+from tailbeat.fish.description import Fish
+from tailbeat.fish.outline import outline
+from tailbeat.identify.runs import tracked_pose
+from tailbeat.link import datagrams as link
+from tailbeat.link.datagrams import Frame
+from tailbeat.link.sender import Sender
+from tailbeat.pool.plant import LENGTH, WIDTH, Surroundings, at_rest, build_plant, step_plant
+from tailbeat.pool.water import Water
+
+Array = NDArray[np.float64]
+SECOND = 1_000_000_000
+CLOCK_AHEAD, CLOCK_FAST = 37 * SECOND, 20e-6  # the laptop's clock against the fish's
+BAUD = 1_000_000
+SHOWN = 0.004  # s between two scenes for the camera
+LONGEST = 0.2  # s that the plant is stepped at once; a rig that was stopped does not catch up
+
+
+@dataclass(eq=False)
+class PlantShaft(Shaft):
+    """The servo's shaft in the plant: what it is asked for goes in, where it is comes out."""
+
+    fish: Fish = field(kw_only=True)
+    water: Water = field(default_factory=Water, kw_only=True)
+
+    def __post_init__(self) -> None:
+        around = [Surroundings(walls=(LENGTH, WIDTH))]
+        self.plant = build_plant(self.fish, [self.water], around=around)
+        self.state, self.gain, self.owed = at_rest(self.plant), float(self.plant.servo[0, 0]), 0.0
+
+    def advance(self, goal: float | None, dt: float) -> None:
+        """Without torque the servo pulls at nothing."""
+        self.plant.servo[0, 0] = 0.0 if goal is None else self.gain
+        self.owed += dt
+        steps = int(self.owed / self.plant.dt)
+        if steps:
+            self.owed -= steps * self.plant.dt
+            step_plant(self.plant, self.state, np.full((1, steps), goal or 0.0), steps)
+        self.angle, self.velocity = float(self.state.q[0, 3]), float(self.state.v[0, 3])
+
+    @property
+    def pose(self) -> Array:
+        """Of the tag: x, y [m], yaw [rad]."""
+        return tracked_pose(self.fish, self.state.q[0, :3])
+
+
+@dataclass(eq=False)
+class Laptop:
+    """The sender's end behind a camera that sees the plant, late, noisy and now and then nothing;
+    `tag` is where the target floats, `due` [s] when the next frame is."""
+
+    sender: Sender
+    tag: tuple[float, float]
+    rng: np.random.Generator
+    model: SensorModel = field(default_factory=SensorModel)
+    due: float = 0.0
+    stepped: float = 0.0  # s that its clock was set ahead
+    shifted: tuple[float, float, float] = (0.0, 0.0, 0.0)  # what its tracker is wrong by
+    ahead: deque[tuple[float, Frame]] = field(default_factory=deque)  # when to send what
+
+    def clock(self) -> int:
+        """The laptop's own monotonic clock [ns]: neither the fish's nor as fast."""
+        set_ahead = CLOCK_AHEAD + round(self.stepped * SECOND)
+        return round(time.monotonic_ns() * (1 + CLOCK_FAST)) + set_ahead
+
+    @property
+    def socket(self) -> socket.socket:
+        """Where it hears the fish."""
+        return self.sender.socket
+
+    @property
+    def fish(self) -> tuple[str, int]:
+        """Where it sends to."""
+        return self.sender.fish
+
+    def work(self, now: float, shaft: PlantShaft) -> None:
+        """Take a frame when it is time, send what has travelled long enough, hear the fish."""
+        if now >= self.due:
+            self.due = max(self.due + 1 / self.model.frame_rate, now)
+            late = self.model.latency + self.model.latency_jitter * self.rng.uniform()
+            self.ahead.append((now + late, self._film(shaft.pose)))
+        while self.ahead and self.ahead[0][0] <= now:
+            self.sender.show(self.ahead.popleft()[1])
+        self.sender.work(now)
+
+    def close(self) -> None:
+        """Go off the network."""
+        self.socket.close()
+
+    def _film(self, pose: Array) -> Frame:
+        model, rng = self.model, self.rng
+        noise = rng.normal(size=3) * [model.position_noise, model.position_noise, model.yaw_noise]
+        seen = rng.uniform() >= model.dropped
+        x, y, yaw = (pose + noise + self.shifted).tolist()
+        return Frame(self.clock(), (x, y, yaw) if seen else None, self.tag)
+
+
+@dataclass(eq=False)
+class Above:
+    """A camera over the pool instead of the laptop that knows: it films the plant, and another
+    process has to find the fish in its pictures. `tag` is where the target floats."""
+
+    camera: CameraProcess
+    tag: tuple[float, float]
+    due: float = 0.0
+
+    def work(self, now: float, shaft: PlantShaft) -> None:
+        """Show what there is, some times for every frame."""
+        if now < self.due:
+            return
+        self.due = now + SHOWN
+        q, v, (x, y, yaw) = shaft.state.q[0], shaft.state.v[0], shaft.pose.tolist()
+        line = outline(shaft.fish, q)
+        speed = float(v[0]), float(v[1]), float(v[2])
+        self.camera.show(Scene((x, y, yaw), speed, line, (*self.tag, 0.0)))
+
+    def close(self) -> None:
+        """Pull the camera's cable."""
+        self.camera.close()
+
+
+@dataclass(eq=False)
+class Rig:
+    """Everything together; see `open_rig` and `serve`."""
+
+    shaft: PlantShaft
+    servo: Dynamixel
+    imu: Bno055
+    lines: tuple[Line, Line]  # of servo and IMU
+    watch: Laptop | Above
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def ports(self) -> tuple[str, str]:
+        """What a driver opens: servo, IMU."""
+        return self.lines[0].path, self.lines[1].path
+
+    @property
+    def laptop(self) -> Laptop:
+        """The one that knows; a filmed rig has none."""
+        assert isinstance(self.watch, Laptop)
+        return self.watch
+
+
+def open_rig(
+    fish: Fish, key: bytes, robot: tuple[str, int], target: tuple[float, float], seed: int = 0
+) -> Rig:
+    """A rig whose laptop sends to a robot's address; the fish starts in the pool's middle."""
+    shaft = PlantShaft(fish=fish)
+    made = link.bind("127.0.0.1", 0)
+    laptop = Laptop(Sender(key, made, robot), target, np.random.default_rng(seed))
+    laptop.sender.clock = laptop.clock
+    return Rig(shaft, Dynamixel(shaft=shaft), Bno055(), (open_line(), open_line()), laptop)
+
+
+def open_filmed_rig(fish: Fish, camera: CameraProcess, target: tuple[float, float]) -> Rig:
+    """A rig that gives no poses, but pictures."""
+    shaft = PlantShaft(fish=fish)
+    lines = open_line(), open_line()
+    return Rig(shaft, Dynamixel(shaft=shaft), Bno055(), lines, Above(camera, target))
+
+
+def serve(rig: Rig, stop: Callable[[], bool]) -> None:
+    """In real time, until `stop` (asked every turn, about a thousand times a second) says so."""
+    masters = {rig.lines[0].master: _servo, rig.lines[1].master: _imu}
+    awaited: list[int | socket.socket] = [*masters]
+    if isinstance(rig.watch, Laptop):
+        awaited.append(rig.watch.socket)
+    while not stop():
+        ready, _, _ = select.select(awaited, [], [], 0.001)
+        now = time.monotonic()
+        rig.servo.now = max(rig.servo.now, now - rig.began - LONGEST)
+        rig.servo.advance(now - rig.began)
+        rig.imu.rates = (0.0, 0.0, float(rig.shaft.state.v[0, 2]))
+        rig.watch.work(now, rig.shaft)
+        for master, answer in masters.items():
+            if master in ready:
+                answer(rig, master)
+
+
+def _servo(rig: Rig, master: int) -> None:
+    data = os.read(master, 1024)
+    reply = rig.servo.answer(data) if hears(rig.servo, rig.lines[0]) else b""
+    time.sleep(10 * (len(data) + len(reply)) / BAUD)
+    os.write(master, reply)
+
+
+def _imu(rig: Rig, master: int) -> None:
+    data = os.read(master, 256)
+    os.write(master, rig.imu.answer(data))  # its wire time would hold up the servo's
+
+
+def close_rig(rig: Rig) -> None:
+    """Pull every cable."""
+    for line in rig.lines:
+        close_line(line)
+    rig.watch.close()

@@ -1,0 +1,77 @@
+"""A policy's greedy swims to seeded targets in the twin: who arrives, when, by what way."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.control.observation import bearing
+from tailbeat.env.world import PERIOD, World, seeds_from
+
+Array = NDArray[np.float64]
+Decide = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+Build = Callable[[list[int]], World]
+AT_ONCE = 250  # fish in one batch
+
+
+@dataclass(frozen=True, eq=False)
+class Swims:
+    """Of n swims (n,): `reached`, time to the end [s], way swum and first distance [m], bearing of
+    the target at the start [rad], nearest approach [m]; and some observations made (k, 24)."""
+
+    reached: NDArray[np.bool_]
+    seconds: Array
+    way: Array
+    distance: Array
+    bearing: Array
+    nearest: Array
+    seen: NDArray[np.float32]
+
+    def summary(self) -> dict[str, float | int]:
+        """Share reached, and of those the median time and the median way over the distance."""
+        hits = self.reached
+        ratio = self.way[hits] / self.distance[hits]
+        return {
+            "targets": int(hits.size),
+            "reached": float(hits.mean()),
+            "median_seconds": float(np.median(self.seconds[hits])) if hits.any() else float("nan"),
+            "median_path_ratio": float(np.median(ratio)) if hits.any() else float("nan"),
+        }
+
+
+def assess(decide: Decide, build: Build, count: int, seed: int) -> Swims:
+    """Swim to `count` targets, each fish once, in worlds built from seeds; the same seed draws the
+    same targets, noise and physics."""
+    seeds = seeds_from(seed, count)
+    parts = [
+        _together(decide, build(seeds[first : first + AT_ONCE]))
+        for first in range(0, count, AT_ONCE)
+    ]
+    names = [name for name in Swims.__annotations__ if name != "seen"]
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return Swims(**joined, seen=parts[0].seen)
+
+
+def _together(decide: Decide, world: World) -> Swims:
+    seen = world.reset()
+    start, target = world.pose.copy(), world.target.copy()
+    distance = np.hypot(*(target - start[:, :2]).T)
+    going, reached = np.ones(world.count, bool), np.zeros(world.count, bool)
+    way, nearest, steps = np.zeros(world.count), distance.copy(), np.zeros(world.count, int)
+    shown = []
+    while going.any():
+        before = world.pose[:, :2]
+        shown.append(seen[:4])
+        done = world.step(np.asarray(decide(seen), dtype=np.float64))
+        way += going * np.hypot(*(world.pose[:, :2] - before).T)
+        apart = np.hypot(*(world.target - world.pose[:, :2]).T)
+        nearest = np.where(going, np.minimum(nearest, apart), nearest)
+        steps += going
+        reached |= going & done.reached
+        going &= ~(done.terminated | done.truncated)
+        seen = done.observation
+    return Swims(
+        reached, PERIOD * steps, way, distance, bearing(start, target), nearest,
+        np.concatenate(shown),
+    )  # fmt: skip

@@ -1,0 +1,100 @@
+"""What swims in a `World`: the twin's batch. The pool's plant has the same four verbs.
+
+A body holds n fish; `qpos`, `qvel` are live (n, …) arrays that begin with x, y, yaw of the head and
+have the motor at `motor`.
+"""
+
+from typing import Protocol
+
+import numpy as np
+from mujoco import batch
+from numpy.typing import NDArray
+
+from tailbeat.env import randomize
+from tailbeat.env.randomize import Randomisation
+from tailbeat.files import BadInput
+from tailbeat.fish import surge
+from tailbeat.fish.description import Fish
+from tailbeat.fish.edge import KUTTA
+from tailbeat.fish.rollout import quiet_engine
+from tailbeat.fish.twin import compile_twin
+from tailbeat.fish.water import correct, water
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+PERIOD = 0.02  # s, of control
+
+
+class Body(Protocol):
+    """n fish in some water."""
+
+    qpos: Array
+    qvel: Array
+    motor: int
+
+    def rest(self, chosen: NDArray[np.int64]) -> None:
+        """Put some fish at the origin, straight and still."""
+
+    def draw(self, fish: int, ranges: Randomisation, rng: np.random.Generator) -> None:
+        """Draw the physics of one fish's next episode."""
+
+    def ready(self, chosen: NDArray[np.int64]) -> None:
+        """All physics are drawn: derive what follows from them."""
+
+    def advance(self, setpoint: Array, push: Array) -> Flags:
+        """One control period under setpoints (n,) rad and pushes (n, 2) N on the head; which fish
+        left the finite (n,)."""
+
+
+class TwinBody:
+    """The twin's batch: per-fish model fields, all cores, no interpreter lock while it steps."""
+
+    def __init__(self, fish: Fish, count: int, threads: int = 0) -> None:
+        twin = compile_twin(fish)
+        step = twin.model.opt.timestep
+        self.substeps = round(PERIOD / step)
+        if abs(self.substeps * step - PERIOD) > 1e-9:
+            raise BadInput(f"{fish.name}: step {1e3 * step:g} ms does not divide 20 ms.")
+        self.count, self.motor = count, twin.motor
+        self.batch = batch.Batch(twin.model, count, nthread=threads, persistent=True)
+        self.physics = randomize.expand(twin, self.batch)
+        self.qpos, self.qvel, self.ctrl, self.force = (
+            self.batch.bind(name) for name in ("qpos", "qvel", "ctrl", "xfrc_applied")
+        )
+        self.head = int(twin.model.body("head").id)
+        self.water = water([twin.model] * count, self.batch, self.physics.fields["opt.wind"])
+        self.warned = np.zeros(count)
+
+    def rest(self, chosen: NDArray[np.int64]) -> None:
+        """Also forgets the pushes."""
+        self.batch.reset(chosen, stage=randomize.NO_FORWARD)
+        self.force[chosen] = 0.0
+
+    def draw(self, fish: int, ranges: Randomisation, rng: np.random.Generator) -> None:
+        """From the nominal twin, never from the last draw."""
+        randomize.randomize(self.physics, ranges, fish, rng)
+
+    def ready(self, chosen: NDArray[np.int64]) -> None:
+        """What the engine derives from masses; the drawn coefficients of lift."""
+        randomize.refresh(self.physics, chosen)
+        if self.water is not None and (lift := self.water.lift) is not None:
+            lift.nominal[chosen] = self.physics.fields["geom_fluid"][chosen][
+                :, lift.where.geom, KUTTA
+            ]
+        if self.water is not None and self.water.relief is not None:
+            surge.begin(self.water.relief, chosen)
+
+    def advance(self, setpoint: Array, push: Array) -> Flags:
+        """A divergence warns; the engine resets that fish, and it counts as lost."""
+        self.ctrl[:, 0] = setpoint
+        self.force[:, self.head, :2] = push
+        if self.water is not None and (relief := correct(self.water)) is not None:
+            self.force[:, self.head, :3] += relief
+        with quiet_engine():
+            self.batch.step(nstep=self.substeps)
+        warning = self.batch.warning
+        if int(warning.sum()) == self.warned.sum():
+            return np.zeros(self.count, dtype=bool)
+        total = warning.reshape(self.count, -1).sum(axis=1)
+        lost, self.warned = total > self.warned, total
+        return np.asarray(lost)

@@ -1,0 +1,239 @@
+"""The faces of `world.World`: gymnasium's vector environment, its single one, and SB3's.
+
+They hold no behaviour of their own beyond what their interfaces ask for: which fish begin anew
+after an end, and where the last observation goes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from tailbeat.control import actions as act
+from tailbeat.env import view
+from tailbeat.env.world import PERIOD, TERMS, Flags, Outcome, Settings, World, seeds_from
+from tailbeat.fish.description import Fish
+
+Array = NDArray[np.float64]
+OBSERVED = 24
+POSE = [0, 1, 2, 5]  # of a frame: x, y, yaw, staleness
+
+
+def observation_space(count: int | None = None) -> gymnasium.spaces.Box:
+    """24 numbers without bound, or a batch of them."""
+    shape = (OBSERVED,) if count is None else (count, OBSERVED)
+    return gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
+
+
+def action_space(size: int, count: int | None = None) -> gymnasium.spaces.Box:
+    """Actions in [-1, 1]."""
+    shape = (size,) if count is None else (count, size)
+    return gymnasium.spaces.Box(-1.0, 1.0, shape, np.float32)
+
+
+class FishVectorEnv(VectorEnv):
+    """n fish; an ended fish begins anew within the same step (`final_obs` has the last sight)."""
+
+    def __init__(
+        self,
+        fish: Fish,
+        count: int,
+        settings: Settings | None = None,
+        seed: int | None = None,
+        threads: int = 0,
+    ) -> None:
+        self.world = World(fish, settings or Settings(), seeds_from(seed, count), threads)
+        self.num_envs = count
+        size = act.size(self.world.space)
+        self.single_observation_space = observation_space()
+        self.observation_space = observation_space(count)
+        self.single_action_space = action_space(size)
+        self.action_space = action_space(size, count)
+        self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_fps": round(1 / PERIOD)}
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin every fish anew; with a seed, from it."""
+        if seed is not None:
+            self.world.reseed(seeds_from(seed, self.num_envs))
+        return self.world.reset(), {}
+
+    def step(self, actions: Array) -> Any:
+        """Gymnasium's five; reward terms and `reached` in the info."""
+        done = self.world.step(actions)
+        ended = done.terminated | done.truncated
+        info: dict[str, Any] = {"reward_terms": done.terms, "reached": done.reached}
+        seen = done.observation
+        if ended.any():
+            info |= {"final_obs": seen, "_final_obs": ended}
+            seen = np.where(ended[:, None], self.world.reset(ended), seen)
+        return seen, done.reward, done.terminated, done.truncated, info
+
+
+class FishEnv(gymnasium.Env):
+    """One fish: a world of one.
+
+    `render_mode` "rgb_array" draws fish, path and target from above; with `view` "beside" it is the
+    engine's three-dimensional picture instead (drawn from above where no GL library works).
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012 (gymnasium's)
+
+    def __init__(
+        self,
+        fish: Fish,
+        settings: Settings | None = None,
+        seed: int | None = None,
+        render_mode: str | None = None,
+        view: Literal["above", "beside"] = "above",
+    ) -> None:
+        self.view = view
+        self.world = World(fish, settings or Settings(), seeds_from(seed, 1), threads=1)
+        self.observation_space = observation_space()
+        self.action_space = action_space(act.size(self.world.space))
+        self.render_mode = render_mode
+        self.path: list[Array] = []
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin anew; with a seed, from it."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self.world.reseed(seeds_from(seed, 1))
+        seen = self.world.reset()[0]
+        self.path = [self.world.pose[0].copy()]
+        return seen, {}
+
+    def step(self, action: Array) -> Any:
+        """Gymnasium's five."""
+        done = self.world.step(np.asarray(action, float)[None])
+        self.path.append(self.world.pose[0].copy())
+        terms = {name: float(values[0]) for name, values in done.terms.items()}
+        return (
+            done.observation[0],
+            float(done.reward[0]),
+            bool(done.terminated[0]),
+            bool(done.truncated[0]),
+            {"reward_terms": terms, "reached": bool(done.reached[0])},
+        )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The fish from above with path and target, or from beside; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        if self.view == "beside":
+            return view.from_beside(self.world, 0)
+        return view.from_above(self.world, 0, np.array(self.path))
+
+
+@dataclass(frozen=True, eq=False)
+class Behind:
+    """What lay behind one step of n fish: frames before and after (n, 3, 4) x, y, yaw, staleness;
+    the tag's true place after it (n, 2); effort earned (n,)."""
+
+    frames: Array
+    next_frames: Array
+    place: Array
+    effort: Array
+
+
+class FishVecEnv(VecEnv):
+    """SB3's face: the same world, no copies, no processes. Rewards are times `reward_scale`;
+    `last` is what lay behind the last step."""
+
+    def __init__(
+        self,
+        fish: Fish,
+        count: int,
+        settings: Settings | None = None,
+        seed: int | None = None,
+        threads: int = 0,
+        reward_scale: float = 1.0,
+    ) -> None:
+        self.world = World(fish, settings or Settings(), seeds_from(seed, count), threads)
+        self.render_mode = "rgb_array"
+        self.reward_scale = reward_scale
+        self.returns, self.lengths = np.zeros(count), np.zeros(count, dtype=int)
+        self.sums = {name: np.zeros(count) for name in TERMS}
+        self.actions: Array = np.zeros((count, act.size(self.world.space)))
+        super().__init__(count, observation_space(), action_space(act.size(self.world.space)))
+
+    def reset(self) -> NDArray[np.float32]:
+        """Begin every fish anew."""
+        if any(seed is not None for seed in self._seeds):
+            self.world.reseed([int(seed or 0) for seed in self._seeds])
+            self._reset_seeds()
+        self._forget(np.ones(self.num_envs, bool))
+        return self.world.reset()
+
+    def step_async(self, actions: Array) -> None:
+        """Keep the actions for `step_wait`."""
+        self.actions = actions
+
+    def step_wait(self) -> Any:
+        """SB3's four; an ended fish's last sight, return and length in its info."""
+        before = self.world.frames[..., POSE]
+        done = self.world.step(self.actions)
+        self._count(done)
+        ended = done.terminated | done.truncated
+        place = self.world.pose[:, :2].copy()
+        self.last = Behind(before, done.frames[..., POSE], place, done.terms["effort"])
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        seen = done.observation
+        for fish in np.flatnonzero(ended):
+            infos[fish] = {
+                "terminal_observation": seen[fish].copy(),
+                "TimeLimit.truncated": bool(done.truncated[fish]),
+                "reached": bool(done.reached[fish]),
+                "reward_terms": {n: float(v[fish]) for n, v in self.sums.items()},
+                "episode": {"r": float(self.returns[fish]), "l": int(self.lengths[fish])},
+            }
+        if ended.any():
+            self._forget(ended)
+            seen = np.where(ended[:, None], self.world.reset(ended), seen)
+        return seen, (self.reward_scale * done.reward).astype(np.float32), ended, infos
+
+    def _count(self, done: Outcome) -> None:
+        self.returns += done.reward
+        self.lengths += 1
+        for name, values in done.terms.items():
+            self.sums[name] += values
+
+    def _forget(self, which: Flags) -> None:
+        """Begin new sums."""
+        self.returns[which], self.lengths[which] = 0.0, 0
+        for values in self.sums.values():
+            values[which] = 0.0
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """The same attribute for every fish."""
+        return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set for all: the fish share one world."""
+        setattr(self, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
+    ) -> list[Any]:
+        """Call once, answer for every fish asked about."""
+        found = getattr(self, method_name)(*args, **kwargs)
+        return [found] * len(list(self._get_indices(indices)))
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """No fish is."""
+        return [False] * len(list(self._get_indices(indices)))
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """The first fish from above."""
+        return [view.from_above(self.world, 0, self.world.pose[:1])]

@@ -1,0 +1,362 @@
+"""n fish and their targets, stepped at 50 Hz: the task, its reward, its ends. One fish is n = 1.
+
+Every fish has its own generator: in a batch it lives what it would live alone, bit for bit, at any
+number of threads. The faces for gymnasium and SB3 are in `env.py`.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from tailbeat.control import actions as act
+from tailbeat.control.actions import ActionSpace, Generator
+from tailbeat.control.observation import COMMANDS, Samples, observe
+from tailbeat.env import randomize, sensors
+from tailbeat.env.randomize import Randomisation
+from tailbeat.env.sensors import SensorModel
+from tailbeat.env.simulator import PERIOD, Body, Flags, TwinBody
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
+from tailbeat.identify.runs import tracked_pose
+
+Array = NDArray[np.float64]
+TERMS = ("distance", "effort", "bonus")  # of the reward
+PUSH_STEPS = 10  # control steps that a pulse lasts
+TIGHTEST = 0.6  # m, radius of a moving target's bend: as tight as the fish turns (chosen)
+NEAR = 1.0  # m from a target that goes on, within which nearness pays: beyond the fish's own circle
+BESIDE, KEPT = 0.4, 0.8  # m from it that count as kept, share of the second half (chosen)
+
+
+@dataclass(frozen=True)
+class Task:
+    """Where targets are and when an episode ends.
+
+    `nearest`, `farthest` [m] and `arc` (half angle about straight ahead) [rad]; `arrival` [m] is
+    the paper's; `seconds` until time-out; `limit` [m] from the start at which the fish counts as
+    lost; `walls` (length, width) [m] of a pool about the start, or None; `target_speed` [m/s] of
+    targets that move, each on its own straight way. A share `following` of episodes has a target
+    that moves at up to that speed, on a bend, and goes on until time-out: then the others stand.
+    """
+
+    nearest: float = 0.5
+    farthest: float = 2.5
+    arc: float = np.pi
+    arrival: float = 0.05
+    seconds: float = 30.0
+    limit: float = 6.0
+    walls: tuple[float, float] | None = None
+    target_speed: float = 0.0
+    following: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Given beginnings and targets instead of drawn ones, for trials.
+
+    `start` (n, 3) x, y, yaw of the fish frame and `velocity` (n, 3) of it, in world axes; `target`
+    (n, k, 2): where each target is at the start and after every control step, the last one kept.
+    A target waits where it is while its fish is farther than `lead` (n,) [m] away; infinite: it
+    goes by the clock.
+    """
+
+    start: Array
+    velocity: Array
+    target: Array
+    lead: Array
+
+    def at(self, step: NDArray[np.int64]) -> Array:
+        """Places (n, 2) of the targets after `step` (n,) control steps."""
+        last = self.target.shape[1] - 1
+        return np.asarray(self.target[np.arange(len(step)), np.minimum(step, last)])
+
+
+@dataclass(frozen=True)
+class Reward:
+    """r = -distance - effort ||a|| + bonus [distance < arrival] (paper). With a target that goes on
+    `nearness` (1 - distance / 1 m), above 0, stands for the bonus (ours: some seconds beside the
+    target are worth what an arrival is)."""
+
+    distance: float = 1.0
+    effort: float = 0.1
+    bonus: float = 1000.0
+    nearness: float = 8.0
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything that an environment is made of, beside the fish."""
+
+    actions: ActionSpace | None = None  # None: the generator over the motor's range
+    task: Task = field(default_factory=Task)
+    reward: Reward = field(default_factory=Reward)
+    sensors: SensorModel = field(default_factory=SensorModel)
+    physics: Randomisation = field(default_factory=Randomisation)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One control step of n fish: observation (n, 24) and the frames behind it (n, 3, 6), reward
+    and its terms (n,), ends (n,)."""
+
+    observation: NDArray[np.float32]
+    frames: Array
+    reward: Array
+    terms: dict[str, Array]
+    terminated: Flags
+    truncated: Flags
+    reached: Flags
+
+
+def check_settings(fish: Fish, settings: Settings) -> ActionSpace:
+    """The action space; raises BadInput for settings that contradict each other."""
+    low, high = fish.motor.range or (-np.pi, np.pi)
+    space = settings.actions or Generator(low, high)
+    act.check_space(space)
+    if space.low < low or space.high > high:
+        raise BadInput(
+            f"actions: range {space.low:g} to {space.high:g} rad; {fish.name}'s motor allows"
+            f" {low:g} to {high:g}."
+        )
+    act.check_band(space, fish.band[1])
+    randomize.check(settings.physics)
+    _check_task(settings.task)
+    return space
+
+
+def _check_task(task: Task) -> None:
+    if not task.arrival < task.nearest <= task.farthest:
+        raise BadInput(
+            f"task: targets from {task.nearest:g} to {task.farthest:g} m with arrival at"
+            f" {task.arrival:g} m; allowed is arrival < nearest <= farthest."
+        )
+    if task.farthest > task.limit:
+        raise BadInput(f"task: farthest {task.farthest:g} m lies beyond limit {task.limit:g} m.")
+    if task.walls is not None and task.nearest > min(task.walls) / 2:
+        raise BadInput(
+            f"task: no target at {task.nearest:g} m or more fits into walls {task.walls}; widen"
+            f" them or bring the targets nearer."
+        )
+    if not 0 <= task.arc <= np.pi or not task.seconds > 0:
+        raise BadInput(
+            f"task: arc {task.arc:g} rad, {task.seconds:g} s; allowed are 0 to pi, above 0 s."
+        )
+
+
+def seeds_from(seed: int | None, count: int) -> list[int]:
+    """One seed per fish, all from one."""
+    return [int(s) for s in np.random.SeedSequence(seed).generate_state(count, np.uint64)]
+
+
+class World:
+    """The batch and what lies between two steps. `reset` some fish, `step` all."""
+
+    def __init__(
+        self,
+        fish: Fish,
+        settings: Settings,
+        seeds: list[int],
+        threads: int = 0,
+        body: Body | None = None,
+        scene: Scene | None = None,
+    ) -> None:
+        self.fish, self.settings, self.scene = fish, settings, scene
+        self.space = check_settings(fish, settings)
+        self.count, self.task = len(seeds), settings.task
+        self.steps_per_episode = round(settings.task.seconds / PERIOD)
+        self.body: Any = body or TwinBody(fish, self.count, threads)
+        self.rngs = [np.random.default_rng(seed) for seed in seeds]
+        self.seen = sensors.empty(self.count, self.steps_per_episode)
+        self.pushes = np.zeros((self.count, self.steps_per_episode, 2), dtype=np.float32)
+        self.age = np.zeros(self.count, dtype=np.int64)
+        self.along = np.zeros(self.count, dtype=np.int64)  # how far a scene's target has come
+        self.target, self.drift = np.zeros((self.count, 2)), np.zeros((self.count, 2))
+        self.turn, self.goes_on = np.zeros(self.count), np.zeros(self.count, bool)
+        self.near = np.zeros(self.count)  # steps of an episode's second half beside the target
+        self.pose = np.zeros((self.count, 3))
+        self.state = act.reset(self.space, self.count)
+        self.commands = np.zeros((self.count, COMMANDS, 2))
+        self.every = np.arange(self.count)
+        self.frames = np.zeros((self.count, 3, 6))
+        self.walls = np.array(settings.task.walls or (np.inf, np.inf)) / 2
+
+    def reseed(self, seeds: list[int]) -> None:
+        """New generators; takes effect at the next reset."""
+        self.rngs = [np.random.default_rng(seed) for seed in seeds]
+
+    def change(self, settings: Settings) -> None:
+        """Other sensors, physics and targets from each fish's next reset on (the noise at once);
+        actions and the length of an episode stay."""
+        check_settings(self.fish, settings)
+        if round(settings.task.seconds / PERIOD) != self.steps_per_episode:
+            raise BadInput(f"task: {settings.task.seconds:g} s; the world's episodes have others.")
+        self.settings, self.task = settings, settings.task
+        self.walls = np.array(settings.task.walls or (np.inf, np.inf)) / 2
+
+    # ---- beginning ------------------------------------------------------------------------------
+
+    def reset(self, which: Flags | None = None) -> NDArray[np.float32]:
+        """Begin new episodes for the fish in `which` (all by default); observation (n, 24)."""
+        chosen = np.flatnonzero(np.ones(self.count, bool) if which is None else which)
+        if chosen.size:
+            self.body.rest(chosen)
+            self.age[chosen] = self.along[chosen] = 0
+            for fish in chosen:
+                self._begin(int(fish), self.rngs[fish])
+            self.body.ready(chosen)
+            self._clear(chosen)
+        return self._observe(self._first_readings())
+
+    def _begin(self, fish: int, rng: np.random.Generator) -> None:
+        """Draw one fish's episode: physics, target, pushes, sensor noise."""
+        settings = self.settings
+        self.body.draw(fish, settings.physics, rng)
+        start = np.zeros(3) if self.scene is None else self.scene.start[fish]
+        self.pose[fish] = tracked_pose(self.fish, start)
+        self.target[fish] = self._draw_target(rng)
+        if self.scene is not None:
+            self.target[fish] = self.scene.target[fish, 0]
+            self.body.qpos[fish, :3] = start
+            self.body.qvel[fish, :3] = self.scene.velocity[fish]
+        self._draw_motion(fish, rng)
+        self.pushes[fish] = _pulses(settings.physics, self.steps_per_episode, rng)
+        sensors.begin(settings.sensors, self.seen, fish, self.pose[fish], self.target[fish], rng)
+
+    def _draw_motion(self, fish: int, rng: np.random.Generator) -> None:
+        """Whether and where to a target moves: per control step, [m] and [rad]."""
+        task, direction = self.task, rng.uniform(0, 2 * np.pi)
+        step, self.near[fish] = task.target_speed * PERIOD, 0.0
+        self.turn[fish], self.goes_on[fish] = 0.0, False
+        if task.following:
+            self.goes_on[fish] = rng.uniform() < task.following
+            step *= rng.uniform() * self.goes_on[fish]
+            self.turn[fish] = rng.uniform(-1, 1) * step / TIGHTEST
+        self.drift[fish] = step * np.cos(direction), step * np.sin(direction)
+
+    def _draw_target(self, rng: np.random.Generator) -> Array:
+        """A place by range and bearing from the tag; inside the walls, if there are any."""
+        start = tracked_pose(self.fish, np.zeros(3))[:2]
+        while True:
+            distance = rng.uniform(self.task.nearest, self.task.farthest)
+            bearing = self.task.arc * rng.uniform(-1, 1)
+            place = start + distance * np.array([np.cos(bearing), np.sin(bearing)])
+            walls = self.task.walls
+            if walls is None or np.all(np.abs(place) < np.array(walls) / 2):
+                return place
+
+    def _clear(self, chosen: NDArray[np.int64]) -> None:
+        fresh = act.reset(self.space, self.count)
+        u, phase = self.state.u.copy(), self.state.phase.copy()
+        u[chosen], phase[chosen] = fresh.u[chosen], fresh.phase[chosen]
+        self.state = act.ActionState(u, phase)
+        self.commands[chosen] = act.command(self.space, fresh)[chosen][:, None]
+
+    def _first_readings(self) -> sensors.Readings:
+        """Readings without a step: the motor as it is, the frames that have arrived."""
+        body = self.body
+        motor = body.qpos[:, body.motor].copy(), body.qvel[:, body.motor].copy()
+        frames = sensors.newest(self.seen, np.asarray(self.age * PERIOD, dtype=np.float64))
+        return sensors.Readings(*motor, body.qvel[:, 2].copy(), frames)
+
+    # ---- stepping -------------------------------------------------------------------------------
+
+    def step(self, action: Array) -> Outcome:
+        """One control step of every fish under actions (n, size). Ended fish want a `reset`."""
+        before, action = self.pose, np.asarray(action, float)
+        self.state = act.step(self.space, self.state, action, PERIOD)
+        age, body = np.minimum(self.age, self.steps_per_episode - 1), self.body
+        lost = body.advance(act.setpoint(self.space, self.state), self.pushes[self.every, age])
+        self.pose = tracked_pose(self.fish, body.qpos[:, :3])
+        self._move_targets()
+        self.commands[:, 1:] = self.commands[:, :-1]
+        self.commands[:, 0] = act.command(self.space, self.state)
+        motor = body.motor
+        readings = sensors.sense(
+            self.settings.sensors, self.seen, age, PERIOD, before, self.pose, self.target,
+            body.qpos[:, motor], body.qvel[:, motor], body.qvel[:, 2],
+        )  # fmt: skip
+        self.age = self.age + 1
+        return self._judge(action, self._observe(readings), lost)
+
+    def _move_targets(self) -> None:
+        if self.scene is not None:
+            away = np.hypot(*(self.target - self.pose[:, :2]).T)
+            self.along = self.along + (away < self.scene.lead)
+            self.target = self.scene.at(self.along)
+            return
+        self.target = self.target + self.drift
+        c, s, (x, y) = np.cos(self.turn), np.sin(self.turn), self.drift.T
+        self.drift = np.stack([c * x - s * y, s * x + c * y], axis=1)
+
+    def _observe(self, readings: sensors.Readings) -> NDArray[np.float32]:
+        self.frames = readings.frames
+        return observe(
+            Samples(
+                readings.motor_angle,
+                readings.motor_velocity,
+                readings.yaw_rate,
+                self.state.phase,
+                self.commands,
+                readings.frames,
+            )
+        )
+
+    def _judge(self, action: Array, seen: NDArray[np.float32], lost: Flags) -> Outcome:
+        """Reward and ends, from the exact distance (paper: only the reward sees it).
+
+        Out of range counts as a truncation: every step costs its distance, so an end without a
+        sequel would be worth fleeing to.
+        """
+        reward, task = self.settings.reward, self.task
+        weights = reward.distance, reward.effort, reward.bonus, reward.nearness
+        terms, ends = _judge(
+            self.pose, self.target, action, lost, self.goes_on, task.arrival, task.limit,
+            self.walls, weights,
+        )  # fmt: skip
+        if lost.any():
+            seen = np.where(lost[:, None], np.float32(0), seen)
+        named = dict(zip(TERMS, terms, strict=False))
+        over = self.age >= self.steps_per_episode
+        truncated = (over | ends[2]) & ~ends[1]
+        reached = ends[0] | self._kept(-terms[0] < BESIDE * reward.distance) & over
+        return Outcome(seen, self.frames, terms[3], named, ends[1], truncated, reached)
+
+    def _kept(self, beside: Flags) -> Flags:
+        """Which targets that go on have been kept so far, through the episode's second half."""
+        half = self.steps_per_episode / 2
+        self.near = self.near + (beside & self.goes_on & (self.age > half))
+        return np.asarray(self.near >= KEPT * half)
+
+
+@njit(cache=True)
+def _judge(pose, target, action, lost, goes_on, arrival, limit, walls, weights):  # type: ignore[no-untyped-def]
+    """Three terms of the reward and their sum (4, n); reached, over (reached or diverged), out of
+    range (3, n). A diverged fish is `limit` away; a target that goes on is never reached."""
+    count = len(pose)
+    terms, ends = np.empty((4, count)), np.empty((3, count), dtype=np.bool_)
+    for i in range(count):
+        x, y = pose[i, 0], pose[i, 1]
+        distance = limit if lost[i] else np.hypot(target[i, 0] - x, target[i, 1] - y)
+        square = 0.0
+        for value in action[i]:
+            square += min(max(value, -1.0), 1.0) ** 2
+        ends[0, i] = distance < arrival and not lost[i] and not goes_on[i]
+        ends[1, i] = ends[0, i] or lost[i]
+        ends[2, i] = np.hypot(x, y) > limit or abs(x) > walls[0] or abs(y) > walls[1]
+        terms[0, i] = -weights[0] * distance
+        terms[1, i] = -weights[1] * np.sqrt(square)
+        near = weights[3] * max(1 - distance / NEAR, 0.0) if goes_on[i] else 0.0
+        terms[2, i] = weights[2] * ends[0, i] + near
+        terms[3, i] = terms[0, i] + terms[1, i] + terms[2, i]
+    return terms, ends
+
+
+def _pulses(ranges: Randomisation, steps: int, rng: np.random.Generator) -> Array:
+    """Force pulses (steps, 2) [N] on the head."""
+    begins = rng.uniform(size=steps) < ranges.push_share
+    force = np.zeros((steps, 2))
+    for first in np.flatnonzero(begins):
+        force[first : first + PUSH_STEPS] = ranges.push * rng.normal(size=2)
+    return force

@@ -1,0 +1,84 @@
+"""Outside what a policy was trained on: where it ends, beside the same swims as trained."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from tailbeat.control.actions import Generator
+from tailbeat.control.observation import bearing
+from tailbeat.env.sensors import SensorModel
+from tailbeat.evaluate.reach import paired, shares
+from tailbeat.evaluate.runs import Runs
+from tailbeat.evaluate.scenes import grid, moving
+from tailbeat.evaluate.trial import Arm, Pool
+from tailbeat.fish.description import Servo
+
+SCALES = (1.5, 2.7, 5.3)  # the paper's accident
+SPEEDS = (0.05, 0.10)  # m/s of moving targets
+WEAK = 0.6  # of the servo's gain and torque
+LOST_FRAMES = (0.3, 0.6)  # share of frames without a tag
+SECONDS = 30.0
+AS_TRAINED = "beyond as trained"
+
+
+def arms(pool: Pool) -> list[Arm]:
+    """Rear, far and moving targets, wrong scales, a weak servo, lost frames."""
+    far = grid(pool.fish, pool.count, pool.seed + 2, 2.5, 4.0, float(np.radians(120)))
+    scene = grid(pool.fish, pool.count, pool.seed + 2, 0.5, 2.5, float(np.radians(120)))
+    rear = grid(pool.fish, pool.count, pool.seed + 2, 0.5, 2.5, np.pi)
+    behind = replace(rear, target=_behind(rear.target, rear.start))
+    found = [pool.arm(AS_TRAINED, scene), pool.arm("beyond rear", behind)]
+    found.append(pool.arm("beyond far", far))
+    for speed in SPEEDS:
+        gone = moving(scene, speed, SECONDS, pool.seed)
+        found.append(pool.arm(f"beyond target {speed:g} m/s", gone))
+    if isinstance(pool.actions, Generator):
+        found += [
+            pool.arm(f"beyond scales x{by:g}", scene, actions=_scaled(pool.actions, by))
+            for by in SCALES
+        ]
+    found.append(pool.arm("beyond weak servo", scene, servo=_weak(pool)))
+    for share in LOST_FRAMES:
+        blind = replace(SensorModel(), dropped=share)
+        found.append(pool.arm(f"beyond frames lost {share:g}", scene, sensors=blind))
+    return found
+
+
+def _behind(target: Any, start: Any) -> Any:
+    """Every target of an even spread moved into the rear 120 deg: bearing to 180 less a third."""
+    offset = target[:, 0] - start[:, :2]
+    seen = bearing(start, target[:, 0])
+    rear = np.sign(seen) * (np.pi - np.abs(seen) / 3) + start[:, 2]
+    far = np.hypot(offset[:, 0], offset[:, 1])
+    return (start[:, :2] + far[:, None] * np.stack([np.cos(rear), np.sin(rear)], axis=1))[:, None]
+
+
+def _scaled(space: Generator, by: float) -> Generator:
+    """The scales that one robot had wrong; the frequency's ceiling stays."""
+    return replace(
+        space, offset=by * space.offset, first=by * space.first, second=by * space.second
+    )
+
+
+def _weak(pool: Pool) -> Servo:
+    own = pool.fish.servos[pool.fish.servo]
+    return own.model_copy(update={"kp": WEAK * own.kp, "force_limit": WEAK * own.force_limit})
+
+
+def numbers(by_arm: dict[str, Runs]) -> list[dict[str, Any]]:
+    """Per arm: shares, and the difference to the same swims as trained (rear, far: other ones)."""
+    trained, rows = by_arm[AS_TRAINED], []
+    for name, runs in by_arm.items():
+        both = min(trained.count, runs.count)
+        cost = paired(trained.reached[:both], runs.reached[:both])
+        rows.append(
+            {
+                "arm": name,
+                "swims": runs.count,
+                **shares(runs.reached, runs.nearest),
+                "cost_5cm": cost,
+                "lost": int(runs.lost.sum()),
+            }
+        )
+    return rows

@@ -1,0 +1,108 @@
+"""The main job: a shipped policy swims to one target after the other in the virtual pool."""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.control.policy import Policy, decide
+from tailbeat.env.simulator import PERIOD
+from tailbeat.env.world import Settings, Task, World
+from tailbeat.evaluate.scenes import TRIES
+from tailbeat.evaluate.trial import Progress
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
+from tailbeat.pool.plant import LENGTH, WIDTH, Surroundings
+from tailbeat.pool.simulator import PoolBody
+from tailbeat.pool.water import Water
+
+Array = NDArray[np.float64]
+WALLS = (LENGTH, WIDTH)
+PATIENCE = 30.0  # s for one target
+APART = 0.8  # m between one target and the next
+MARGIN = 0.65  # m that targets keep from the walls: room for the fish to turn behind them
+
+
+@dataclass(frozen=True, eq=False)
+class Tour:
+    """A swim past `targets` (m, 2): `shape` (k, nv) and `pose` (k, 3) at the control steps, the
+    index of the `goal` at each (k,), and per target whether and when it was `reached`, with the
+    closest approach [m]."""
+
+    targets: Array
+    shape: Array
+    pose: Array
+    goal: NDArray[np.int64]
+    reached: NDArray[np.bool_]
+    seconds: Array
+    nearest: Array
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per target."""
+        return [
+            {
+                "target": number + 1,
+                "x [m]": float(place[0]),
+                "y [m]": float(place[1]),
+                "reached": "yes" if self.reached[number] else "no",
+                "closest [cm]": 100 * float(self.nearest[number]),
+                "time [s]": float(self.seconds[number]),
+            }
+            for number, place in enumerate(self.targets)
+        ]
+
+
+def draw_targets(count: int, seed: int) -> Array:
+    """Places (count, 2) inside the paper's pool, each well apart from the one before."""
+    rng, room = np.random.default_rng(seed), np.array(WALLS) / 2 - MARGIN
+    places = [np.zeros(2)]
+    for _ in range(TRIES * count):
+        place = rng.uniform(-room, room)
+        if np.hypot(*(place - places[-1])) > APART:
+            places.append(place)
+        if len(places) > count:
+            return np.array(places[1:])
+    raise BadInput(f"{count} targets do not fit into the pool; ask for fewer.")
+
+
+def tour(
+    policy: Policy, fish: Fish, water: Water, targets: Array, seed: int, progress: Progress
+) -> Tour:
+    """Swim to each target until it is within 5 cm or its time is over; from the pool's middle."""
+    total = PATIENCE * len(targets)
+    settings = Settings(policy.contract.actions, Task(seconds=total))
+    body = PoolBody(fish, [water], [Surroundings(walls=WALLS)])
+    world, choose = World(fish, settings, [seed], body=body), partial(decide, policy)
+    shape, pose, goal, ends = [], [], [], []
+    world.reset()
+    world.drift[:], world.seen.frames[..., 3:5] = 0.0, targets[0]
+    seen = world.reset(np.zeros(1, bool))
+    for number, place in enumerate(targets):
+        world.target[0], nearest = place, np.inf
+        for _ in range(round(PATIENCE / PERIOD)):
+            done = world.step(np.asarray(choose(seen), dtype=np.float64))
+            seen = done.observation
+            shape.append(world.body.qpos[0].copy())
+            pose.append(world.pose[0].copy())
+            goal.append(number)
+            nearest = min(nearest, float(np.hypot(*(place - world.pose[0, :2]))))
+            if done.reached[0]:
+                break
+        progress("targets", number + 1, len(targets))
+        ends.append((bool(done.reached[0]), PERIOD * goal.count(number), nearest))
+    reached, seconds, closest = map(np.array, zip(*ends, strict=True))
+    return Tour(targets, np.array(shape), np.array(pose), np.array(goal), reached, seconds, closest)
+
+
+def as_json(tour: Tour) -> dict[str, Any]:
+    """What the swim came to."""
+    hits = tour.reached
+    return {
+        "targets": tour.rows(),
+        "within_5cm": int(hits.sum()),
+        "within_20cm": int((tour.nearest < 0.2).sum()),
+        "seconds": PERIOD * len(tour.goal),
+        "median_seconds": float(np.median(tour.seconds[hits])) if hits.any() else None,
+    }

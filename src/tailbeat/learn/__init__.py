@@ -1,1 +1,0 @@
-"""How does it learn? Sensors, randomisation, environment, curriculum, training."""

@@ -1,0 +1,1 @@
+"""What crosses the network? Signed datagrams, the clock, the status."""

@@ -1,0 +1,297 @@
+"""Poses and orders from laptop to fish: small signed datagrams, the newest wins, strangers count.
+
+A pose datagram holds the three newest frames, so one lost costs nothing; it is signed with a shared
+key (HMAC-SHA256, 16 bytes) and carries the fish's own nonce, drawn at its start, so that nothing
+recorded earlier is taken. Every start of a sender is a run of its own; one that another has
+followed is never heard again, so nothing recorded of it is taken either. Clocks are monotonic and
+compared by echoes in the same socket; wall clocks are never asked.
+"""
+
+import hmac
+import math
+import secrets
+import socket
+import stat
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+
+from tailbeat.files import BadInput, new_file
+from tailbeat.link.clock import SECOND, Clock, Loss
+
+KEY_BYTES, MAC_BYTES = 32, 16
+POSES, ASK, TELL, ORDER = b"tbP1", b"tbA1", b"tbT1", b"tbO1"
+FRAMES = 3
+HEAD = struct.Struct("<4sQQQ")  # kind, sender's run, receiver's nonce, sequence
+FRAME = struct.Struct("<QB5f")  # captured [ns], what was seen, fish x, y, yaw, target x, y
+ORDERED = struct.Struct("<QB")  # sent [ns of the sender's clock], which order
+TIMES = struct.Struct("<QQQ")  # of an echo: asked, received, sent back [ns]
+FISH_SEEN, TARGET_SEEN = 1, 2
+LENGTHS = {
+    POSES: HEAD.size + FRAMES * FRAME.size + MAC_BYTES,
+    ASK: HEAD.size + TIMES.size + MAC_BYTES,
+    TELL: HEAD.size + TIMES.size + MAC_BYTES,
+    ORDER: HEAD.size + ORDERED.size + MAC_BYTES,
+}
+MARGIN = 0.03  # m beyond the walls: ten times the camera's noise, of a fish that touches one
+ORDER_AGE = 2.0  # s: an order to move that took longer was held back on its way
+
+
+class Order(IntEnum):
+    """What an operator wants of the fish; the last two are taken however late they come."""
+
+    ARM = 1
+    SWIM = 2
+    DISARM = 3
+    STOP = 4
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What one camera frame showed: `captured` [ns] of the sender's monotonic clock; fish x, y [m],
+    yaw [rad] and target x, y [m] in the pool, None where the tag was not seen."""
+
+    captured: int
+    fish: tuple[float, float, float] | None
+    target: tuple[float, float] | None
+
+
+# ---- the key ------------------------------------------------------------------------------------
+
+
+def make_key(path: Path) -> None:
+    """Write a new key that only its owner may read. Raises BadInput if the file exists."""
+    with new_file(path) as beside:
+        beside.write_bytes(secrets.token_bytes(KEY_BYTES))
+        beside.chmod(0o600)
+
+
+def read_key(path: Path) -> bytes:
+    """A key of `make_key`. Raises BadInput if it is missing, short, or open to others."""
+    if not path.is_file():
+        raise BadInput(f"{path}: no key; make one and copy it to both machines.")
+    if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise BadInput(f"{path}: others may read this key; chmod 600 it, or make a new one.")
+    key = path.read_bytes()
+    if len(key) != KEY_BYTES:
+        raise BadInput(f"{path}: {len(key)} bytes; a key has {KEY_BYTES}. Make a new one.")
+    return key
+
+
+# ---- datagrams ----------------------------------------------------------------------------------
+
+
+def sign(key: bytes, body: bytes) -> bytes:
+    """The body with its signature behind it."""
+    return body + hmac.digest(key, body, "sha256")[:MAC_BYTES]
+
+
+def pose_datagram(key: bytes, run: int, nonce: int, sequence: int, frames: list[Frame]) -> bytes:
+    """Up to three frames, oldest first; a short list repeats its first."""
+    frames = [frames[0]] * (FRAMES - len(frames)) + frames[-FRAMES:]
+    return sign(key, HEAD.pack(POSES, run, nonce, sequence) + b"".join(map(_packed, frames)))
+
+
+def _packed(frame: Frame) -> bytes:
+    seen = FISH_SEEN * (frame.fish is not None) + TARGET_SEEN * (frame.target is not None)
+    places = (*(frame.fish or (0.0, 0.0, 0.0)), *(frame.target or (0.0, 0.0)))
+    return FRAME.pack(frame.captured, seen, *places)
+
+
+def _unpacked(body: bytes) -> list[Frame]:
+    frames = []
+    for captured, seen, x, y, yaw, tx, ty in FRAME.iter_unpack(body):
+        fish = (x, y, yaw) if seen & FISH_SEEN else None
+        frames.append(Frame(captured, fish, (tx, ty) if seen & TARGET_SEEN else None))
+    return frames
+
+
+def ask_datagram(key: bytes, nonce: int, sequence: int, now: int) -> bytes:
+    """The fish's question for the sender's clock; it also tells the sender the nonce."""
+    return sign(key, HEAD.pack(ASK, 0, nonce, sequence) + TIMES.pack(now, 0, 0))
+
+
+def tell_datagram(key: bytes, run: int, asked: bytes, received: int, sent: int) -> bytes | None:
+    """The sender's answer to a question, None if it is not a signed one."""
+    if not is_signed(key, asked, ASK, LENGTHS[ASK]):
+        return None
+    _, _, nonce, sequence = HEAD.unpack_from(asked)
+    began = TIMES.unpack_from(asked, HEAD.size)[0]
+    return sign(key, HEAD.pack(TELL, run, nonce, sequence) + TIMES.pack(began, received, sent))
+
+
+def order_datagram(key: bytes, run: int, nonce: int, number: int, order: Order, sent: int) -> bytes:
+    """An order, sent at `sent` [ns]; one that is repeated keeps its number."""
+    return sign(key, HEAD.pack(ORDER, run, nonce, number) + ORDERED.pack(sent, order))
+
+
+def stop_datagram(key: bytes, run: int, nonce: int, number: int) -> bytes:
+    """The order to stop."""
+    return order_datagram(key, run, nonce, number, Order.STOP, 0)
+
+
+def is_signed(key: bytes, data: bytes, kind: bytes, length: int) -> bool:
+    """Whether a datagram is of this kind and length, and signed with this key."""
+    if len(data) != length or data[:4] != kind:
+        return False
+    own = hmac.digest(key, data[:-MAC_BYTES], "sha256")[:MAC_BYTES]
+    return hmac.compare_digest(own, data[-MAC_BYTES:])
+
+
+# ---- the fish's end -----------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class Receiver:
+    """Takes datagrams and keeps the newest frames. `room` (length, width) [m] bounds poses about
+    the pool's middle; `rejected` counts what was dropped, by reason; `orders` wait for the loop;
+    `run` is the sender's, 0 before the first; `ordered` the number of each run's newest order."""
+
+    key: bytes
+    room: tuple[float, float]
+    nonce: int = field(default_factory=lambda: secrets.randbits(64))
+    clock: Clock = field(default_factory=Clock)
+    loss: Loss = field(default_factory=Loss)
+    frames: list[Frame] = field(default_factory=list)  # newest first, of the sender's clock
+    orders: list[Order] = field(default_factory=list)  # oldest first
+    rejected: Counter[str] = field(default_factory=Counter)
+    accepted: int = 0
+    run: int = 0
+    followed: set[int] = field(default_factory=set)  # runs that ended
+    last: int = -1  # sequence of the newest poses
+    told: int = -1  # sequence of the last echo
+    ordered: dict[int, int] = field(default_factory=dict)
+
+    def take(self, data: bytes, now: int) -> None:
+        """One datagram, heard at `now` [ns]; never raises, whatever it holds."""
+        kind = data[:4]
+        if kind not in (POSES, TELL, ORDER) or len(data) != LENGTHS[kind]:
+            self.rejected["not ours"] += 1
+        elif not is_signed(self.key, data, kind, LENGTHS[kind]):
+            self.rejected["signature"] += 1
+        else:
+            _, run, nonce, sequence = HEAD.unpack_from(data)
+            if nonce != self.nonce:
+                self.rejected["another start's"] += 1
+            elif kind == ORDER:
+                self._order(data, run, sequence, now)
+            elif run in self.followed:
+                self.rejected["old"] += 1
+            elif kind == TELL:
+                self._echo(data, run, sequence, now)
+            else:
+                self._poses(data, run, sequence)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether an order to stop waits."""
+        return Order.STOP in self.orders
+
+    def take_orders(self) -> list[Order]:
+        """The orders that wait, oldest first; they wait no longer."""
+        taken, self.orders = self.orders, []
+        return taken
+
+    def _follow(self, run: int) -> None:
+        """Hear a sender that started anew: its clock may be another's."""
+        if run != self.run:
+            self.followed |= {self.run}
+            self.run, self.last = run, -1
+            self.frames, self.clock, self.loss = [], Clock(), Loss()
+
+    def _echo(self, data: bytes, run: int, sequence: int, now: int) -> None:
+        asked, received, sent = TIMES.unpack_from(data, HEAD.size)
+        if sequence <= self.told or not (asked <= now and received <= sent):
+            self.rejected["old"] += 1
+            return
+        self._follow(run)
+        self.told = sequence
+        self.clock.add(asked, received, sent, now)
+
+    def _order(self, data: bytes, run: int, number: int, now: int) -> None:
+        """To stop, whoever sends it; anything else from the sender that is followed alone."""
+        sent, which = ORDERED.unpack_from(data, HEAD.size)
+        newest = self.ordered.get(run, 0)
+        if number == newest:
+            return  # its sender repeats it
+        if which not in tuple(Order):
+            self.rejected["implausible"] += 1
+        elif number < newest or (which != Order.STOP and run != self.run):
+            self.rejected["old"] += 1
+        elif which in (Order.ARM, Order.SWIM) and self._late(sent, now):
+            self.rejected["late"] += 1
+        else:
+            self.ordered[run] = number
+            self.orders.append(Order(which))
+
+    def _late(self, sent: int, now: int) -> bool:
+        """Whether an order was held back; without clocks compared nothing moves, see `safety`."""
+        offset = self.clock.offset(now)
+        return offset is not None and abs(now - (sent - offset[0])) > ORDER_AGE * SECOND
+
+    def _poses(self, data: bytes, run: int, sequence: int) -> None:
+        if run == self.run and sequence <= self.last:
+            self.rejected["old"] += 1
+            return
+        frames = _unpacked(data[HEAD.size : -MAC_BYTES])
+        if not all(map(self._plausible, frames)):
+            self.rejected["implausible"] += 1
+            return
+        self._follow(run)
+        if self.frames and frames[-1].captured < self.frames[0].captured:
+            self.rejected["time runs backwards"] += 1
+            return
+        self.last, self.accepted = sequence, self.accepted + 1
+        self.loss.add(sequence)
+        self.frames = frames[::-1]
+
+    def _plausible(self, frame: Frame) -> bool:
+        places = [frame.fish[:2]] if frame.fish else []
+        places += [frame.target] if frame.target else []
+        numbers = [*(frame.fish or ()), *(frame.target or ())]
+        half = self.room[0] / 2 + MARGIN, self.room[1] / 2 + MARGIN
+        inside = all(abs(x) <= half[0] and abs(y) <= half[1] for x, y in places)
+        return all(map(math.isfinite, numbers)) and inside
+
+    def age(self, frame: Frame, now: int) -> float | None:
+        """Seconds since a frame was captured, or None while the clocks are not compared."""
+        offset = self.clock.offset(now)
+        return None if offset is None else (now - (frame.captured - offset[0])) / SECOND
+
+
+# ---- sockets ------------------------------------------------------------------------------------
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """A datagram socket on a chosen address, never waiting. Raises BadInput."""
+    if host in ("", "0.0.0.0"):
+        raise BadInput("link: give the address of one network, not all of them.")
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    made.setblocking(False)
+    try:
+        made.bind((host, port))
+    except OSError as error:
+        made.close()
+        raise BadInput(
+            f"{host}:{port}: {error.strerror}; choose another address or port."
+        ) from None
+    return made
+
+
+def free_address() -> tuple[str, int]:
+    """An address on this machine that nobody uses now."""
+    with bind("127.0.0.1", 0) as probe:
+        host, port = probe.getsockname()
+    return host, port
+
+
+def drain(made: socket.socket, most: int = 1000) -> Iterator[tuple[bytes, tuple[str, int]]]:
+    """What has arrived, oldest first, at most so many."""
+    for _ in range(most):
+        try:
+            yield made.recvfrom(2048)
+        except (BlockingIOError, ConnectionRefusedError):
+            return

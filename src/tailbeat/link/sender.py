@@ -1,0 +1,148 @@
+"""The laptop's end of the link: sends frames, answers for its clock, orders, hears how the fish is.
+
+A plain object that its owner steps; it has no thread and knows nothing of cameras or pools.
+"""
+
+import contextlib
+import math
+import secrets
+import socket
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from tailbeat.link import datagrams as link
+from tailbeat.link.clock import Loss
+from tailbeat.link.datagrams import Frame, Order
+from tailbeat.link.status import Status, read_status
+
+REPEAT = 0.05  # s between two sendings of an order
+GIVE_UP = 3.0  # s without the fish having taken an order
+LIVE = 1.0  # s: a fish heard so lately is not given up for another start's question
+STATUSES = 50  # five seconds
+
+
+@dataclass(eq=False)
+class Pending:
+    """An order that the fish has not taken yet: its number, when it was given, when it is due."""
+
+    order: Order
+    number: int
+    given: float
+    due: float = -math.inf
+
+
+@dataclass(eq=False)
+class Sender:
+    """The laptop's end; `work` it often, at least a few hundred times a second, and `show` it every
+    frame. `clock` gives its own monotonic time [ns]. `target` [m], if set, stands in for what the
+    camera saw; `status` is the fish's last, heard at `heard` [s]; `said` is what became of the
+    last order."""
+
+    key: bytes
+    socket: socket.socket
+    fish: tuple[str, int]
+    clock: Callable[[], int] = time.monotonic_ns
+    target: tuple[float, float] | None = None
+    run: int = field(default_factory=lambda: 1 + secrets.randbits(63))
+    nonce: int | None = None  # of the fish's start that is spoken to
+    answerer: int | None = None  # of the start whose status was heard last
+    left: set[int] = field(default_factory=set)  # of starts that ended
+    frames: deque[Frame] = field(default_factory=lambda: deque(maxlen=link.FRAMES))
+    seen: Frame | None = None  # the newest with the fish in it
+    status: Status | None = None
+    heard: float = -math.inf
+    loss: Loss = field(default_factory=lambda: Loss(deque(maxlen=STATUSES)))
+    rejected: Counter[str] = field(default_factory=Counter)
+    said: str = ""
+    sequence: int = 0
+    answered: int = -1  # sequence of the last status
+    orders: int = 0
+    pending: deque[Pending] = field(default_factory=deque)
+
+    def work(self, now: float) -> None:
+        """Hear what has come and send what is due, at `now` [s], monotonic."""
+        for data, _ in link.drain(self.socket):
+            self._take(data, now)
+        self._repeat(now)
+
+    def show(self, frame: Frame) -> None:
+        """Send a frame, with the two before it; the operator's target goes over the camera's."""
+        if self.target is not None:
+            frame = replace(frame, target=self.target)
+        self.frames.append(frame)
+        if frame.fish is not None:
+            self.seen = frame
+        if self.nonce is None:
+            return  # no fish has asked yet
+        self.sequence += 1
+        frames = list(self.frames)
+        self._send(link.pose_datagram(self.key, self.run, self.nonce, self.sequence, frames))
+
+    def order(self, order: Order, now: float) -> None:
+        """Send an order until the status shows it taken; to stop and to disarm go before all."""
+        if order in (Order.STOP, Order.DISARM):
+            self.pending.clear()
+        self.orders += 1
+        self.pending.append(Pending(order, self.orders, now))
+        self.said = f"{order.name} sent"
+        self._repeat(now)
+
+    # ---- inside ---------------------------------------------------------------------------------
+
+    def _take(self, data: bytes, now: float) -> None:
+        received = self.clock()
+        if link.is_signed(self.key, data, link.ASK, link.LENGTHS[link.ASK]):
+            self._answer(data, received, now)
+        elif (status := read_status(self.key, data)) is not None:
+            self._hear(*status, now)
+        else:
+            self.rejected["not the fish's"] += 1
+
+    def _answer(self, data: bytes, received: int, now: float) -> None:
+        """A question may be a recording: it starts no talk with another while a fish is heard."""
+        nonce = link.HEAD.unpack_from(data)[2]
+        if now - self.heard > LIVE and nonce not in self.left:
+            self.nonce = nonce
+        told = link.tell_datagram(self.key, self.run, data, received, self.clock())
+        if told is not None:
+            self._send(told)
+
+    def _hear(self, run: int, nonce: int, sequence: int, status: Status, now: float) -> None:
+        """A status that names our run answers us, so it is of a fish that lives."""
+        old = nonce == self.answerer and sequence <= self.answered
+        if run != self.run or nonce in self.left or old:
+            self.rejected["old"] += 1
+            return
+        if nonce != self.answerer:
+            self._meet(nonce)
+        self.nonce, self.answered, self.status, self.heard = nonce, sequence, status, now
+        self.loss.add(sequence)
+
+    def _meet(self, nonce: int) -> None:
+        """A fish that started anew gets no orders that were given to the one before."""
+        if self.answerer is not None:
+            self.left.add(self.answerer)
+            self.pending.clear()
+        self.answerer, self.loss = nonce, Loss(deque(maxlen=STATUSES))
+
+    def _repeat(self, now: float) -> None:
+        """The oldest order that the fish has not taken; the others wait for it."""
+        taken = self.status.order if self.status else 0
+        while self.pending and self.pending[0].number <= taken:
+            self.said = f"{self.pending.popleft().order.name} taken"
+        if not self.pending or now < self.pending[0].due:
+            return
+        first = self.pending[0]
+        if now - first.given > GIVE_UP:
+            self.pending.clear()
+            self.said = f"{first.order.name} not taken: the fish does not answer"
+        elif self.nonce is not None:
+            first.due = now + REPEAT
+            words = self.run, self.nonce, first.number, first.order, self.clock()
+            self._send(link.order_datagram(self.key, *words))
+
+    def _send(self, datagram: bytes) -> None:
+        with contextlib.suppress(OSError):  # a network that is down shows in the status' age
+            self.socket.sendto(datagram, self.fish)

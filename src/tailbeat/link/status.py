@@ -1,0 +1,101 @@
+"""How the fish is: one signed datagram ten times a second, to the laptop.
+
+It names the sender's run that the fish hears, so that the laptop takes none that was recorded
+before its own start, and the number of the newest order taken, so that a lost order is repeated.
+"""
+
+import math
+import struct
+from dataclasses import dataclass, fields
+from enum import Enum
+
+from tailbeat.link.datagrams import HEAD, MAC_BYTES, is_signed, sign
+
+STATUS = b"tbR1"
+TEXT_BYTES = 96  # of the reason, UTF-8, cut where it is longer
+
+
+class State(Enum):
+    """DISARMED: no torque. ARMED: torque, tail held. RUN: the policy swims. HOLD: back to straight
+    and wait. STOP: no torque, and it stays so."""
+
+    DISARMED = "disarmed"
+    ARMED = "armed"
+    RUN = "run"
+    HOLD = "hold"
+    STOP = "stop"
+
+
+STATES = tuple(State)
+FIRST = struct.Struct(f"<BHIQd{TEXT_BYTES}s")  # state, missed, rejects, order, offset, reason
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """What a status says in numbers, SI, NaN where nothing is known: age of the newest pose and
+    what age holds and stops; motor angle and the setpoint sent [rad]; servo temperature [deg C],
+    voltage, current; how late a period began and how long it took, longest since the status
+    before; share of the tail's power below the band's upper edge; how far the clocks' offset may be
+    off; share of poses lost; the target that the fish swims to."""
+
+    pose_age: float = math.nan
+    pose_hold: float = math.nan
+    pose_stop: float = math.nan
+    angle: float = math.nan
+    setpoint: float = math.nan
+    temperature: float = math.nan
+    voltage: float = math.nan
+    current: float = math.nan
+    late: float = math.nan
+    busy: float = math.nan
+    band_share: float = math.nan
+    clock_doubt: float = math.nan
+    loss: float = math.nan
+    target_x: float = math.nan
+    target_y: float = math.nan
+
+
+NUMBERS = struct.Struct(f"<{len(fields(Numbers))}f")
+LENGTH = HEAD.size + FIRST.size + NUMBERS.size + MAC_BYTES
+
+
+@dataclass(frozen=True)
+class Status:
+    """State and reason, periods `missed` within a second, datagrams rejected since the start, the
+    newest `order` taken, the sender's clock less the fish's [s], and the numbers."""
+
+    state: State
+    reason: str
+    missed: int
+    rejects: int
+    order: int
+    offset: float
+    numbers: Numbers
+
+
+def status_datagram(key: bytes, run: int, nonce: int, sequence: int, status: Status) -> bytes:
+    """A status of the fish's start `nonce` for the sender's run."""
+    text = status.reason.encode()[:TEXT_BYTES].decode(errors="ignore").encode()
+    first = FIRST.pack(
+        STATES.index(status.state),
+        min(status.missed, 0xFFFF),
+        min(status.rejects, 0xFFFF_FFFF),
+        status.order,
+        status.offset,
+        text,
+    )
+    numbers = NUMBERS.pack(*(getattr(status.numbers, one.name) for one in fields(Numbers)))
+    return sign(key, HEAD.pack(STATUS, run, nonce, sequence) + first + numbers)
+
+
+def read_status(key: bytes, data: bytes) -> tuple[int, int, int, Status] | None:
+    """The sender's run, the fish's nonce, the sequence, and what it says; None if it is not a
+    signed one."""
+    if not is_signed(key, data, STATUS, LENGTH):
+        return None
+    _, run, nonce, sequence = HEAD.unpack_from(data)
+    state, missed, rejects, order, offset, text = FIRST.unpack_from(data, HEAD.size)
+    numbers = Numbers(*NUMBERS.unpack_from(data, HEAD.size + FIRST.size))
+    reason = text.rstrip(b"\0").decode(errors="replace")
+    status = Status(STATES[state], reason, missed, rejects, order, offset, numbers)
+    return run, nonce, sequence, status

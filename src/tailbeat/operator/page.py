@@ -1,0 +1,169 @@
+"""The owner's end of the console: starts the server in a process beside, feeds it, hears orders.
+
+Both ways go through a pair of datagram sockets that never wait: where the server is slow, what is
+shown is dropped, and where the owner is, the server says so. A server that died is started again.
+"""
+
+import contextlib
+import json
+import secrets
+import select
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from ipaddress import ip_address
+from typing import Any
+
+from tailbeat.files import BadInput, plain
+from tailbeat.fish.description import Fish
+from tailbeat.link.datagrams import Order
+from tailbeat.link.sender import Sender
+from tailbeat.operator.snapshot import snapshot
+
+EVERY = 0.05  # s between two snapshots
+LARGEST = 180_000  # bytes of a datagram, so of a picture
+AGAIN = 5.0  # s before a server that died is started anew
+READY = 60.0  # s that it may take to start
+COMMANDS = 20  # read at once
+
+
+@dataclass(eq=False)
+class Desk:
+    """An open console; see `open_desk`. `url` holds the token."""
+
+    listening: socket.socket
+    room: tuple[float, float]
+    token: str
+    url: str
+    ours: socket.socket
+    theirs: socket.socket
+    process: "subprocess.Popen[bytes] | None" = None
+    picture: bytes = b""  # the last that was shown
+    due: float = 0.0
+    again: float = 0.0
+
+    def show(self, snapshot: dict[str, Any], picture: bytes) -> None:
+        """Show what is, and a JPEG where it is a new one; both are dropped where the server is
+        behind."""
+        words = json.dumps(plain(snapshot), allow_nan=False).encode()
+        image = b"" if picture is self.picture else picture
+        self.picture = picture
+        for datagram in (words, image):
+            if datagram and len(datagram) <= LARGEST:
+                with contextlib.suppress(OSError):
+                    self.ours.send(datagram)
+
+    def commands(self, patience: float = 0.0) -> list[dict[str, Any]]:
+        """What operators with the token asked for since, oldest first, waited for up to `patience`
+        [s]; the server's own first word is "ready"."""
+        found: list[dict[str, Any]] = []
+        if patience:
+            select.select([self.ours], [], [], patience)
+        with contextlib.suppress(OSError):
+            while len(found) < COMMANDS:
+                found.append(json.loads(self.ours.recv(4096)))
+        return found
+
+    def close(self) -> None:
+        """End the server."""
+        if self.process is not None:
+            assert self.process.stdin is not None
+            self.process.stdin.close()  # it ends when nobody holds this
+            self.process.terminate()
+            self.process.wait(10)
+        for one in (self.listening, self.ours, self.theirs):
+            one.close()
+
+    def _keep(self, now: float) -> None:
+        """Start the server where there is none."""
+        if now < self.again or (self.process is not None and self.process.poll() is None):
+            return
+        self.again = now + AGAIN
+        handles = self.listening.fileno(), self.theirs.fileno()
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "tailbeat.operator.server", *map(str, handles)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            pass_fds=handles,
+            start_new_session=True,  # Ctrl-C is for the owner, who may still have to stop the fish
+        )
+        assert self.process.stdin is not None
+        host = self.listening.getsockname()[0]
+        hosts = [host, "localhost"] if is_local(host) else ["*"]
+        words = {"token": self.token, "room": self.room, "hosts": hosts}
+        self.process.stdin.write(json.dumps(words).encode() + b"\n")  # not for all to see in `ps`
+        self.process.stdin.flush()
+
+
+def open_desk(address: tuple[str, int], room: tuple[float, float]) -> Desk:
+    """Open the console at host and port (0: any free one) for a pool of this size [m]. Raises
+    BadInput where the address cannot be had. Returns when the page can be seen."""
+    if address[0] in ("", "0.0.0.0"):
+        raise BadInput("--console: give the address of one network, not all of them.")
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind(address)
+    except OSError as error:
+        listening.close()
+        raise BadInput(
+            f"--console {address[0]}:{address[1]}: {error.strerror}; choose another address or"
+            " port."
+        ) from None
+    listening.listen()
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    for one in (ours, theirs):
+        one.setblocking(False)
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4 * LARGEST)
+    token = secrets.token_urlsafe(12)
+    host, port = listening.getsockname()
+    desk = Desk(listening, room, token, f"http://{host}:{port}/#token={token}", ours, theirs)
+    desk._keep(time.monotonic())
+    if not desk.commands(READY):
+        desk.close()
+        raise BadInput("the console's server did not start; see what it said above.")
+    return desk
+
+
+def is_local(host: str) -> bool:
+    """Whether only this machine can reach an address."""
+    return ip_address(host).is_loopback
+
+
+def announce(desk: Desk) -> list[str]:
+    """What the operator must know: where it is, and whether others can reach it."""
+    lines = [f"console: {desk.url}"]
+    if not is_local(desk.listening.getsockname()[0]):
+        lines.append(
+            "warning: the console is open to this network, unencrypted: everyone on it can watch"
+            " and STOP, and who listens along can read the token. Use a network of your own."
+        )
+    return lines
+
+
+def turn(
+    desk: Desk, sender: Sender, fish: Fish, now: float, note: str = "", picture: bytes = b""
+) -> None:
+    """Do what the operators ask, and show them what is, where that is due at `now` [s]. `note` is
+    about the camera, `picture` its newest JPEG."""
+    for command in desk.commands():
+        _attend(sender, command, now)
+    if now >= desk.due:
+        desk.due = now + EVERY
+        desk._keep(now)
+        desk.show(snapshot(sender, fish, desk.room, now, note), picture)
+
+
+def _attend(sender: Sender, command: dict[str, Any], now: float) -> None:
+    match command["do"]:
+        case "target":
+            x, y = command["at"]
+            sender.target = (x, y)
+        case "tag":
+            sender.target = None
+        case "ready":
+            pass  # a server that was started again
+        case wanted:
+            sender.order(Order[wanted.upper()], now)

@@ -1,0 +1,85 @@
+"""What the page shows, as one JSON-ready dictionary: all that the laptop knows of the fish.
+
+Lengths in metres, angles in radians, times in seconds, as everywhere; the page chooses its units.
+"""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.fish.description import Fish
+from tailbeat.fish.outline import guessed_shape, outline
+from tailbeat.link.clock import SECOND
+from tailbeat.link.datagrams import Frame
+from tailbeat.link.sender import Sender
+from tailbeat.link.status import Status
+from tailbeat.robot.safety import Limits
+
+Array = NDArray[np.float64]
+FIN = 0.005  # m, half of a fin's thickness as drawn
+HEAD = ((0.1, 0.7), (0.35, 1.0), (0.7, 0.95))  # as drawn: where from nose to first hinge, how wide
+
+
+def snapshot(
+    sender: Sender, fish: Fish, room: tuple[float, float], now: float, note: str = ""
+) -> dict[str, Any]:
+    """Everything at `now` [s]; None stands where nothing is known. `note` is about the camera."""
+    status, frame = sender.status, sender.seen
+    return {
+        "room": room,
+        "fish": _fish(sender, fish, frame) if frame else None,
+        "target": _target(sender),
+        "operator": sender.target is not None,
+        "said": sender.said,
+        "note": note,
+        "status": _status(status, now - sender.heard) if status else None,
+        "loss_back": sender.loss.share(),
+        "limits": asdict(Limits()),
+    }
+
+
+def _fish(sender: Sender, fish: Fish, frame: Frame) -> dict[str, Any]:
+    assert frame.fish is not None
+    motor = sender.status.numbers.angle if sender.status else 0.0
+    return {
+        "pose": frame.fish,
+        "age": (sender.clock() - frame.captured) / SECOND,
+        "body": body(fish, frame.fish, motor if np.isfinite(motor) else 0.0),
+    }
+
+
+def _target(sender: Sender) -> tuple[float, float] | None:
+    """The one that is sent."""
+    newest = sender.frames[-1].target if sender.frames else None
+    return sender.target or newest
+
+
+def _status(status: Status, age: float) -> dict[str, Any]:
+    numbers = asdict(status.numbers)
+    target = numbers.pop("target_x"), numbers.pop("target_y")
+    return {
+        "state": status.state.value,
+        "reason": status.reason,
+        "age": age,
+        "missed": status.missed,
+        "rejects": status.rejects,
+        "offset": status.offset,
+        "target": target if np.isfinite(target).all() else None,
+        **numbers,
+    }
+
+
+def body(fish: Fish, pose: tuple[float, float, float], motor: float) -> list[list[float]]:
+    """The fish from above, nose to fin: x, y and half the width [m] at each place. Only the tag's
+    pose and the motor angle are known, so the hinges share the bend alike: a picture, no estimate.
+    """
+    links = fish.tail.links
+    line = outline(fish, guessed_shape(fish, pose, motor))
+    head = max(part.size[1] for part in fish.head.parts) / 2
+    tail = [max(part.size[1] for part in one.parts) / 2 for one in links]
+    along = np.array([share for share, _ in HEAD])[:, None]
+    shell = line[0] + along * (line[1] - line[0])
+    widths = [FIN, *(wide * head for _, wide in HEAD), *tail, FIN]
+    return np.column_stack([np.concatenate([line[:1], shell, line[1:]]), widths]).tolist()

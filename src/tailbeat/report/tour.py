@@ -1,0 +1,72 @@
+"""Picture and film of a tour of targets, from above. Draws what was swum; computes nothing."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import imageio.v2 as imageio
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
+
+from tailbeat.env.simulator import PERIOD
+from tailbeat.evaluate.tour import WALLS, Tour
+from tailbeat.evaluate.trial import Progress
+from tailbeat.files import new_file
+from tailbeat.fish.description import Fish
+from tailbeat.fish.outline import outline
+from tailbeat.report.swim_figures import BLUE, GREEN, ORANGE, RED
+
+FILM_RATE = 12.5  # frames per second
+SPEED, LONGEST = 4.0, 60.0  # seconds swum per second shown, at least; s that a film lasts at most
+
+
+def picture(tour: Tour, fish: Fish) -> Figure:
+    """The pool from above: the whole way, the targets in their order, the fish now and then."""
+    figure = Figure(figsize=(9, 4.8), layout="constrained")
+    axes = figure.subplots()
+    _draw(axes, tour, fish, len(tour.goal) - 1, len(tour.goal))
+    for step in range(0, len(tour.goal), round(2.0 / PERIOD)):
+        axes.plot(*outline(fish, tour.shape[step]).T, color=BLUE, lw=1.5, alpha=0.4)
+    return figure
+
+
+def film(tour: Tour, fish: Fish, path: Path, progress: Progress) -> None:
+    """An MP4 of the swim from above, at four times real speed; a long swim faster, in a minute."""
+    speed = max(SPEED, PERIOD * len(tour.goal) / LONGEST)
+    with (
+        new_file(path, overwrite=True) as beside,
+        imageio.get_writer(beside, fps=FILM_RATE, macro_block_size=None) as writer,
+    ):
+        steps = range(0, len(tour.goal), round(speed / FILM_RATE / PERIOD))
+        for number, image in enumerate(_images(tour, fish, steps), 1):
+            writer.append_data(image)  # type: ignore[attr-defined]
+            progress("film", number, len(steps))
+
+
+def _images(tour: Tour, fish: Fish, steps: range) -> Iterator[Any]:
+    figure = Figure(figsize=(8, 4.4), dpi=80)
+    canvas, axes = FigureCanvasAgg(figure), figure.add_axes((0.06, 0.1, 0.92, 0.82))
+    for step in steps:
+        axes.clear()
+        _draw(axes, tour, fish, step, step)
+        canvas.draw()
+        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _draw(axes: Axes, tour: Tour, fish: Fish, step: int, shown: int) -> None:
+    length, width = WALLS
+    axes.add_patch(Rectangle((-length / 2, -width / 2), length, width, fill=False, lw=2))
+    axes.plot(*tour.pose[:shown, :2].T, color="0.7", lw=1)
+    for number, (x, y) in enumerate(tour.targets.tolist()):
+        over = number < tour.goal[step] or shown == len(tour.goal)
+        colour = (GREEN if tour.reached[number] else RED) if over else ORANGE
+        if over or number == tour.goal[step]:
+            axes.add_patch(Circle((x, y), 0.05, color=colour, zorder=3))
+            axes.annotate(str(number + 1), (x + 0.07, y + 0.05))
+    axes.plot(*outline(fish, tour.shape[step]).T, color=BLUE, lw=3, solid_capstyle="round")
+    axes.set(xlim=(-2.85, 2.85), ylim=(-1.45, 1.45), xlabel="x [m]", ylabel="y [m]")
+    axes.set(title=f"{PERIOD * step:.0f} s")
+    axes.set_aspect("equal")

@@ -1,0 +1,1 @@
+"""What runs on the fish? The loop, safety, watchdog, drivers, log, doctor."""

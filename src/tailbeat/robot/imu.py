@@ -1,0 +1,191 @@
+"""The fish's IMU: a Bosch BNO055 on a UART, read for its yaw rate.
+
+Own driver: one burst a read, no waiting for a sensor that is busy ("bus over-run" is its normal
+life and passes by itself). Registers, units and replies: data sheet BST-BNO055-DS000 (not tried on
+a real one). Only the gyroscope is used: its heading drifts and starts anywhere, the camera has it.
+"""
+
+import contextlib
+import math
+import struct
+import time
+from dataclasses import dataclass
+
+import serial
+
+from tailbeat.files import BadInput
+from tailbeat.robot.wire import GONE, heard, reopen
+
+CHIP_ID, GYRO, STATUS, UNITS, MODE, TRIGGER, PAGE = 0x00, 0x14, 0x39, 0x3B, 0x3D, 0x3F, 0x07
+CHIP = 0xA0
+CONFIG, ACCGYRO = 0x00, 0x05  # raw rates: the fusion modes recalibrate by themselves
+RATE = math.radians(1 / 16)  # rad/s per count
+FASTEST = math.radians(2000)
+TO_CONFIG, TO_OPERATE = 0.019, 0.007  # s that a change of mode takes
+DEADLINE = 0.008  # s for a reply: 12 bytes at 115,200 baud and the sensor's own time
+PATIENCE = 0.1  # s for the first one
+OVER_RUN = 0x07
+ERRORS = {
+    0x02: "read failed", 0x03: "write failed", 0x04: "bad address", 0x05: "write disabled",
+    0x06: "wrong start byte", 0x07: "bus over-run", 0x08: "too long", 0x09: "too short",
+    0x0A: "time-out",
+}  # fmt: skip
+FROZEN = 10  # the same three numbers so often in a row: a still sensor has noise of several counts
+
+
+class ImuFault(Exception):
+    """The sensor did not answer as it should; `kind`: "silent", "gone", "refused", or
+    "frozen" where it answers and its numbers no longer change."""
+
+    def __init__(self, kind: str, text: str) -> None:
+        super().__init__(text)
+        self.kind = kind
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """Which of the sensor's axes (0, 1, 2) points along the fish's z, and whether up (1) or down
+    (-1)."""
+
+    axis: int = 2
+    sign: int = 1
+
+
+@dataclass(frozen=True)
+class YawRate:
+    """One reading: `time` [s] monotonic, rate [rad/s] counter-clockwise from above."""
+
+    time: float
+    rate: float
+
+
+@dataclass(eq=False)
+class Imu:
+    """An open sensor; see `connect`. `missed` counts readings that did not come, `over_runs` those
+    that the sensor refused because it was busy."""
+
+    port: serial.Serial
+    mounting: Mounting
+    deadline: float = DEADLINE
+    missed: int = 0
+    over_runs: int = 0
+    last: bytes = b""
+    same: int = 0
+
+    def read(self) -> YawRate | None:
+        """The yaw rate, or None where none came in time or it was none; ask again next time.
+        Raises ImuFault where the sensor is gone, or stands still as no sensor does."""
+        try:
+            data = self.registers(GYRO, 6)
+        except ImuFault as fault:
+            if fault.kind == "gone":
+                raise
+            self.missed += 1
+            return None
+        self._check_alive(data)
+        rates = [RATE * count for count in struct.unpack("<3h", data)]
+        if max(map(abs, rates)) > FASTEST:
+            self.missed += 1
+            return None
+        return YawRate(time.monotonic(), self.mounting.sign * rates[self.mounting.axis])
+
+    def _check_alive(self, data: bytes) -> None:
+        self.same = self.same + 1 if data == self.last else 0
+        self.last = data
+        if self.same >= FROZEN:
+            raise ImuFault("frozen", f"the IMU gave the same numbers {FROZEN} times; restart it")
+
+    def prepare(self) -> None:
+        """Degrees per second, accelerometer and gyroscope alone."""
+        for register, value, pause in (
+            (MODE, CONFIG, TO_CONFIG), (PAGE, 0, 0.0), (UNITS, 0, 0.0), (MODE, ACCGYRO, TO_OPERATE),
+        ):  # fmt: skip
+            self.set(register, value)
+            time.sleep(pause)
+
+    def healthy(self) -> bool:
+        """Whether the sensor reports no error of its own."""
+        return self.registers(STATUS, 2)[1] == 0
+
+    def registers(self, first: int, length: int) -> bytes:
+        """A burst of registers. Raises ImuFault."""
+        reply = self._exchange(bytes([0xAA, 0x01, first, length]), 2 + length)
+        if reply[0] == 0xBB and reply[1] == length and len(reply) == 2 + length:
+            return reply[2:]
+        raise self._refused(reply)
+
+    def set(self, register: int, value: int, tries: int = 5) -> None:
+        """Write one register, again while the sensor is busy or silent. Raises ImuFault."""
+        for _ in range(tries):
+            try:
+                reply = self._exchange(bytes([0xAA, 0x00, register, 1, value]), 2)
+            except ImuFault as silent:
+                if silent.kind == "gone":
+                    raise
+                fault = silent
+            else:
+                if reply == b"\xee\x01":
+                    return
+                fault = self._refused(reply)
+            time.sleep(0.01)
+        raise fault
+
+    def _refused(self, reply: bytes) -> ImuFault:
+        code = reply[1] if reply[0] == 0xEE else -1
+        self.over_runs += code == OVER_RUN
+        return ImuFault("refused", f"the IMU: {ERRORS.get(code, 'a damaged reply')}")
+
+    def _exchange(self, question: bytes, length: int) -> bytes:
+        """A question and its reply: `length` bytes, or two where it is an error."""
+        try:
+            self.port.reset_input_buffer()
+            self.port.write(question)
+            end, reply = time.monotonic() + self.deadline, b""
+            while len(reply) < (2 if reply[:1] == b"\xee" else length):
+                data = heard(self.port, end, length - len(reply))
+                if not data:
+                    raise ImuFault("silent", f"no reply within {1e3 * self.deadline:g} ms")
+                reply += data
+        except GONE as error:
+            raise ImuFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
+        return reply
+
+    def reopen(self) -> None:
+        """Open the port anew, after the cable was out; set up as before. Raises ImuFault."""
+        try:
+            reopen(self.port)
+        except GONE as error:
+            raise ImuFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
+        self.prepare()
+
+    def close(self) -> None:
+        """Close the port."""
+        with contextlib.suppress(*GONE):
+            self.port.close()
+
+
+def connect(path: str, mounting: Mounting | None = None, deadline: float = DEADLINE) -> Imu:
+    """Open a port and make sure that a BNO055 answers. Raises BadInput."""
+    try:
+        port = serial.Serial(path, 115_200, timeout=deadline, write_timeout=0.1, exclusive=True)
+    except (*GONE, ValueError) as error:
+        raise BadInput(f"{path}: {error}; give the IMU's port, not in use elsewhere.") from None
+    imu = Imu(port, mounting or Mounting(), max(deadline, PATIENCE))
+    fault = None
+    for _ in range(5):
+        try:
+            chip = imu.registers(CHIP_ID, 1)[0]
+            break
+        except ImuFault as one:
+            fault = one
+    else:
+        imu.close()
+        raise BadInput(
+            f"{path}: {fault}; nothing answers as a BNO055 at 115200 baud: check cable, power and"
+            f" its PS1 pin (high for UART)."
+        )
+    imu.deadline = deadline
+    if chip != CHIP:
+        imu.close()
+        raise BadInput(f"{path}: chip {chip:#x}; a BNO055 says {CHIP:#x}. Give its port.")
+    return imu

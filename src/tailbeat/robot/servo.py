@@ -1,0 +1,275 @@
+"""The fish's servo: a ROBOTIS XW430-T200-R on a serial port, Protocol 2.0.
+
+Own driver: the maker's blocks 34 ms on a lost reply, reads that as the value 0, and writes without
+stuffing. Here a reply has 5 ms, a read is tried twice, a write once, and every error byte is looked
+at. Addresses, units and limits: e-manual XW430-T200 (not tried on a real one).
+"""
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import serial
+
+from tailbeat.files import BadInput
+from tailbeat.robot.packet import (
+    ERRORS,
+    PING,
+    READ,
+    REBOOT,
+    STATUS,
+    WRITE,
+    Packet,
+    Parser,
+    encode,
+)
+from tailbeat.robot.wire import GONE, heard, reopen
+
+MODEL = 1280  # XW430-T200
+COUNT = 2 * math.pi / 4096  # rad
+CENTRE = 2048
+VELOCITY = 0.229 * 2 * math.pi / 60  # rad/s
+CURRENT = 2.69e-3  # A
+VOLTAGE = 0.1  # V
+RETURN_DELAY, OPERATING_MODE, HIGHEST, LOWEST = (9, 1), (11, 1), (48, 4), (52, 4)
+TORQUE, RETURN_LEVEL, HARDWARE_ERROR = (64, 1), (68, 1), (70, 1)
+GAIN, BUS_WATCHDOG, GOAL = (84, 2), (98, 1), (116, 4)
+STATE_FIRST, STATE_LENGTH = 122, 25  # moving ... temperature: no gap
+POSITION_MODE = 3
+WATCHDOG_UNIT = 0.020  # s
+DEADLINE = 0.005  # s for a reply
+PATIENCE = 0.1  # s for the first one: nothing moves yet
+HARDWARE = {0: "voltage", 2: "overheat", 3: "encoder", 4: "electrical shock", 5: "overload"}
+
+
+class ServoFault(Exception):
+    """The servo did not do as told. `kind`: "silent" (no reply), "gone" (the port is), "refused"
+    (an error in its status), "watchdog" (it stopped by itself and must be armed anew)."""
+
+    def __init__(self, kind: str, text: str) -> None:
+        super().__init__(text)
+        self.kind = kind
+
+
+@dataclass(frozen=True)
+class ServoState:
+    """One reading: `time` [s] monotonic at its arrival, angle [rad] and velocity [rad/s] of the
+    shaft, current [A], voltage [V], temperature [deg C], and whether a hardware error stands."""
+
+    time: float
+    angle: float
+    velocity: float
+    current: float
+    voltage: float
+    temperature: float
+    alert: bool
+
+
+@dataclass(eq=False)
+class Servo:
+    """An open servo; see `connect`. `silent` counts replies that did not come, `bad` packets that
+    were damaged; `sign` is 1 where counts rise with the motor angle, else -1."""
+
+    port: serial.Serial
+    ident: int
+    sign: int = 1
+    deadline: float = DEADLINE
+    parser: Parser = field(default_factory=Parser)
+    silent: int = 0
+
+    # ---- what the loop calls --------------------------------------------------------------------
+
+    def read(self) -> ServoState:
+        """Where the shaft is, in one read. Raises ServoFault."""
+        status = self._ask(READ, _pair(STATE_FIRST, STATE_LENGTH), STATE_LENGTH, tries=2)
+        data = status.data
+        return ServoState(
+            time=time.monotonic(),
+            angle=self.sign * COUNT * (_signed(data, 132, 4) - CENTRE),
+            velocity=self.sign * VELOCITY * _signed(data, 128, 4),
+            current=self.sign * CURRENT * _signed(data, 126, 2),
+            voltage=VOLTAGE * _signed(data, 144, 2),
+            temperature=float(data[146 - STATE_FIRST]),
+            alert=status.alert,
+        )
+
+    def write(self, angle: float) -> float:
+        """Ask for an angle [rad]; the angle that was sent, in whole counts. Raises ServoFault; of
+        kind "watchdog" where the servo had stopped by itself."""
+        counts = CENTRE + self.sign * round(angle / COUNT)
+        try:
+            self.set(GOAL, counts)
+        except ServoFault as fault:
+            if fault.kind == "refused" and self.stopped_itself():
+                raise ServoFault("watchdog", "the servo's bus watchdog stopped it") from None
+            raise
+        return self.sign * COUNT * (counts - CENTRE)
+
+    # ---- arming ---------------------------------------------------------------------------------
+
+    def prepare(self, low: float, high: float) -> None:
+        """Torque off, position mode, limits [rad] as the last defence, quick replies to all."""
+        with self._patient():
+            self._prepare(low, high)
+
+    def _prepare(self, low: float, high: float) -> None:
+        self.torque_off()
+        ends = sorted(CENTRE + self.sign * round(end / COUNT) for end in (low, high))
+        wanted = {OPERATING_MODE: POSITION_MODE, RETURN_DELAY: 0, LOWEST: ends[0], HIGHEST: ends[1]}
+        for register, value in wanted.items():
+            if self.get(register) != value:  # EEPROM wears
+                self.set(register, value)
+        self.set(RETURN_LEVEL, 2)
+
+    def arm(self, watchdog: float = 0.1) -> float:
+        """Hold where it stands: the goal first, the servo's own watchdog [s] (at most 2.54), and
+        torque last, so that it never is on unwatched; the angle held."""
+        with self._patient():
+            held = self.release(watchdog)
+            self.set(TORQUE, 1)
+        return held
+
+    @contextlib.contextmanager
+    def _patient(self) -> Iterator[None]:
+        """Longer for a reply: nothing moves yet, and EEPROM takes its time."""
+        usual, self.deadline = self.deadline, max(self.deadline, PATIENCE)
+        try:
+            yield
+        finally:
+            self.deadline = usual
+
+    def release(self, watchdog: float = 0.1) -> float:
+        """After its own watchdog stopped it: goals are taken again, the first one where the shaft
+        stands, and the watchdog [s] is set anew; the angle held. Torque is as it was."""
+        self.set(BUS_WATCHDOG, 0)
+        held = self.write(self.read().angle)
+        self.set(BUS_WATCHDOG, _periods(watchdog))
+        return held
+
+    def torque_off(self) -> None:
+        """Let go, whatever state it is in; then the watchdog off, so that it can be set up. The
+        register is read back: a late reply to another write looks like the one to this."""
+        self.set(TORQUE, 0)
+        if self.is_on():
+            raise ServoFault("refused", "torque is still on after it was written off")
+        self.set(BUS_WATCHDOG, 0)
+
+    def stopped_itself(self) -> bool:
+        """Whether its own watchdog stopped it, and goals are refused until `release`."""
+        return self.get(BUS_WATCHDOG) == 0xFF
+
+    def is_on(self) -> bool:
+        """Whether the servo holds torque."""
+        return bool(self.get(TORQUE))
+
+    def hardware_errors(self) -> list[str]:
+        """Names of the hardware errors that stand; after a shutdown only `reboot` helps."""
+        bits = self.get(HARDWARE_ERROR)
+        return [name for bit, name in HARDWARE.items() if bits >> bit & 1]
+
+    def reboot(self) -> None:
+        """Restart the servo: torque is off then, and what lies in its RAM is lost."""
+        self._ask(REBOOT, b"", 0, tries=1)
+
+    # ---- registers ------------------------------------------------------------------------------
+
+    def get(self, register: tuple[int, int]) -> int:
+        """An unsigned register (address, bytes)."""
+        status = self._ask(READ, _pair(*register), register[1], tries=2)
+        return int.from_bytes(status.data, "little")
+
+    def set(self, register: tuple[int, int], value: int) -> None:
+        """Write a register."""
+        address, size = register
+        body = address.to_bytes(2, "little") + (value % (1 << 8 * size)).to_bytes(size, "little")
+        self._ask(WRITE, body, 0, tries=1)
+
+    def reopen(self) -> None:
+        """Open the port anew, after the cable was out. Raises ServoFault."""
+        try:
+            reopen(self.port)
+        except GONE as error:
+            raise ServoFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
+
+    def close(self) -> None:
+        """Let go as far as it can still be told, and close the port."""
+        with contextlib.suppress(ServoFault):
+            self.torque_off()
+        with contextlib.suppress(*GONE):
+            self.port.close()
+
+    def _ask(self, instruction: int, body: bytes, length: int, tries: int) -> Packet:
+        """One transaction; a status with `length` bytes of data."""
+        for _ in range(tries):
+            status = self._once(Packet(self.ident, instruction, body))
+            if status is None:
+                self.silent += 1
+            elif status.error:
+                said = ERRORS.get(status.error, f"number {status.error}")
+                raise ServoFault("refused", f"the servo refused: {said} error")
+            elif len(status.data) == length:
+                return status
+        raise ServoFault("silent", f"no reply within {1e3 * self.deadline:g} ms")
+
+    def _once(self, packet: Packet) -> Packet | None:
+        try:
+            self.port.reset_input_buffer()
+            self.parser.held.clear()  # a late reply to an earlier question is none to this
+            self.port.write(encode(packet))
+            for status in self._replies():
+                if (
+                    status.ident == self.ident
+                    and status.instruction == STATUS
+                    and status.parameters
+                ):
+                    return status
+        except GONE as error:
+            raise ServoFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
+        return None
+
+    def _replies(self) -> Iterator[Packet]:
+        end = time.monotonic() + self.deadline
+        while time.monotonic() < end and (data := heard(self.port, end)):
+            yield from self.parser.feed(data)
+
+
+def connect(
+    path: str, ident: int = 1, baud: int = 1_000_000, sign: int = 1, deadline: float = DEADLINE
+) -> Servo:
+    """Open a port and make sure that the right servo answers. Raises BadInput."""
+    try:
+        port = serial.Serial(path, baud, timeout=deadline, write_timeout=0.1, exclusive=True)
+    except (serial.SerialException, OSError, ValueError) as error:
+        raise BadInput(f"{path}: {error}; give the servo's port, not in use elsewhere.") from None
+    with contextlib.suppress(ValueError, OSError, NotImplementedError):
+        port.set_low_latency_mode(True)  # a pty has none
+    servo = Servo(port, ident, sign, max(deadline, PATIENCE))
+    try:
+        model = int.from_bytes(servo._ask(PING, b"", 3, tries=3).data[:2], "little")
+    except ServoFault as fault:
+        port.close()
+        raise BadInput(
+            f"{path}: {fault}; nothing answers as servo {ident} at {baud} baud: check cable, power,"
+            f" id and baud rate."
+        ) from None
+    servo.deadline = deadline
+    if model != MODEL:
+        port.close()
+        raise BadInput(f"{path}: model {model}; an XW430-T200 says {MODEL}. Give its port.")
+    return servo
+
+
+def _periods(watchdog: float) -> int:
+    """A bus watchdog [s] in its own unit."""
+    return min(max(round(watchdog / WATCHDOG_UNIT), 1), 127)
+
+
+def _pair(address: int, length: int) -> bytes:
+    return address.to_bytes(2, "little") + length.to_bytes(2, "little")
+
+
+def _signed(data: bytes, address: int, size: int) -> int:
+    first = address - STATE_FIRST
+    return int.from_bytes(data[first : first + size], "little", signed=True)

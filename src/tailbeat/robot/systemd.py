@@ -1,0 +1,73 @@
+"""Word to systemd: ready, what the state is, and that the loop still turns (sd_notify(3)).
+
+A plain datagram to the socket that the service manager names; without one nothing is said. And the
+unit that makes a service of the loop.
+"""
+
+import os
+import socket
+from dataclasses import dataclass, field
+from importlib import resources
+
+from tailbeat.files import BadInput
+
+EVERY = 0.25  # s between two words; WatchdogSec is 2
+
+
+def _datagrams() -> socket.socket:
+    return socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+
+
+@dataclass(eq=False)
+class Notifier:
+    """Where to say it; see `from_environment`."""
+
+    address: str
+    line: socket.socket = field(default_factory=_datagrams)
+    due: float = 0.0
+    said: str = ""
+
+    def beat(self, now: float, status: str) -> None:
+        """The loop turned at `now` [s], monotonic, and stands so: said four times a second, and at
+        once when it changes. The first word is that it is ready."""
+        if not self.address or (now < self.due and status == self.said):
+            return
+        first = "READY=1\n" if not self.said else ""
+        self.due, self.said = now + EVERY, status
+        self._send(f"{first}WATCHDOG=1\nSTATUS={status}")
+
+    def end(self) -> None:
+        """It stops on purpose."""
+        if self.address:
+            self._send("STOPPING=1")
+        self.line.close()
+
+    def _send(self, text: str) -> None:
+        try:
+            self.line.sendto(text.encode(), socket.MSG_DONTWAIT, self.address)
+        except OSError:
+            pass  # a manager that does not listen must not hold up the loop
+
+
+def from_environment() -> Notifier:
+    """Of NOTIFY_SOCKET, a path or an abstract name; silent where it is not set."""
+    name = os.environ.get("NOTIFY_SOCKET", "")
+    return Notifier("\0" + name[1:] if name.startswith("@") else name)
+
+
+def unit(python: str, user: str, servo: str, words: list[str]) -> str:
+    """The text of a unit that runs `tailbeat drive` with these words, disarmed until ordered.
+    Raises BadInput where a word cannot stand in a unit."""
+    for word in (python, user, servo, *words):
+        if not word or "\n" in word or (word in (user, servo) and " " in word):
+            raise BadInput(f"{word!r}: cannot stand in a unit; give one word without line breaks.")
+    template = (resources.files("tailbeat.robot") / "fish.service").read_text("utf-8")
+    line = " ".join(_quoted(word) for word in [python, "-m", "tailbeat", "drive", *words])
+    last = " ".join(_quoted(word) for word in [python, "-m", "tailbeat.robot.watchdog", servo])
+    return template.format(user=user, drive=line, let_go=f"{last} 1 1000000 now")
+
+
+def _quoted(word: str) -> str:
+    """As systemd.syntax(7) and systemd.service(5) want it: `%` and `$` doubled, quotes escaped."""
+    text = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    return f'"{text}"' if text != word or " " in word else word

@@ -1,0 +1,147 @@
+"""Lets go of the tail when the loop no longer can: a process beside it that waits for its end.
+
+The loop's every period is a byte in a pipe. When the pipe closes without a farewell, whatever
+killed the loop, or when it stays silent for a second while torque is on, the warden takes the
+torque away. It ignores what ends the loop (Ctrl-C, SIGTERM) and needs neither the network nor the
+policy. Where both die, `ExecStopPost` of the systemd unit does the same.
+"""
+
+import contextlib
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import serial
+
+from tailbeat.files import BadInput
+from tailbeat.robot.servo import DEADLINE, Servo, ServoFault
+from tailbeat.robot.wire import GONE
+
+HELD, FREE, FAREWELL = b"t", b".", b"q"
+SILENCE = 1.0  # s without a byte while torque is on: the loop hangs
+TRYING = 10.0  # s for the torque to go: a cable may come back
+START = 30.0  # s for the warden to be there
+
+
+# ---- the loop's end -----------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class Warden:
+    """A running warden; `beat` every period, `farewell` once the torque is off."""
+
+    process: subprocess.Popen[bytes]
+
+    def beat(self, torque: bool) -> bool:
+        """Tell it that the loop turns; whether anyone listens."""
+        return self._say(HELD if torque else FREE)
+
+    def farewell(self) -> None:
+        """Nothing is left to do: the torque is off."""
+        self._say(FAREWELL)
+
+    def _say(self, byte: bytes) -> bool:
+        assert self.process.stdin is not None
+        try:
+            os.write(self.process.stdin.fileno(), byte)
+            return True
+        except BlockingIOError:
+            return True  # it is behind, and alive
+        except OSError:
+            return False
+
+
+@contextmanager
+def guard(path: str, ident: int = 1, baud: int = 1_000_000) -> Iterator[Warden]:
+    """A warden for the servo on a port, there before anything moves. Raises BadInput."""
+    command = [sys.executable, "-m", "tailbeat.robot.watchdog", path, str(ident), str(baud)]
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+    )
+    assert process.stdin is not None and process.stdout is not None
+    ready, _, _ = select.select([process.stdout], [], [], START)
+    if not ready or process.stdout.readline() != b"ready\n":
+        process.kill()
+        process.wait()
+        raise BadInput("the warden, who lets go if the loop dies, did not start.")
+    os.set_blocking(process.stdin.fileno(), False)
+    try:
+        yield Warden(process)
+    finally:
+        process.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(TRYING + 1)
+        process.stdout.close()
+
+
+# ---- the warden's end ---------------------------------------------------------------------------
+
+
+def watch(pipe: int, parent: int) -> bool:
+    """Wait for the loop's end; whether the torque may still be on. A loop that hangs while it holds
+    torque is ended."""
+    last = b""
+    while True:
+        ready, _, _ = select.select([pipe], [], [], SILENCE)
+        if ready:
+            data = os.read(pipe, 4096)
+            if not data:
+                return last != FAREWELL
+            last = data[-1:]
+        elif last == HELD and os.getppid() == parent:
+            os.kill(parent, signal.SIGKILL)
+            return True
+
+
+def let_go(path: str, ident: int = 1, baud: int = 1_000_000, trying: float = TRYING) -> str:
+    """Torque off, tried until it is confirmed; "" then, else what the last try said. The port need
+    not be free, and what a dead process left half written on the bus is written over."""
+    end, said = time.monotonic() + trying, "not tried"
+    while time.monotonic() < end:
+        try:
+            _once(path, ident, baud)
+            return ""
+        except (ServoFault, ValueError, *GONE) as fault:
+            said = str(fault)
+            time.sleep(0.02)
+    return said
+
+
+def _once(path: str, ident: int, baud: int) -> None:
+    """Three tries on one opening of the port. Raises ServoFault, or one of `GONE`."""
+    with serial.Serial(path, baud, timeout=DEADLINE, write_timeout=0.1) as port:
+        servo = Servo(port, ident, deadline=4 * DEADLINE)
+        for attempt in range(3):
+            try:
+                servo.torque_off()
+                return
+            except ServoFault:
+                if attempt == 2:
+                    raise
+
+
+def main() -> None:
+    """`python -m tailbeat.robot.watchdog PORT ID BAUD [now]`: watch standard input, then let go;
+    with `now` let go at once. Exit code 1 where the torque may still be on."""
+    path, ident, baud = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+    if sys.argv[4:] != ["now"]:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
+        parent = os.getppid()
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        if not watch(sys.stdin.fileno(), parent):
+            return
+    said = let_go(path, ident, baud)
+    print(f"tailbeat: {said or 'the loop died; torque is off'}", file=sys.stderr, flush=True)
+    sys.exit(1 if said else 0)
+
+
+if __name__ == "__main__":
+    main()

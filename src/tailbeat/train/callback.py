@@ -1,0 +1,267 @@
+"""What happens between updates: count arrivals, promote, report, examine, keep checkpoints."""
+
+import shutil
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import SAC
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
+
+from tailbeat.env import curriculum, view
+from tailbeat.env.assess import Swims, assess
+from tailbeat.env.vector_env import FishVecEnv
+from tailbeat.env.world import PERIOD, TERMS, World
+from tailbeat.files import BadInput
+from tailbeat.train import checkpoint
+from tailbeat.train.config import Plan
+from tailbeat.train.export import act, export
+from tailbeat.train.sac import QuickSAC
+
+REPORT_SECONDS = 5.0
+EXAM_SECONDS = 300.0  # between greedy evaluations
+EXAM, EXAM_SEED = 64, 9_000  # targets of one, always the same
+KEPT = 5  # windows of episodes that are remembered
+RECENT = 24  # rows of the history from which the time to promotion is reckoned
+
+Row = dict[str, Any]
+Report = Callable[[Row], None]
+
+
+@dataclass
+class Course:
+    """How far a training has come: what a checkpoint holds beside the networks."""
+
+    stage: int = 0
+    seconds: float = 0.0  # of training, in all sessions
+    control_steps: int = 0  # of all fish
+    stage_began: float = 0.0  # in those seconds
+    episodes: int = 0
+    # of this stage's episodes: when they began, in control steps, and whether the fish arrived
+    recent: list[tuple[int, bool]] = field(default_factory=list)
+    history: list[Row] = field(default_factory=list)
+    promotions: list[Row] = field(default_factory=list)
+    finished: bool = False
+    stalled: bool = False
+
+    def clock(self, fish: int) -> int:
+        """Control steps that each of the `fish` has made."""
+        return self.control_steps // fish
+
+    def over(self, fish: int, steps: int) -> list[tuple[int, bool]]:
+        """Of `recent` those that began an episode's `steps` ago or earlier, as `fish` swim at once:
+        none of their fellows is on its way any more."""
+        latest = self.clock(fish) - steps
+        return [(begun, arrived) for begun, arrived in self.recent if begun <= latest]
+
+    def passed(self) -> int:
+        """How many stages; one passed twice, by hand, counts once."""
+        return len({row["name"] for row in self.promotions})
+
+
+class Coach(BaseCallback):
+    """SB3's callback; `course` is where it left off, setting `stop` ends the training cleanly."""
+
+    model: SAC
+
+    def __init__(self, plan: Plan, course: Course, env: FishVecEnv, report: Report) -> None:
+        super().__init__()
+        self.plan, self.course, self.env, self.report = plan, course, env, report
+        self.stop = False
+        self.terms: deque[Row] = deque(maxlen=plan.recipe.window)
+        self.starts: list[int | None] = [None] * env.num_envs  # of episodes begun in this stage
+
+    # ---- SB3 calls these ------------------------------------------------------------------------
+
+    def _on_training_start(self) -> None:
+        now = time.monotonic()
+        self.began, self.before = now, self.course.seconds
+        self.due = {
+            "report": now + REPORT_SECONDS,
+            "exam": now + EXAM_SECONDS,
+            "keep": now + 60 * self.plan.checkpoint_minutes,
+        }
+        self.last = now, self.course.control_steps, self.model._n_updates
+        self._enter()
+
+    def _on_step(self) -> bool:
+        self.course.control_steps += self.env.num_envs
+        for fish, info in enumerate(self.locals["infos"]):
+            if "episode" in info:
+                self._count(fish, info)
+        self.course.seconds = self.before + time.monotonic() - self.began
+        if self.locals["dones"].any():
+            self._judge_stage()
+        for name, work in (("report", self._tell), ("exam", self._examine), ("keep", self.keep)):
+            if time.monotonic() >= self.due[name]:
+                work()
+        over = time.monotonic() - self.began > 3600 * self.plan.hours
+        return not (self.stop or over or self.course.finished or self.course.stalled)
+
+    # ---- stages ---------------------------------------------------------------------------------
+
+    def _enter(self) -> None:
+        """Put the world and the learning rate into the course's stage."""
+        recipe, stage = self.plan.recipe, self.course.stage
+        self.env.world.change(self.plan.settings(stage))
+        if isinstance(self.model, QuickSAC):  # memory finds competence; later it costs targets
+            self.model.memory = recipe.memory if stage == 0 else 0.0
+        self._set_pace(self._judged())
+        self.starts = [None] * self.env.num_envs  # fish on their way began in the stage before
+
+    def _set_pace(self, judged: list[bool]) -> None:
+        """Learning rate, and steps between updates: a verdict takes thirty seconds of swimming and
+        more, and most stages turn out to need no learning at all."""
+        recipe = self.plan.recipe
+        waiting = recipe.waiting if len(judged) < recipe.window else 1
+        pace = TrainFreq(waiting, TrainFrequencyUnit.STEP)
+        self.model.train_freq = pace  # type: ignore[assignment]  # SB3 makes one of what it is given
+        share = _share(judged) if recipe.quick else 0.0
+        rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rates, share)
+        self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
+
+    def _count(self, fish: int, info: Row) -> None:
+        self.course.episodes += 1
+        begun = self.starts[fish]
+        if begun is not None:
+            self.course.recent.append((begun, bool(info["reached"])))
+            del self.course.recent[: -KEPT * self.plan.recipe.window]
+            self.terms.append({**info["reward_terms"], "seconds": PERIOD * info["episode"]["l"]})
+        self.starts[fish] = self.course.clock(self.env.num_envs)
+
+    def _judged(self) -> list[bool]:
+        """Arrivals of the last episodes whose time is over, by their beginnings. An arrival ends
+        an episode early, so the latest to end are mostly arrivals: those tell nothing yet."""
+        known = self.course.over(self.env.num_envs, self.env.world.steps_per_episode)
+        order = sorted(known, key=lambda row: row[0])
+        return [arrived for _, arrived in order[-self.plan.recipe.window :]]
+
+    def _judge_stage(self) -> None:
+        judged = self._judged()
+        if len(judged) == self.plan.recipe.window and _share(judged) > curriculum.PROMOTED:
+            self._promote()
+            return
+        if self.course.seconds - self.course.stage_began > 3600 * self.plan.recipe.budget_hours:
+            self.course.stalled = True
+        self._set_pace(judged)
+
+    def _promote(self) -> None:
+        """Examine, write the policy and a film, then go on to the next stage."""
+        course, stages = self.course, self.plan.recipe.stages
+        row = self._tell() | {"greedy": self._examine().summary()}
+        course.promotions.append(row)
+        self.write_policy()
+        kept = self.plan.out / f"stage-{course.stage + 1:02d}"
+        shutil.copyfile(self.plan.out / "policy.onnx", kept.with_suffix(".onnx"))
+        settings = self.plan.settings(course.stage)
+        view.film(self._decide, self.plan.fish, settings, kept.with_suffix(".mp4"))
+        if all(stage.by_hand for stage in stages[course.stage + 1 :]):
+            course.finished = True
+            return
+        course.stage, course.stage_began = course.stage + 1, course.seconds
+        course.recent.clear()
+        self._enter()
+        self.keep()
+
+    # ---- what is told and kept ------------------------------------------------------------------
+
+    def _decide(self, seen: Any) -> Any:
+        return act(self.model, seen)
+
+    def _examine(self) -> Swims:
+        """Greedy swims to fixed targets of this stage."""
+        fish, settings = self.plan.fish, self.plan.settings(self.course.stage)
+        swims = assess(self._decide, lambda seeds: World(fish, settings, seeds), EXAM, EXAM_SEED)
+        self.seen = swims.seen
+        self.logger.record("greedy/reached", float(swims.reached.mean()))
+        self.due["exam"] = time.monotonic() + EXAM_SECONDS
+        return swims
+
+    def write_policy(self) -> None:
+        """`policy.onnx` in the run's folder, as the networks are now."""
+        if not hasattr(self, "seen"):
+            self._examine()
+        stage = self.plan.recipe.stages[self.course.stage]
+        training = {
+            "stage": stage.name,
+            "stages_passed": self.course.passed(),
+            "seed": self.plan.seed,
+            "recipe": self.plan.recipe.name,
+            "updates": self.model._n_updates,
+            "control_steps": self.course.control_steps,
+            "hours": round(self.course.seconds / 3600, 3),
+            "rounded": isinstance(self.model, QuickSAC) and self.model.rounded,
+        }
+        plan = self.plan
+        export(self.model, plan.fish, plan.actions, self.seen, training, plan.out / "policy.onnx")
+
+    def keep(self) -> None:
+        """A checkpoint, now."""
+        state = asdict(self.course) | {
+            "decisions": self.model.num_timesteps,
+            "updates": self.model._n_updates,
+        }
+        checkpoint.save(self.plan.out, self.model, self.env.world, state)
+        self.due["keep"] = time.monotonic() + 60 * self.plan.checkpoint_minutes
+
+    def _tell(self) -> Row:
+        """One row of the history: reported, logged, kept."""
+        self._check_finite()
+        now, steps, updates = time.monotonic(), self.course.control_steps, self.model._n_updates
+        span = max(now - self.last[0], 1e-9)
+        row: Row = {
+            "seconds": self.course.seconds,
+            "stage": self.course.stage + 1,
+            "name": self.plan.recipe.stages[self.course.stage].name,
+            "success": _share(self._judged()),
+            "episodes": self.course.episodes,
+            "control_steps": steps,
+            "updates": updates,
+            "steps_per_s": (steps - self.last[1]) / span,
+            "updates_per_s": (updates - self.last[2]) / span,
+            **{name: _mean(self.terms, name) for name in TERMS},
+            "episode_seconds": _mean(self.terms, "seconds"),
+            "lost": int(self.env.world.body.warned.sum()),
+        }
+        self.last = now, steps, updates
+        self.course.history.append(row)
+        self.due["report"] = now + REPORT_SECONDS
+        for name, value in row.items():
+            if isinstance(value, float | int):
+                self.logger.record(f"course/{name}", value)
+        self.logger.dump(steps)
+        self.report(row | {"promotion_in": self._promotion_in()})
+        return row
+
+    def _check_finite(self) -> None:
+        """End a run whose networks left the finite, before they reach a checkpoint."""
+        if not all(torch.isfinite(p).all() for p in self.model.policy.parameters()):
+            raise BadInput(
+                f"{self.plan.out}: the training diverged before update {self.model._n_updates}: a"
+                f" network is not finite; the last checkpoint is whole: go on with --resume."
+            )
+
+    def _promotion_in(self) -> float | None:
+        """Seconds until the rolling share passes the mark, by the slope of late; None if it does
+        not rise."""
+        rows = [row for row in self.course.history if row["stage"] == self.course.stage + 1]
+        if len(rows) < RECENT // 2:
+            return None
+        time_, share = np.array([[r["seconds"], r["success"]] for r in rows[-RECENT:]]).T
+        slope = float(np.polyfit(time_ - time_[0], share, 1)[0])
+        missing = curriculum.PROMOTED - float(share[-1])
+        return max(missing / slope, 0.0) if slope > 1e-6 else None
+
+
+def _share(judged: list[bool]) -> float:
+    """Rolling share of a stage's targets acquired."""
+    return float(np.mean(judged)) if judged else 0.0
+
+
+def _mean(rows: deque[Row], name: str) -> float:
+    return float(np.mean([row[name] for row in rows])) if rows else float("nan")

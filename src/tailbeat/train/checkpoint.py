@@ -1,0 +1,123 @@
+"""A training's whole state on disk: networks, optimisers, entropy, buffer, curriculum, randomness.
+
+A checkpoint is a folder, written beside and renamed; the one before is kept until then, so a run
+killed at any moment has one that is whole, and never more than two are on disk.
+"""
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import SAC
+
+from tailbeat.env.world import World
+from tailbeat.files import BadInput, write_json
+from tailbeat.train.replay import EXTRA, RelabelBuffer
+from tailbeat.train.sac import greedy_actor
+
+ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+SPARE = 200e6  # bytes that stay free on the disk
+
+
+def save(folder: Path, model: SAC, world: World, state: dict[str, Any]) -> None:
+    """Write `checkpoint` into `folder`; raises BadInput if the disk is full, the last one kept."""
+    new, last, old = (folder / f"checkpoint{end}" for end in (".new", "", ".old"))
+    buffer = model.replay_buffer
+    assert buffer is not None
+    filled = buffer.buffer_size if buffer.full else buffer.pos
+    needed = sum(getattr(buffer, name)[:filled].nbytes for name in _arrays(buffer)) + SPARE
+    free = shutil.disk_usage(folder).free
+    if free < needed:
+        raise BadInput(
+            f"{folder}: {free / 1e6:.0f} MB free, a checkpoint needs {needed / 1e6:.0f}; make room"
+            f" and go on with --resume (the last checkpoint is whole)."
+        )
+    shutil.rmtree(new, ignore_errors=True)
+    new.mkdir(parents=True)
+    arrays = {name: getattr(buffer, name)[:filled] for name in _arrays(buffer)}
+    np.savez(new / "buffer.npz", **arrays)
+    torch.save(_learned(model), new / "networks.pt")
+    write_json(new / "state.json", {**state, "buffer": [buffer.pos, buffer.full]})
+    write_json(new / "random.json", _random(world))
+    shutil.rmtree(old, ignore_errors=True)
+    if last.exists():
+        os.replace(last, old)
+    os.replace(new, last)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _arrays(buffer: Any) -> tuple[str, ...]:
+    return ARRAYS + (EXTRA if isinstance(buffer, RelabelBuffer) else ())
+
+
+def find(folder: Path) -> Path:
+    """The newest whole checkpoint of a run; raises BadInput if there is none."""
+    for name in ("checkpoint", "checkpoint.old"):
+        if (folder / name / "random.json").is_file():
+            return folder / name
+    raise BadInput(f"{folder}: no checkpoint to resume from; start anew without --resume.")
+
+
+def read_state(place: Path) -> dict[str, Any]:
+    """Counters, stage and settings of a checkpoint."""
+    try:
+        state: dict[str, Any] = json.loads((place / "state.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise BadInput(f"{place}/state.json: cannot be read; the checkpoint is damaged.") from None
+    return state
+
+
+def load(place: Path, model: SAC, world: World) -> dict[str, Any]:
+    """Put a checkpoint into a fresh model and world; returns its state."""
+    state = read_state(place)
+    buffer = model.replay_buffer
+    assert buffer is not None
+    with np.load(place / "buffer.npz") as arrays:
+        for name in _arrays(buffer):
+            getattr(buffer, name)[: len(arrays[name])] = arrays[name]
+    if isinstance(buffer, RelabelBuffer):
+        buffer.begin_after(int(buffer.episode.max()))
+    buffer.pos, buffer.full = state["buffer"]
+    learned = torch.load(place / "networks.pt", map_location="cpu", weights_only=True)
+    model.policy.load_state_dict(learned["policy"])
+    greedy_actor(model).load_state_dict(learned["greedy"])
+    for name, optimizer in _optimizers(model).items():
+        optimizer.load_state_dict(learned[name])
+    if model.log_ent_coef is not None:
+        model.log_ent_coef.data = learned["log_ent_coef"].to(model.device)
+    torch.set_rng_state(learned["torch"])
+    _restore(json.loads((place / "random.json").read_text(encoding="utf-8")), world)
+    return state
+
+
+def _optimizers(model: SAC) -> dict[str, Any]:
+    found = {"actor": model.actor.optimizer, "critic": model.critic.optimizer}
+    if model.ent_coef_optimizer is not None:
+        found["entropy"] = model.ent_coef_optimizer
+    return found
+
+
+def _learned(model: SAC) -> dict[str, Any]:
+    found = {name: one.state_dict() for name, one in _optimizers(model).items()}
+    found |= {"policy": model.policy.state_dict(), "torch": torch.get_rng_state()}
+    found |= {"greedy": greedy_actor(model).state_dict()}
+    if model.log_ent_coef is not None:
+        found["log_ent_coef"] = model.log_ent_coef.data
+    return found
+
+
+def _random(world: World) -> dict[str, Any]:
+    """The fish's generators, and numpy's global one, from which SB3 draws its batches."""
+    kind, keys, *rest = np.random.get_state(legacy=True)  # noqa: NPY002 (SB3 draws from it)
+    return {"fish": [rng.bit_generator.state for rng in world.rngs], "numpy": [kind, keys, *rest]}
+
+
+def _restore(states: dict[str, Any], world: World) -> None:
+    for rng, state in zip(world.rngs, states["fish"], strict=True):
+        rng.bit_generator.state = state
+    kind, keys, *rest = states["numpy"]
+    np.random.set_state((kind, np.array(keys, dtype=np.uint32), *rest))  # noqa: NPY002

@@ -1,0 +1,130 @@
+"""What a training run was asked to do, and whether it can: checked before anything is built."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+from torch import cuda
+
+from tailbeat.control.actions import ActionSpace, Direct, Filtered, Generator
+from tailbeat.env.curriculum import settings_of
+from tailbeat.env.world import Settings, check_settings
+from tailbeat.files import BadInput, leaves, write_json
+from tailbeat.fish.description import Fish
+from tailbeat.fish.store import digest
+from tailbeat.train.recipes import Recipe
+
+ACTIONS = ("generator", "direct", "filtered")
+WORKING_SET = 1.5e9  # bytes that torch, engine and 64 fish take beside the buffer (measured: 1.1e9)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One training run. `hours` is what this session may take."""
+
+    fish: Fish
+    actions: ActionSpace
+    recipe: Recipe
+    seed: int
+    out: Path
+    hours: float
+    device: str = "cpu"
+    checkpoint_minutes: float = 5.0
+
+    def settings(self, stage: int) -> Settings:
+        """The environment's settings in a stage."""
+        return settings_of(self.recipe.stages[stage], self.actions, self.recipe.task)
+
+    def record(self) -> dict[str, Any]:
+        """What must be the same when a run is resumed."""
+        return {
+            "fish": self.fish.name,
+            "fish_digest": digest(self.fish),
+            "actions": asdict(self.actions),
+            "recipe": asdict(self.recipe),
+            "seed": self.seed,
+        }
+
+
+def action_space(
+    kind: str, fish: Fish, binds: str = "fundamental", floor: float = 0.0
+) -> ActionSpace:
+    """A fish's action space by name. The generator's ceiling is the band's upper edge, `binds` is
+    what keeps below it, and `floor` [Hz] is the lowest fundamental."""
+    if kind not in ACTIONS:
+        raise BadInput(f"--actions {kind}: allowed are {', '.join(ACTIONS)}.")
+    if floor and kind != "generator":
+        raise BadInput(f"--floor {floor:g}: {kind} actions have no floor; leave it out.")
+    low, high = fish.motor.range or (-3.141592653589793, 3.141592653589793)
+    if kind == "direct":
+        return Direct(low, high)
+    if kind == "filtered":
+        return Filtered(low, high)
+    if binds == "signal":
+        return Generator(low, high, ceiling=fish.band[1], binds="signal", floor=floor)
+    if binds != "fundamental":
+        raise BadInput(f"--binds {binds}: allowed are fundamental, signal.")
+    return Generator(low, high, ceiling=fish.band[1], floor=floor)
+
+
+def check(plan: Plan, resume: bool) -> None:
+    """Raises BadInput for a folder, a fish, a device or a memory that will not do."""
+    if not plan.hours > 0:
+        raise BadInput(f"--hours {plan.hours:g}: give a time above 0.")
+    if plan.device not in ("cpu", "cuda") or (plan.device == "cuda" and not cuda.is_available()):
+        raise BadInput(f"--device {plan.device}: allowed are cpu, and cuda where there is one.")
+    check_settings(plan.fish, plan.settings(0))
+    _check_memory(plan.recipe)
+    if resume:
+        _check_same(plan)
+    elif plan.out.exists() and any(plan.out.iterdir()):
+        raise BadInput(
+            f"{plan.out}: holds another run; go on with --resume, or choose a new folder."
+        )
+
+
+def check_stage(plan: Plan, stage: str) -> None:
+    """Raises BadInput for a stage that the recipe does not have."""
+    names = [one.name for one in plan.recipe.stages]
+    if stage not in names:
+        raise BadInput(f"--stage {stage!r}: allowed are {', '.join(names)}.")
+
+
+def _check_memory(recipe: Recipe) -> None:
+    free = psutil.virtual_memory().available
+    needed = recipe.buffer_bytes + WORKING_SET
+    if free < needed:
+        raise BadInput(
+            f"training needs {needed / 1e9:.1f} GB of memory, {recipe.buffer_bytes / 1e9:.1f} of it"
+            f" for the replay buffer) and {free / 1e9:.1f} are free; close something."
+        )
+
+
+def _check_same(plan: Plan) -> None:
+    """The run in the folder must have been asked for the same; names each difference."""
+    path = plan.out / "run.json"
+    if not path.is_file():
+        raise BadInput(
+            f"{plan.out}: no run to resume (run.json is missing); start without --resume."
+        )
+    try:
+        held = leaves("", json.loads(path.read_text(encoding="utf-8")))
+    except ValueError:
+        raise BadInput(f"{path}: not readable JSON; the run cannot be resumed.") from None
+    if held.get("actions.kind") == "generator":
+        held.setdefault("actions.floor", 0.0)  # runs begun before the floor have none
+    asked = leaves("", json.loads(json.dumps(plan.record())))
+    wrong = [
+        f"{name} was {held.get(name)}, now {asked.get(name)}"
+        for name in sorted(set(held) | set(asked))
+        if held.get(name) != asked.get(name)
+    ]
+    if wrong:
+        raise BadInput(f"{plan.out}: another run: {'; '.join(wrong)}. Give what it was begun with.")
+
+
+def begin(plan: Plan) -> None:
+    """Make the folder and note what was asked for."""
+    write_json(plan.out / "run.json", plan.record(), overwrite=True)

@@ -1,0 +1,118 @@
+"""From SB3's actor to a policy file: the network written out in ONNX, with its contract."""
+
+import platform
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import onnx
+import torch
+from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper
+from stable_baselines3 import SAC
+
+from tailbeat.control.actions import ActionSpace
+from tailbeat.control.observation import TABLE
+from tailbeat.control.policy import KEY, VERSION, Contract, Policy, as_text, load_policy
+from tailbeat.env.world import PERIOD
+from tailbeat.files import new_file
+from tailbeat.fish.description import Fish
+from tailbeat.fish.store import digest
+from tailbeat.train.features import CloseUp
+from tailbeat.train.sac import greedy_actor
+
+Single = NDArray[np.float32]
+GOLDEN = 16  # pairs
+OPSET, IR = 20, 10  # what onnxruntime 1.31 and a Raspberry Pi's both read
+PRODUCED_BY = ("tailbeat", "mujoco", "torch", "stable-baselines3")
+
+
+def export(
+    model: SAC, fish: Fish, actions: ActionSpace, seen: Single, training: dict[str, Any], path: Path
+) -> Policy:
+    """Write the policy and read it back, golden pairs checked; `seen` (k, 24) are observations of
+    real swims, of which the golden ones are taken."""
+    golden = seen[np.linspace(0, len(seen) - 1, GOLDEN).astype(int)]
+    contract = Contract(
+        version=VERSION,
+        fish=fish.name,
+        fish_digest=digest(fish),
+        band=fish.band,
+        period=PERIOD,
+        observation=TABLE,
+        actions=actions,
+        training={**training, "versions": versions()},
+        golden=(tuple(golden.tolist()), tuple(act(model, golden).tolist())),
+    )
+    with new_file(path, overwrite=True) as beside:
+        onnx.save(as_onnx(model, contract), str(beside))
+    return load_policy(path)
+
+
+def versions() -> dict[str, str]:
+    """Of what a policy was made with."""
+    return {name: version(name) for name in PRODUCED_BY} | {
+        "python": platform.python_version(),
+        "engine": mujoco.__version__,
+    }
+
+
+def act(model: SAC, seen: Single) -> Single:
+    """Deterministic actions of the greedy actor, unscaled, as the exported network gives them."""
+    with torch.no_grad():
+        there = torch.as_tensor(seen, device=model.device)
+        found: Single = greedy_actor(model)(there, deterministic=True).cpu().numpy()
+    return found
+
+
+def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
+    """Layers of the actor's mean, ReLU between them, tanh at the end; before them the close-up,
+    where the networks have one."""
+    actor = greedy_actor(model)
+    layers: list[Any] = [m for m in actor.latent_pi if isinstance(m, torch.nn.Linear)] + [actor.mu]
+    nodes, weights, name = _close_up(actor.features_extractor)
+    for index, layer in enumerate(layers):
+        for kind, tensor in (("w", layer.weight), ("b", layer.bias)):
+            weights.append(numpy_helper.from_array(tensor.detach().cpu().numpy(), f"{kind}{index}"))
+        nodes.append(
+            helper.make_node("Gemm", [name, f"w{index}", f"b{index}"], [f"z{index}"], transB=1)
+        )
+        last = index == len(layers) - 1
+        name = "action" if last else f"h{index}"
+        nodes.append(helper.make_node("Tanh" if last else "Relu", [f"z{index}"], [name]))
+    return _model(nodes, weights, len(TABLE), len(layers[-1].bias), contract)
+
+
+def _close_up(extractor: Any) -> tuple[list[Any], list[Any], str]:
+    """Nodes, weights and the name of what the first layer sees."""
+    if not isinstance(extractor, CloseUp):
+        return [], [], "observation"
+    held = extractor.named_buffers()
+    weights = [numpy_helper.from_array(matrix.cpu().numpy(), name) for name, matrix in held]
+    top, low = ["observation", "above", "constant"], ["observation", "below", "range"]
+    nodes = [
+        helper.make_node("Gemm", top, ["numerator"], transB=1),
+        helper.make_node("Gemm", low, ["denominator"], transB=1),
+        helper.make_node("Div", ["numerator", "denominator"], ["close"]),
+        helper.make_node("Concat", ["observation", "close"], ["features"], axis=1),
+    ]
+    return nodes, weights, "features"
+
+
+def _model(
+    nodes: list[Any], weights: list[Any], inputs: int, outputs: int, contract: Contract
+) -> onnx.ModelProto:
+    seen = helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["n", inputs])
+    action = helper.make_tensor_value_info("action", TensorProto.FLOAT, ["n", outputs])
+    graph = helper.make_graph(nodes, "policy", [seen], [action], weights)
+    made = helper.make_model(
+        graph,
+        producer_name="tailbeat",
+        ir_version=IR,
+        opset_imports=[helper.make_opsetid("", OPSET)],
+    )
+    helper.set_model_props(made, {KEY: as_text(contract)})
+    onnx.checker.check_model(made)
+    return made

@@ -1,0 +1,183 @@
+"""A replay buffer that makes more of each swim: other targets for the same way, and its mirror.
+
+A swim says what it would have earned for any target, since reward and observation depend on the
+target by its place alone. So a share of every batch gets a target that the fish came by later, a
+share one anywhere about, and half is mirrored left to right: the fish is symmetric. Rewards are the
+environment's, recomputed; arrivals end a transition as they do there.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.type_aliases import ReplayBufferSamples
+
+from tailbeat.control.observation import SCALES, TABLE, relative
+from tailbeat.env.vector_env import FishVecEnv
+from tailbeat.env.world import NEAR
+
+Single = NDArray[np.float32]
+FIRST = 12  # observed numbers that depend on the target begin here
+AHEAD = 300  # steps within which a later place becomes the target (chosen)
+LEFT_RIGHT = ("sin motor angle", "motor velocity", "yaw rate", "centre", "target left")
+EXTRA = ("frames", "next_frames", "place", "effort", "episode")
+
+
+class RelabelBuffer(ReplayBuffer):
+    """SB3's buffer with `later` and `anywhere`, shares of a batch that get another target. Half of
+    the `later` ones lie beside the way by about `misses` [m]: places that the fish all but reached.
+
+    `returns` steps in a row count as one (n-step returns); `discount` is per step.
+    """
+
+    def __init__(
+        self,
+        *args: Any,
+        source: FishVecEnv,
+        discount: float,
+        returns: int = 1,
+        later: float = 0.4,
+        anywhere: float = 0.2,
+        misses: float = 0.0,
+        **rest: Any,
+    ) -> None:
+        super().__init__(*args, **rest)
+        self.source, self.discount, self.returns = source, discount, returns
+        self.later, self.anywhere, self.misses = later, anywhere, misses
+        shape = (self.buffer_size, self.n_envs)
+        self.frames = np.zeros((*shape, 3, 4), np.float32)
+        self.next_frames = np.zeros((*shape, 3, 4), np.float32)
+        self.place = np.zeros((*shape, 2), np.float32)
+        self.effort = np.zeros(shape, np.float32)
+        self.episode = np.full(shape, -1, np.int32)
+        self.begin_after(-1)
+
+    def begin_after(self, episode: int) -> None:
+        """Number the fish's episodes from here on: after a restart none goes on."""
+        self.begun = episode + 1 + np.arange(self.n_envs, dtype=np.int32)
+
+    def add(self, obs: Any, next_obs: Any, action: Any, reward: Any, done: Any, infos: Any) -> None:
+        """One step of every fish; what lies behind the observations comes from the source."""
+        behind, row = self.source.last, self.pos
+        self.frames[row], self.next_frames[row] = behind.frames, behind.next_frames
+        self.place[row], self.effort[row] = behind.place, behind.effort
+        self.episode[row] = self.begun
+        self.begun = self.begun + self.n_envs * np.asarray(done, np.int32)
+        super().add(obs, next_obs, action, reward, done, infos)
+
+    def _get_samples(self, batch_inds: Any, env: Any = None) -> ReplayBufferSamples:
+        fish = np.random.randint(0, self.n_envs, size=len(batch_inds))  # noqa: NPY002 (as SB3)
+        at = batch_inds, fish
+        parts = self._gather(at)
+        self._retarget(parts, self._other_targets(at))
+        self._mirror(parts)
+        steps = np.isfinite(parts["way"][..., 0]).sum(axis=1)
+        columns = parts["ended"], parts["reward"], (self.discount**steps).astype(np.float32)
+        order = parts["seen"], parts["action"], parts["next"]
+        return ReplayBufferSamples(
+            *(self.to_torch(one) for one in (*order, *(column[:, None] for column in columns)))
+        )
+
+    def _gather(self, at: Any) -> dict[str, Any]:
+        """`returns` steps in a row as one, or fewer where an episode or the buffer ends: the
+        first sight and action, the sum of rewards, the last sight."""
+        rows = (at[0][:, None] + np.arange(self.returns)) % self.buffer_size
+        fish = at[1][:, None]
+        same = self.episode[rows, fish] == self.episode[at][:, None]
+        follows = rows - at[0][:, None] == np.arange(self.returns)  # not round the ring
+        valid = np.logical_and.accumulate(same & follows & self._written(rows), axis=1)
+        last = rows[np.arange(len(rows)), valid.sum(axis=1) - 1], at[1]
+        way = np.where(valid[..., None], self.place[rows, fish], np.nan)
+        return {
+            "seen": self.observations[at],
+            "next": self.next_observations[last],
+            "action": self.actions[at],
+            "reward": (self.rewards[rows, fish] * valid).sum(axis=1),
+            "effort": (self.effort[rows, fish] * valid).sum(axis=1),
+            "ended": self.dones[last] * (1 - self.timeouts[last]),
+            "way": way,
+            "frames": self.frames[at],
+            "next_frames": self.next_frames[last],
+        }
+
+    def _written(self, rows: Any) -> Any:
+        return rows < (self.buffer_size if self.full else self.pos)
+
+    def _other_targets(self, at: Any) -> Single:
+        """Another target (n, 2) for a share of the batch, NaN for the rest."""
+        draw = np.random.random_sample(len(at[0]))[:, None]  # noqa: NPY002
+        anywhere = np.where(draw < self.later + self.anywhere, self._anywhere(at), np.nan)
+        return np.where(draw < self.later, self._beside(self._later(at)), anywhere)
+
+    def _retarget(self, parts: dict[str, Any], targets: Single) -> None:
+        """Give those with a finite target that one instead, in place."""
+        lost = (parts["ended"] > 0) & (parts["reward"] < 0)
+        chosen = np.isfinite(targets[:, 0]) & ~lost
+        target, way = targets[chosen], parts["way"][chosen]
+        parts["seen"][chosen, FIRST:] = _seen(parts["frames"][chosen], target)
+        parts["next"][chosen, FIRST:] = _seen(parts["next_frames"][chosen], target)
+        world = self.source.world
+        away = np.linalg.norm(way - target[:, None], axis=2)
+        follows = self._following(len(away))
+        hit = (away < world.task.arrival) & ~follows[:, None]  # NaN after an end: no hit
+        before = np.cumsum(hit, axis=1) - hit == 0
+        weights = world.settings.reward
+        earned = -weights.distance * np.nansum(away * before, axis=1) + parts["effort"][chosen]
+        earned += weights.bonus * hit.any(axis=1)
+        near = np.nansum(np.maximum(1 - away / NEAR, 0.0), axis=1)
+        earned += weights.nearness * near * follows
+        parts["reward"][chosen] = self.source.reward_scale * earned
+        parts["ended"][chosen] = hit.any(axis=1)
+
+    def _following(self, count: int) -> Any:
+        """Which of the new targets go on after an arrival, as many as in the task."""
+        share = self.source.world.task.following
+        return np.random.random_sample(count) < share if share else np.zeros(count, bool)  # noqa: NPY002
+
+    def _later(self, at: Any) -> Single:
+        """Where each fish was some time later in the same episode, else at this step's end."""
+        ahead = np.random.randint(0, AHEAD, size=len(at[0]))  # noqa: NPY002
+        then = (at[0] + ahead) % self.buffer_size
+        same = self.episode[then, at[1]] == self.episode[at]
+        return self.place[np.where(same, then, at[0]), at[1]]
+
+    def _beside(self, place: Single) -> Single:
+        """Half of the places moved by a normal draw of `misses` along both axes."""
+        if not self.misses:
+            return place
+        moved = np.random.random_sample(len(place)) < 0.5  # noqa: NPY002
+        offset = self.misses * np.random.standard_normal(place.shape)  # noqa: NPY002
+        return (place + offset * moved[:, None]).astype(np.float32)
+
+    def _anywhere(self, at: Any) -> Single:
+        """Places about the fish, by range and bearing."""
+        task, count = self.source.world.task, len(at[0])
+        distance = task.farthest * np.random.random_sample(count)  # noqa: NPY002
+        bearing = 2 * np.pi * np.random.random_sample(count)  # noqa: NPY002
+        offset = distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+        return np.asarray(self.place[at] + offset, dtype=np.float32)
+
+    def _mirror(self, parts: dict[str, Any]) -> None:
+        space = self.source.world.space
+        if space.low != -space.high:
+            return
+        signs = np.where(np.random.random_sample(len(parts["seen"])) < 0.5, -1, 1)  # noqa: NPY002
+        swap = np.where(MIRRORED, signs[:, None], 1)
+        parts["seen"] = (parts["seen"] * swap).astype(np.float32)
+        parts["next"] = (parts["next"] * swap).astype(np.float32)
+        flips = np.ones(parts["action"].shape[1], bool)
+        flips[0] = space.kind != "generator"  # its frequency has no side
+        swap = np.where(flips, signs[:, None], 1)
+        parts["action"] = (parts["action"] * swap).astype(np.float32)
+
+
+MIRRORED = np.array([entry.name.endswith(LEFT_RIGHT) for entry in TABLE])
+
+
+def _seen(frames: Single, target: Single) -> Single:
+    """Observed numbers (n, 12) of frames (n, 3, 4) and targets (n, 2)."""
+    full = np.empty((len(frames), 3, 6))
+    full[..., :3], full[..., 5] = frames[..., :3], frames[..., 3]
+    full[..., 3:5] = target[:, None]
+    return np.asarray(relative(full).reshape(len(frames), -1) / SCALES[FIRST:], dtype=np.float32)

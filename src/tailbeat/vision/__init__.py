@@ -1,0 +1,1 @@
+"""Where are fish and target? Camera, tags, tracker, calibration."""

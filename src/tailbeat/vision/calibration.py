@@ -1,0 +1,178 @@
+"""From pixels to places in the pool: the lens, where the camera hangs, and the water between.
+
+`survey.py` finds them. A pixel's ray is followed exactly: out of the lens, bent at the surface by
+Snell's law, down to the plane in which the tag swims. (A plane at depth / 1.333, often used, is its
+limit for steep rays: 5 mm off in the corner of a pool of 5.5 m, 5 cm down, 3 m below the camera.)
+Fish and target may lie in different planes. Pixel centres lie at whole numbers.
+"""
+
+import json
+import math
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput, write_json
+from tailbeat.vision.tags import Tag
+
+Array = NDArray[np.float64]
+KIND = "tailbeat camera calibration"
+WATER = 1.333  # index of refraction, 20 degrees C, sodium light
+OLDEST = 30.0  # days; a camera gets knocked; chosen
+FIELDS = ("made", "size", "matrix", "distortion", "rotation", "position", "index", "fish", "target",
+          "lens_rms_px", "place_rms_m", "provenance")  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """Pinhole `matrix` (3, 3) and `distortion` (5,) as OpenCV has them, of pictures of `size`
+    (columns, rows); rms of the fit [px]."""
+
+    size: tuple[int, int]
+    matrix: Array
+    distortion: Array
+    rms: float
+
+
+@dataclass(frozen=True, eq=False)
+class Hung:
+    """Where a camera hangs: `rotation` (3, 3) from the pool's axes to the camera's (x right, y
+    down, z ahead), `position` (3,) [m] with z above the water's surface; rms of the fit [m]."""
+
+    rotation: Array
+    position: Array
+    rms: float
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """All a tracker needs: lens, place, water, the tags' sizes and heights, and where from."""
+
+    lens: Lens
+    hung: Hung
+    fish: Tag
+    target: Tag
+    index: float = WATER
+    made: str = ""
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def places(self, pixels: Array, height: float) -> Array:
+        """x, y (n, 2) [m] in the pool of what is seen at `pixels` (n, 2) and lies `height` [m]
+        above the water's surface, negative below; NaN where a ray does not come down."""
+        return places(self.lens, self.hung.rotation, self.hung.position, pixels, height, self.index)
+
+
+def places(
+    lens: Lens, rotation: Array, position: Array, pixels: Array, height: Any, index: float
+) -> Array:
+    """As `Calibration.places`, with the camera's rotation and position apart; `height` may differ
+    from pixel to pixel."""
+    flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2).astype(float), lens.matrix, lens.distortion)
+    ahead = np.column_stack([flat[:, 0], np.ones(len(flat))]) @ rotation
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    down = np.where(ahead[:, 2] < -1e-6, -ahead[:, 2], np.nan)
+    above, depth = np.maximum(height, 0.0), np.maximum(-np.asarray(height), 0.0)
+    met = position[:2] + ahead[:, :2] * ((position[2] - above) / down)[:, None]
+    steep = np.sqrt(1 - (1 - down**2) / index**2)  # Snell
+    return np.asarray(met + ahead[:, :2] * (depth / (index * steep))[:, None])
+
+
+# ---- the file -----------------------------------------------------------------------------------
+
+
+def write_calibration(path: Path, made: Calibration) -> None:
+    """One JSON file. Raises BadInput if it exists."""
+    write_json(
+        path,
+        {
+            "kind": KIND,
+            "made": made.made or datetime.now(UTC).isoformat(timespec="seconds"),
+            "size": made.lens.size,
+            "matrix": made.lens.matrix,
+            "distortion": made.lens.distortion,
+            "lens_rms_px": made.lens.rms,
+            "rotation": made.hung.rotation,
+            "position": made.hung.position,
+            "place_rms_m": made.hung.rms,
+            "index": made.index,
+            "fish": vars(made.fish),
+            "target": vars(made.target),
+            "provenance": made.provenance,
+        },
+    )
+
+
+def read_calibration(
+    path: Path, oldest: float = OLDEST, now: datetime | None = None
+) -> Calibration:
+    """A file of `write_calibration`, not older than `oldest` days. Raises BadInput where a field is
+    missing, has another shape, is not finite or out of range."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{path}: {error}; give a file of tailbeat calibrate.") from None
+    if not isinstance(data, dict) or data.get("kind") != KIND:
+        raise BadInput(f"{path}: not a {KIND}; give a file of tailbeat calibrate.")
+    for name in FIELDS:
+        if name not in data:
+            raise BadInput(f"{path}: {name} is missing; calibrate again.")
+    _check_age(path, data["made"], oldest, now or datetime.now(UTC))
+    return _checked(path, data)
+
+
+def _check_age(path: Path, made: Any, oldest: float, now: datetime) -> None:
+    try:
+        age = (now - datetime.fromisoformat(made)) / timedelta(days=1)
+    except (TypeError, ValueError):
+        raise BadInput(f"{path}: made {made!r}; give a date with its zone, ISO 8601.") from None
+    if not -1 <= age <= oldest:
+        raise BadInput(
+            f"{path}: made {made}, {age:.0f} days ago; at most {oldest:g} are allowed: cameras get"
+            f" knocked. Calibrate again, or allow more days."
+        )
+
+
+def _numbers(path: Path, name: str, value: Any, shape: tuple[int, ...]) -> Array:
+    try:
+        made = np.asarray(value, float)
+    except (TypeError, ValueError):
+        made = np.array(math.nan)
+    if made.shape != shape or not np.isfinite(made).all():
+        what = " x ".join(map(str, shape)) or "one"
+        raise BadInput(f"{path}: {name} = {value}; {what} finite number(s) belong there.")
+    return made
+
+
+def _checked(path: Path, data: dict[str, Any]) -> Calibration:
+    def take(name: str, *shape: int) -> Array:
+        return _numbers(path, name, data[name], shape)
+
+    size, matrix, rotation = take("size", 2), take("matrix", 3, 3), take("rotation", 3, 3)
+    position, index = take("position", 3), float(take("index"))
+    straight = np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-6 < np.linalg.det(rotation)
+    for name, good in (
+        ("size", (size > 0).all()), ("matrix", matrix[0, 0] > 0 and matrix[1, 1] > 0),
+        ("rotation", straight), ("position", position[2] > 0), ("index", 1 <= index < 2),
+    ):  # fmt: skip
+        if not good:
+            raise BadInput(f"{path}: {name} = {data[name]}; no camera has it. Calibrate again.")
+    columns, rows = size.astype(int).tolist()
+    lens = Lens((columns, rows), matrix, take("distortion", 5), float(take("lens_rms_px")))
+    hung = Hung(rotation, position, float(take("place_rms_m")))
+    fish, target = (_tag(path, name, data[name], position[2]) for name in ("fish", "target"))
+    return Calibration(lens, hung, fish, target, index, data["made"], data["provenance"])
+
+
+def _tag(path: Path, name: str, value: Any, highest: float) -> Tag:
+    given = value if isinstance(value, dict) else {}
+    side, height = (
+        float(_numbers(path, f"{name}.{part}", given.get(part), ())) for part in ("side", "height")
+    )
+    if not (side > 0 and height < highest):
+        raise BadInput(f"{path}: {name} = {value}; a side above 0, a height below the camera.")
+    return Tag(side, height)

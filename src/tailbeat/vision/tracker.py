@@ -1,0 +1,230 @@
+"""From frames to poses: which tags to believe, and where they are in the pool.
+
+A tag is looked for in the whole picture until it is found, then in a window about its last place;
+now and then the whole picture is searched again, for a second print of the same tag. What fails a
+test is counted by its reason and not believed: unexpected, mended bits, too faint, at the picture's
+edge, turned over, of another size or no square, twice in view, jumped, turned too fast.
+"""
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.control.observation import wrapped
+from tailbeat.files import BadInput
+from tailbeat.link.datagrams import Frame
+from tailbeat.vision.calibration import Calibration
+from tailbeat.vision.detector import Detector, Seen, open_detector
+from tailbeat.vision.tags import FISH, TARGET, Tag
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+Pose = tuple[float, float, float]
+SECOND = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What is believed; chosen. Speeds bound steps between two sightings, with `step` and `turn`
+    on top for noise; they are forgotten after `memory`."""
+
+    mended: int = 1  # bits of 36; two tags differ in 11
+    margin: float = 15.0  # of decision; a blurred or shone-on tag has less
+    edge: float = 4.0  # px from the picture's edge: corners there may be wrong
+    size: float = 0.25  # share that a side may be off
+    square: float = 0.25  # share that two sides or diagonals may differ
+    speed: float = 3.0  # m/s
+    step: float = 0.05  # m
+    turning: float = 12.0  # rad/s: a fish's head beats, it does not spin
+    turn: float = 0.5  # rad
+    memory: float = 1.0  # s
+    scan: int = 30  # frames between two searches of the whole picture
+    hunt: int = 3  # the same while a tag is missing: a full search takes ten windows' time
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """One frame's outcome: the `frame` to send, the believed tags' corners by id (4, 2) [px];
+    rejects by reason, believed tags by id and frames so far; frames per second; whether all of
+    the picture was searched."""
+
+    frame: Frame
+    corners: dict[int, Array]
+    rejected: dict[str, int]
+    believed: dict[int, int]
+    frames: int
+    rate: float
+    whole: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Last:
+    """Where a tag was believed last."""
+
+    stamp: int
+    pose: Pose
+    middle: Array  # px
+    side: float  # px
+
+
+@dataclass(eq=False)
+class Tracker:
+    """Keeps one detector, so belongs to one thread; see `see`. `ids`: of fish and target."""
+
+    calibration: Calibration
+    ids: tuple[int, int] = (FISH, TARGET)
+    limits: Limits = field(default_factory=Limits)
+    detector: Detector = field(default_factory=open_detector)
+    rejected: Counter[str] = field(default_factory=Counter)
+    counts: Counter[int] = field(default_factory=Counter)  # believed, by id
+    frames: int = 0
+    last: dict[int, Last] = field(default_factory=dict)
+    searched: int = -(10**9)  # frame in which all was
+    stamps: deque[int] = field(default_factory=lambda: deque(maxlen=61))
+
+    def __post_init__(self) -> None:
+        if self.ids[0] == self.ids[1]:
+            raise BadInput(f"tag {self.ids[0]} for fish and target both; give two different ones.")
+
+    def see(self, image: Picture, stamp: int) -> Sighting:
+        """One grey frame (rows, columns), exposed at `stamp` [ns]. Raises BadInput where its size
+        is not the calibration's."""
+        size = (image.shape[1], image.shape[0])
+        if size != self.calibration.lens.size:
+            raise BadInput(
+                f"the camera gives {size[0]} x {size[1]} pixels, calibrated were"
+                f" {self.calibration.lens.size[0]} x {self.calibration.lens.size[1]}; set the"
+                f" camera's mode, or calibrate again."
+            )
+        whole = self._search_all(stamp)
+        found = self.detector.find(image) if whole else self._windows(image)
+        believed = self._believed(found, size, stamp)
+        self.frames += 1
+        self.stamps.append(stamp)
+        return self._sighting(believed, stamp, whole)
+
+    # ---- where to look --------------------------------------------------------------------------
+
+    def _search_all(self, stamp: int) -> bool:
+        """Whether this frame is searched as a whole; forgets what is too old."""
+        old = round(self.limits.memory * SECOND)
+        self.last = {k: one for k, one in self.last.items() if 0 <= stamp - one.stamp <= old}
+        before = self.stamps[-1] if self.stamps else 0
+        seen = [one for one in self.last.values() if one.stamp == before]
+        every = self.limits.hunt if len(seen) < len(self.ids) else self.limits.scan
+        if not self.last or self.frames - self.searched >= every:
+            self.searched = self.frames
+            return True
+        return False
+
+    def _windows(self, image: Picture) -> list[Seen]:
+        """Tags in windows about their last places; windows are multiples of 32 pixels wide."""
+        found = []
+        for ident, last in self.last.items():
+            half = 16 * int(np.clip(np.ceil(3 * last.side / 32), 3, 12))
+            rows, columns = image.shape
+            x, y = (
+                int(np.clip(round(middle) - half, 0, max(most - 2 * half, 0)))
+                for middle, most in zip(last.middle, (columns, rows), strict=True)
+            )
+            window = image[y : y + 2 * half, x : x + 2 * half]
+            found += [one for one in self.detector.find(window, (x, y)) if one.ident == ident]
+        return found
+
+    # ---- what to believe ------------------------------------------------------------------------
+
+    def _believed(self, found: list[Seen], size: tuple[int, int], stamp: int) -> dict[int, Seen]:
+        count = Counter(one.ident for one in found)
+        believed = {}
+        for one in found:
+            reason = "seen twice" if count[one.ident] > 1 else self._doubt(one, size, stamp)
+            if reason:
+                self.rejected[reason] += 1
+            else:
+                believed[one.ident] = one
+        for ident, times in count.items():
+            if times > 1:
+                self.last.pop(ident, None)  # whichever it was: search all until one is left
+        return believed
+
+    def _doubt(self, one: Seen, size: tuple[int, int], stamp: int) -> str:
+        """Why a tag is not believed, or "" and it is remembered."""
+        limits = self.limits
+        if one.ident not in self.ids:
+            return "unexpected tag"
+        if one.mended > limits.mended:
+            return "bits mended"
+        if one.margin < limits.margin:
+            return "too faint"
+        if not self._inside(one.corners, size):
+            return "at the edge"
+        tag = self._tag(one.ident)
+        corners = self.calibration.places(one.corners, tag.height)
+        reason = misshapen(corners, tag.side, limits)
+        if reason:
+            return reason
+        pose = planar_pose(corners)
+        reason = self._jump(one.ident, pose, stamp)
+        if not reason:
+            self.last[one.ident] = Last(stamp, pose, one.corners.mean(axis=0), one.side)
+        return reason
+
+    def _tag(self, ident: int) -> Tag:
+        return self.calibration.fish if ident == self.ids[0] else self.calibration.target
+
+    def _inside(self, corners: Array, size: tuple[int, int]) -> bool:
+        edge = self.limits.edge
+        return bool((corners > edge).all() and (corners < np.array(size) - 1 - edge).all())
+
+    def _jump(self, ident: int, pose: Pose, stamp: int) -> str:
+        """Whether a tag would have moved or turned faster than it can since it was believed."""
+        last, limits = self.last.get(ident), self.limits
+        if last is None:
+            return ""
+        since = (stamp - last.stamp) / SECOND
+        moved = np.hypot(pose[0] - last.pose[0], pose[1] - last.pose[1])
+        if moved > limits.speed * since + limits.step:
+            return "jumped"
+        turned = abs(wrapped(pose[2] - last.pose[2]))
+        most = min(limits.turning * since + limits.turn, 0.75 * np.pi)  # turned over is never
+        return "turned too fast" if turned > most else ""
+
+    # ---- what to say ----------------------------------------------------------------------------
+
+    def _sighting(self, believed: dict[int, Seen], stamp: int, whole: bool) -> Sighting:
+        fish, target = (self.last[k].pose if k in believed else None for k in self.ids)
+        frame = Frame(stamp, fish, None if target is None else target[:2])
+        span = (self.stamps[-1] - self.stamps[0]) / SECOND
+        rate = (len(self.stamps) - 1) / span if span > 0 else 0.0
+        corners = {ident: one.corners for ident, one in believed.items()}
+        self.counts.update(believed.keys())
+        told = dict(self.rejected), dict(self.counts)
+        return Sighting(frame, corners, *told, self.frames, rate, whole)
+
+
+def planar_pose(corners: Array) -> Pose:
+    """x, y [m] and yaw [rad] of a tag from its corners' places (4, 2), in the detector's order:
+    the middle, and the mean direction of its lower and upper edge, which is the arrow's."""
+    ahead = corners[1] - corners[0] + corners[2] - corners[3]
+    x, y = corners.mean(axis=0)
+    return float(x), float(y), float(np.arctan2(ahead[1], ahead[0]))
+
+
+def misshapen(corners: Array, side: float, limits: Limits) -> str:
+    """Why four places (4, 2) [m] are not the corners of a tag with black sides of `side` [m] seen
+    from above, or ""."""
+    if not np.isfinite(corners).all():
+        return "not in the pool"
+    x, y = corners.T
+    area = float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+    if area <= 0:
+        return "mirrored"
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
+    if abs(sides.mean() / side - 1) > limits.size:
+        return "another size"
+    across = np.linalg.norm(corners[:2] - corners[2:], axis=1)
+    if max(np.ptp(sides) / side, np.ptp(across) / side) > limits.square:
+        return "no square"
+    return ""

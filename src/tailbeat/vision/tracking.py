@@ -1,0 +1,220 @@
+"""The tracker in a process of its own, started anew when it dies: native code may crash, the sender
+and its console may not. It is a fresh interpreter that imports this room alone, so that starting
+anew is quick; both ends of a pipe between them belong to us, and what they send is pickled.
+"""
+
+import multiprocessing
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tailbeat.files import BadInput
+from tailbeat.vision.calibration import Calibration
+from tailbeat.vision.camera import CameraFault, open_camera
+from tailbeat.vision.tags import FISH, TARGET
+from tailbeat.vision.tracker import Limits, Picture, Sighting, Tracker
+
+PREVIEW = 0.1  # s between two pictures for the console
+PREVIEW_SIZE = (640, 360)
+QUALITY = 70  # of their JPEG
+SILENT = 5.0  # s without a word from a process that has spoken: it hangs; cameras give up earlier
+STARTING = 60.0  # the same for its first word
+RUN = "import sys; from tailbeat.vision.tracking import work; work(int(sys.argv[1]))"
+PAUSES = (0.1, 0.5, 1.0, 2.0)  # s before it is started for the first, second, … time in a row
+
+
+@dataclass(frozen=True)
+class Watching:
+    """What a process watches: as `open_camera` and `Tracker` take it."""
+
+    camera: str
+    calibration: Calibration
+    ids: tuple[int, int] = (FISH, TARGET)
+    limits: Limits = field(default_factory=Limits)
+    exposure: float = 0.002
+    latency: float = 0.0
+    rate: float = 60.0
+
+
+@dataclass(eq=False)
+class TrackerProcess:
+    """See `start_tracker`. `fault` says why nothing is seen, "" while frames come; `restarts`
+    counts processes that were started after the first; `pid` is the present one's."""
+
+    watching: Watching
+    fault: str = ""
+    restarts: int = 0
+    process: Any = None
+    over: threading.Event = field(default_factory=threading.Event)
+    changed: threading.Condition = field(default_factory=threading.Condition)
+    seen: Sighting | None = None
+    shown: bytes = b""
+
+    def newest(self) -> Sighting | None:
+        """The last sighting, None before the first. Look at its stamp: it may be old."""
+        return self.seen
+
+    def after(self, stamp: int, patience: float) -> Sighting | None:
+        """The newest sighting past a stamp [ns], waited for up to `patience` [s], or None."""
+        with self.changed:
+            self.changed.wait_for(
+                lambda: self.seen is not None and self.seen.frame.captured > stamp, patience
+            )
+            fresh = self.seen is not None and self.seen.frame.captured > stamp
+            return self.seen if fresh else None
+
+    def picture(self) -> bytes:
+        """The last preview, a JPEG of half the camera's width, or b"" before the first."""
+        return self.shown
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process that looks."""
+        return None if self.process is None else self.process.pid
+
+    def close(self) -> None:
+        """End it."""
+        self.over.set()
+        self.thread.join(10)
+
+    def begin(self) -> None:
+        """Start the thread that supervises; `start_tracker` calls it."""
+        self.thread = threading.Thread(target=self._supervise, daemon=True)
+        self.thread.start()
+
+    # ---- supervision ----------------------------------------------------------------------------
+
+    def _supervise(self) -> None:
+        tries = 0
+        while not self.over.is_set():
+            heard = self._one_life()
+            tries = 0 if heard else tries + 1
+            if not self.over.wait(PAUSES[min(tries, len(PAUSES) - 1)]):
+                self.restarts += 1
+
+    def _one_life(self) -> bool:
+        """Start a process and listen until it is gone; whether it saw anything."""
+        ours, theirs = multiprocessing.Pipe()
+        end = theirs.fileno()
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", RUN, str(end)],
+            pass_fds=[end], stdin=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+        theirs.close()
+        try:
+            ours.send(self.watching)
+            return self._listen(ours)
+        except OSError:  # it was gone before it listened
+            self._obituary()
+            return False
+        finally:
+            ours.close()
+            self.process.kill()
+            self.process.wait()
+
+    def _listen(self, ours: Connection) -> bool:
+        """Take what comes; says why it ended."""
+        heard, due = False, time.monotonic() + STARTING
+        while not self.over.is_set():
+            try:
+                if ours.poll(0.1):
+                    heard = self._take(ours.recv()) or heard
+                    due = time.monotonic() + SILENT
+                elif time.monotonic() > due:
+                    self._say("the tracker's process hung; it is started anew")
+                    return heard
+            except (EOFError, OSError):
+                self._obituary()
+                return heard
+        return heard
+
+    def _take(self, word: Sighting | bytes | str) -> bool:
+        """A sighting, a preview, or why there are none; whether it was a sighting."""
+        if isinstance(word, str):
+            self._say(word)
+        elif isinstance(word, bytes):
+            self.shown = word
+        else:
+            with self.changed:
+                self.seen, self.fault = word, ""
+                self.changed.notify_all()
+            return True
+        return False
+
+    def _obituary(self) -> None:
+        try:
+            code = self.process.wait(2)
+        except subprocess.TimeoutExpired:
+            code = None
+        if code == 0:
+            return  # it said why
+        how = f"code {code}"
+        if code is not None and code < 0:
+            how = f"signal {-code} ({signal.Signals(-code).name})"
+        self._say(f"the tracker's process died with {how}; it is started anew")
+
+    def _say(self, fault: str) -> None:
+        with self.changed:
+            self.fault = fault
+            self.changed.notify_all()
+
+
+def start_tracker(
+    camera: str, calibration: Calibration, ids: tuple[int, int] = (FISH, TARGET), **more: Any
+) -> TrackerProcess:
+    """Watch a camera (see `open_camera`) for the tags of fish and target; `more` as in `Watching`.
+    Returns at once: what is wrong with the camera stands in `fault`, and it is tried again. Raises
+    BadInput for ids that are the same."""
+    if ids[0] == ids[1]:
+        raise BadInput(f"tag {ids[0]} for fish and target both; give two different ones.")
+    made = TrackerProcess(Watching(camera, calibration, ids, **more))
+    made.begin()
+    return made
+
+
+# ---- the process --------------------------------------------------------------------------------
+
+
+def work(end: int) -> None:
+    """The process: told what to watch through the pipe whose descriptor is `end`."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
+    cv2.setNumThreads(1)
+    speak: Connection = Connection(end)
+    try:
+        _watch(speak.recv(), speak)
+    except (BadInput, CameraFault) as fault:
+        speak.send(str(fault))
+    except (EOFError, ConnectionError):
+        pass  # the parent is gone
+
+
+def _watch(made: Watching, speak: Connection) -> None:
+    tracker = Tracker(made.calibration, made.ids, made.limits)
+    camera = open_camera(
+        made.camera, made.calibration.lens.size, made.rate, made.exposure, made.latency
+    )
+    due = 0.0
+    try:
+        while True:
+            image, stamp = camera.read()
+            speak.send(tracker.see(image, stamp))
+            if time.monotonic() >= due:
+                due = time.monotonic() + PREVIEW
+                speak.send(preview(image))
+    finally:
+        camera.close()
+
+
+def preview(image: Picture) -> bytes:
+    """A small JPEG of a frame."""
+    small = cv2.resize(image, PREVIEW_SIZE, interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    return bytes(np.asarray(data, np.uint8))
