@@ -236,10 +236,10 @@ LOOP = Module("tailbeat.robot.loop", "")
     [
         "import tailbeat.robot.loop",
         "from tailbeat.robot.loop import run",
-        "from tailbeat.swim import loop",
-        "from ..swim import loop",
+        "from tailbeat.robot import loop",
+        "from ..robot import loop",
         "def late():\n    from tailbeat.robot.loop import run",
-        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from tailbeat.swim import loop",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from tailbeat.robot import loop",
         "import importlib\nimportlib.import_module('tailbeat.robot.loop')",
     ],
 )

@@ -10,8 +10,8 @@ from tailbeat import live_tasks
 from tailbeat.control.policy import Policy, check_fits, load_policy
 from tailbeat.env.simulator import PERIOD
 from tailbeat.evaluate import compare as comparison
-from tailbeat.evaluate import evaluation, tour as tours
-from tailbeat.report import tour as tour_figures
+from tailbeat.evaluate import evaluation
+from tailbeat.evaluate import tour as tours
 from tailbeat.evaluate.live_swim import as_seen, tour_of
 from tailbeat.evaluate.trial import Pool, Progress
 from tailbeat.files import BadInput, write_json
@@ -19,6 +19,7 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest, load_fish
 from tailbeat.pool.water import fingerprint
 from tailbeat.report import page as pages
+from tailbeat.report import tour as tour_figures
 
 Counting = Callable[[], AbstractContextManager[Progress]]  # a bar on the terminal
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from tailbeat import importers
 from tailbeat.benchmarks import step as benchmark
-from tailbeat.report import open_loop as loop
 from tailbeat.evaluate import runs as swims_store
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
 from tailbeat.fish.render import save_picture
@@ -36,6 +35,7 @@ from tailbeat.identify.runs import Run, as_run
 from tailbeat.identify.search import Effort
 from tailbeat.recording import Recording, read_recording, write_recording
 from tailbeat.report import figures
+from tailbeat.report import open_loop as loop
 
 Progress = Callable[[int, str, float, float], None]
 

@@ -12,11 +12,10 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from tailbeat.evaluate import compare, evaluation, runs, spectrum, track
-from tailbeat.report import bench_day
 from tailbeat.evaluate.trial import CHUNK
 from tailbeat.files import BadInput, new_file, write_json
 from tailbeat.fish.description import Fish
-from tailbeat.report import figures, swim_figures
+from tailbeat.report import bench_day, figures, swim_figures
 
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }
