@@ -144,7 +144,7 @@ def write_identification(
     rows = [("fitted", found.fitted[0])] + [("held out", p) for p in found.validated[:1]]
     figures.measured_against_twin(rows, figure)
     write_json(json, report)
-    values = {"name": out.stem, **job.toml_values(found, names)}
+    values: dict[str, Any] = {"name": out.stem, **job.toml_values(found, names)}
     write_identified(fish, out, values, job.heading(found, plan))
     return report
 
