@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from synthetic import record
-from tailbeat.cli import spread_lists
+from tailbeat.cli.app import spread_lists
 from tailbeat.fish.store import load_fish
 from tailbeat.recording import read_recording, write_recording
 

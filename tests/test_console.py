@@ -31,14 +31,14 @@ from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from websockets.exceptions import InvalidStatus
 
-from tailbeat import laptop_cli, robot_cli, robot_tasks
+from tailbeat.cli import swim
 from tailbeat.control.policy import load_policy
 from tailbeat.emulators import rig as bench
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.link import datagrams as link
 from tailbeat.link.status import State
-from tailbeat.operator.page import Desk, announce, is_local, open_desk, turn
+from tailbeat.operator.page import Desk, announce, is_local, open_console, open_desk, turn
 from tailbeat.operator.snapshot import body
 from tailbeat.robot.imu import connect as connect_imu
 from tailbeat.robot.loop import Devices, Loop
@@ -511,8 +511,8 @@ def test_what_a_console_cannot_have_is_one_sentence(tmp_path: Path):
         "key": tmp_path,
     }
     with pytest.raises(BadInput, match="the laptop shows it"):
-        robot_cli.drive("p", tmp_path / "a", console_at="127.0.0.1:0", **words)  # type: ignore[arg-type]
+        swim.drive("p", tmp_path / "a", console_at="127.0.0.1:0", **words)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="give its --calibration"):
-        laptop_cli.laptop("127.0.0.1:1", tmp_path, "127.0.0.1:2", camera="/dev/video0")
+        swim.laptop("127.0.0.1:1", tmp_path, "127.0.0.1:2", camera="/dev/video0")
     with pytest.raises(BadInput, match="give host:port"):
-        robot_tasks.open_console("8080")
+        open_console("8080")

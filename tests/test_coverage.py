@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from synthetic import clock_of, filmed, record
-from tailbeat.cli import app, spread_lists
+from tailbeat.cli.app import app, spread_lists
 from tailbeat.evaluate import runs as store
 from tailbeat.evaluate.runs import Runs
 from tailbeat.files import BadInput

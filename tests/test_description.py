@@ -8,6 +8,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.store import (
     fish_path,
     load_fish,
+    new_fish,
     shipped,
     value_at,
     with_values,
@@ -117,9 +118,7 @@ def test_identified_fish_keeps_comments_and_records_where_from(tmp_path):
 
 
 def test_a_field_that_the_file_lacks_is_added_where_it_belongs(tmp_path):
-    from tailbeat import tasks
-
-    tasks.new_fish(tmp_path / "mine.toml")
+    new_fish(tmp_path / "mine.toml")
     entry = {"value": 1.3, "unit": "1", "source": "a test"}
     paths = {"tail.stiffness_scale": entry, "added_inertia": entry, "simulation.step": None}
     values = {path: e or {"value": 1.0, "unit": "ms", "source": "t"} for path, e in paths.items()}
@@ -130,13 +129,12 @@ def test_a_field_that_the_file_lacks_is_added_where_it_belongs(tmp_path):
 
 
 def test_template_is_a_fish_that_compiles_and_swims_forward(tmp_path):
-    from tailbeat import tasks
     from tailbeat.report.open_loop import open_loop
 
-    tasks.new_fish(tmp_path / "mine.toml")
+    new_fish(tmp_path / "mine.toml")
     fish = load_fish(tmp_path / "mine.toml")
     assert fish.name == "mine"
     done = open_loop(fish, tmp_path / "runs")
     assert done["speed_m_s"] > 0.005
     with pytest.raises(BadInput, match="exists already"):
-        tasks.new_fish(tmp_path / "mine.toml")
+        new_fish(tmp_path / "mine.toml")

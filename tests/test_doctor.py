@@ -16,13 +16,12 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
 from lines import served
-from tailbeat import doctor_tasks
 from tailbeat.emulators.imu import Bno055
 from tailbeat.emulators.imu import serve as serve_imu
 from tailbeat.emulators.servo import Dynamixel
 from tailbeat.emulators.servo import serve as serve_servo
 from tailbeat.link import datagrams as link
-from tailbeat.robot import doctor
+from tailbeat.robot import doctor, examine
 from tailbeat.robot.doctor import ADVICE, BAD, OK, WARN, Finding
 
 PATIENT = 0.25
@@ -226,9 +225,9 @@ def test_rights_that_are_missing_are_found():
 
 def test_a_policy_that_does_not_fit_is_found(tmp_path):
     (tmp_path / "x.onnx").write_bytes(b"no network")
-    (broken,) = doctor_tasks.check_policy(str(tmp_path / "x.onnx"), "pulley-fish")
+    (broken,) = examine.check_policy(str(tmp_path / "x.onnx"), "pulley-fish")
     assert broken.verdict == BAD
-    _, other = doctor_tasks.check_policy("pulley-fish-pool-generator", "crank-fish")
+    _, other = examine.check_policy("pulley-fish-pool-generator", "crank-fish")
     assert other.verdict == BAD and other.do
 
 

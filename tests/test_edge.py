@@ -6,9 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from tailbeat.control.actions import PERIOD
 from tailbeat.env import randomize
 from tailbeat.env.randomize import FIELDS, Randomisation
-from tailbeat.env.simulator import PERIOD, TwinBody
+from tailbeat.env.simulator import TwinBody
 from tailbeat.files import BadInput
 from tailbeat.fish import edge
 from tailbeat.fish.description import Fish, TrailingEdge

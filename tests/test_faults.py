@@ -17,18 +17,19 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 pytest.importorskip("mcap", reason="the robot extra is not installed")
 
-from tailbeat import robot_tasks, safety_tasks
 from tailbeat.evaluate import faults
 from tailbeat.evaluate.faults import CASES, Bench
 from tailbeat.fish.store import load_fish
+from tailbeat.report.fault_table import markdown
+from tailbeat.robot import session
 
-POLICY, DRIVE = "pulley-fish-pool-generator", robot_tasks.drive
+POLICY, DRIVE = "pulley-fish-pool-generator", session.drive
 QUICK = ("servo cable", "forgeries", "encoder frozen", "watchdog", "clock back", "nan", "disk full")
 
 
 @pytest.fixture(scope="module")
 def patient() -> Iterator[Bench]:
-    with faults.open_bench(load_fish("pulley-fish"), [robot_tasks.__name__], patience=4) as bench:
+    with faults.open_bench(load_fish("pulley-fish"), [session.__name__], patience=4) as bench:
         yield bench
 
 
@@ -59,7 +60,7 @@ def test_the_table_has_a_row_for_every_fault(tmp_path: Path):
     row = {"fault": "a", "operator sees": "hold: b", "safe state": "hold", "told_s": 0.1,
            "safe_s": 0.25, "ok": True}  # fmt: skip
     missed = {**row, "ok": False, "told_s": None, "safe_s": None}
-    lines = safety_tasks.markdown([row, missed]).splitlines()
+    lines = markdown([row, missed]).splitlines()
     assert lines[2] == "| a | hold: b | hold | 0.10 | 0.25 |"
     assert lines[3] == "| a | hold: b | **not reached** | – | – |"
 

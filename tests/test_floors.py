@@ -19,10 +19,6 @@ SOURCE = Path(__file__).parents[1] / "src" / "tailbeat"
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("__main__",),
     ("cli",),
-    ("laptop_cli", "learn_cli", "robot_cli", "safety_cli", "swim_cli", "track_cli"),
-    ("chain_tasks", "doctor_tasks", "safety_tasks", "swim_tasks"),
-    ("laptop_tasks", "live_tasks"),
-    ("bench_tasks", "console", "learn_tasks", "robot_tasks", "tasks", "track_tasks"),
     ("report",),
     ("benchmarks",),
     ("evaluate",),
@@ -38,6 +34,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("identify",),
     ("fish",),
     ("importers", "recording"),
+    ("processes",),
     ("files",),
     ("__init__",),  # holds the version alone: any room may read it
 )

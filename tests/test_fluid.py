@@ -110,7 +110,7 @@ def test_predicting_its_own_swim_is_exact_and_forgets_the_recorded_speed():
 
 
 def test_cruise_prediction_does_not_depend_on_the_recorded_speed(data):
-    from tailbeat.importers import import_fishsim
+    from tailbeat.importers.fishsim import import_fishsim
 
     fish = load_fish("crank-fish")
     run = as_run(import_fishsim(data / "fishsim" / "markers_f1_50.csv"), fish)

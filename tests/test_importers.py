@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tailbeat.files import BadInput
-from tailbeat.importers import import_fishsim
+from tailbeat.importers.fishsim import import_fishsim
 from tailbeat.recording import markers
 
 PLACES = np.array([77, -65, -280, -299.5, -329.5, -361.5, -390.5, -411.5, -474]) * 1e-3

@@ -11,13 +11,13 @@ pytest.importorskip("stable_baselines3", reason="the train extra is not installe
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
-from tailbeat.control.actions import Direct, Generator
+from tailbeat.control.actions import PERIOD, Direct, Generator
 from tailbeat.control.observation import TABLE
 from tailbeat.env import randomize, sensors
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel, quiet
 from tailbeat.env.vector_env import FishEnv, FishVecEnv, FishVectorEnv
-from tailbeat.env.world import PERIOD, Settings, Task, World, check_settings
+from tailbeat.env.world import Settings, Task, World, check_settings
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 

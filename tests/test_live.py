@@ -16,9 +16,9 @@ pytest.importorskip("cv2", reason="the robot extra is not installed")
 
 from psutil import NoSuchProcess, Process, process_iter
 
-from tailbeat import console, laptop_tasks, swim_tasks
+from tailbeat.cli import output
+from tailbeat.evaluate import swim
 from tailbeat.evaluate.live_swim import tour_of
-from tailbeat.evaluate.tour import draw_targets
 from tailbeat.files import BadInput
 from tailbeat.fish.outline import guessed_shape, outline
 from tailbeat.fish.store import load_fish
@@ -27,7 +27,9 @@ from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import Order
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import Numbers, State, Status
-from tailbeat.operator.tour import Tour
+from tailbeat.operator import station
+from tailbeat.operator.tour import Tour, draw_targets
+from tailbeat.report import tour as page
 
 POLICY, FISH = "pulley-fish-pool-generator", load_fish("pulley-fish")
 
@@ -35,7 +37,9 @@ POLICY, FISH = "pulley-fish-pool-generator", load_fish("pulley-fish")
 @pytest.fixture(scope="module")
 def swum(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, list[str]]:
     out, said = tmp_path_factory.mktemp("live"), list[str]()
-    done = swim_tasks.live(POLICY, FISH.name, None, 1, 0, out, console.counting, said.append)
+    done = page.write(
+        swim.live(POLICY, FISH.name, None, 1, 0, out, said.append), out, output.counting
+    )
     return out, done, said
 
 
@@ -109,7 +113,7 @@ def test_a_guessed_shape_has_its_tag_where_it_was_seen():
 
 def test_a_leader_without_a_tour_names_its_first_target_once():
     sender = Sender(bytes(32), link.bind("127.0.0.1", 0), ("127.0.0.1", 9))
-    leader = laptop_tasks.Leader(None, (1.5, 0.5))
+    leader = station.Leader(None, (1.5, 0.5))
     leader.lead(sender, None, 100.0, print)
     first, sender.target = sender.target, (0.0, 0.0)  # the operator drags it away
     leader.lead(sender, None, 100.1, print)
@@ -122,20 +126,20 @@ def test_a_leader_arms_anew_a_fish_that_holds_and_gives_up_in_the_end():
         return Status(state, "so it is", 0, 0, sender.orders, 0.0, Numbers())
 
     tour = Tour([(1.0, 0.0)])
-    leader = laptop_tasks.Leader(tour, ran=time.monotonic())
+    leader = station.Leader(tour, ran=time.monotonic())
     sender = Sender(bytes(32), link.bind("127.0.0.1", 0), ("127.0.0.1", 9))
     sender.status = stands(State.HOLD)
     leader.armed, leader.swam, said = 1, True, list[str]()
     for step in range(100):
         sender.heard = 100.0 + step
         leader.lead(sender, (0.0, 0.0, 0.0), 100.0 + step, said.append)
-    assert sender.orders == laptop_tasks.REARMED == leader.rearmed == len(said)
+    assert sender.orders == station.REARMED == leader.rearmed == len(said)
     assert sender.target == (1.0, 0.0) and tour.began is None
     first, began = sender.pending[-1].order, leader.over()
     sender.status = stands(State.ARMED)
     sender.heard = 300.0
     leader.lead(sender, (0.0, 0.0, 0.0), 300.0, said.append)
     assert [first, sender.pending[-1].order] == [Order.ARM, Order.SWIM]
-    leader.ran = time.monotonic() - laptop_tasks.STUCK - 1
+    leader.ran = time.monotonic() - station.STUCK - 1
     assert [began, leader.over()] == [False, True]
     sender.socket.close()

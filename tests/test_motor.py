@@ -14,7 +14,7 @@ from tailbeat.identify.motor_report import as_report
 from tailbeat.identify.protocol import RATE, fluid_runs, limits, motor_commands, tail_sweep
 from tailbeat.identify.search import Effort
 from tailbeat.identify.shaft import Bench, Load, free_run
-from tailbeat.importers import import_xl330
+from tailbeat.importers.xl330 import import_xl330
 from tailbeat.recording import Recording
 
 FISH = load_fish("pulley-fish")

@@ -17,7 +17,7 @@ import torch
 from stable_baselines3 import SAC
 
 from tailbeat.control import actions as act
-from tailbeat.control.actions import Direct, Generator
+from tailbeat.control.actions import PERIOD, Direct, Generator
 from tailbeat.control.observation import TABLE
 from tailbeat.control.policy import (
     Policy,
@@ -28,7 +28,7 @@ from tailbeat.control.policy import (
     load_policy,
 )
 from tailbeat.env.vector_env import FishEnv, FishVecEnv
-from tailbeat.env.world import PERIOD, Settings
+from tailbeat.env.world import Settings
 from tailbeat.files import BadInput
 from tailbeat.fish.store import digest, load_fish
 from tailbeat.train.export import act as act_of_sb3

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from synthetic import clock_of, filmed, record
-from tailbeat import chain_tasks, tasks
+from tailbeat.cli import identify
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish, value_at, with_values
 from tailbeat.identify import kinematic
@@ -16,6 +16,7 @@ from tailbeat.identify.gait import Track, ground_distance, steady_beat, way
 from tailbeat.identify.predict import as_json, predict, row
 from tailbeat.identify.runs import Run, as_run
 from tailbeat.recording import Recording, crop, write_recording
+from tailbeat.report import identified
 from tailbeat.report.figures import measured_against_twin, speeds
 
 FISH = with_values(load_fish("pulley-fish"), {"added_inertia": 1.0})
@@ -98,12 +99,12 @@ def test_a_run_without_a_beat_is_fitted_drawn_and_written(tmp_path):
     done = predict(FISH, [run, as_run(without_yaw(wandering()), FISH)])
     measured_against_twin([("held out", one) for one in done], tmp_path / "a.png")
     speeds(done[:1], done[1:], tmp_path / "b.png")
-    assert chain_tasks._swim(row(done[1]), "fit")[2::4] == ["-", "-"]
+    assert identified._swim(row(done[1]), "fit")[2::4] == ["-", "-"]
 
 
 def test_the_verb_writes_null_for_what_a_run_cannot_say(tmp_path):
     write_recording(without_yaw(wandering()), tmp_path / "log.csv")
-    tasks.predict("pulley-fish", [tmp_path / "log.csv"], [], tmp_path / "out.json")
+    identify.predict("pulley-fish", [tmp_path / "log.csv"], json=tmp_path / "out.json")
     (found,) = json.loads((tmp_path / "out.json").read_text())["runs"]
     assert found["beat_frequency"] is None and found["heading_error_deg"] is None
     assert found["measured_speed"] > 0 and found["distance"] > 0

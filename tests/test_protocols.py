@@ -6,15 +6,18 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from tailbeat import chain_tasks, tasks
 from tailbeat.files import BadInput
 from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import load_fish
+from tailbeat.identify.chain import identify_all
+from tailbeat.identify.stages import fluid_plan
 from tailbeat.identify.tail import identify_tail
 from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
+from tailbeat.pool.record import record
 from tailbeat.pool.recorder import COUNT, Sensors
 from tailbeat.pool.water import Water, fingerprint
 from tailbeat.recording import Recording, read_recording, write_recording
+from tailbeat.report.identified import DRAWINGS
 
 FISH = load_fish("pulley-fish")
 
@@ -24,7 +27,7 @@ def folder(tmp_path_factory):
     """All three experiments, as files."""
     out = tmp_path_factory.mktemp("pool")
     for kind in ("tail", "motor", "fluid"):
-        chain_tasks.record(kind, "pulley-fish", out, seed=0)
+        record(kind, "pulley-fish", out, seed=0)
     return out
 
 
@@ -81,9 +84,9 @@ def test_one_folder_one_command(folder, tmp_path):
     for name in ("tail-sweep", "motor-chirp", "motor-steps", "motor-beat", "fluid-01", "fluid-05"):
         (few / f"{name}.csv").write_bytes((folder / f"{name}.csv").read_bytes())
     (few / "fluid-06.csv").write_bytes((folder / "fluid-07.csv").read_bytes())
-    plan = tasks.plan(zones=1, seeds=1, seed=0, generations=1, start_weight=None)
+    plan = fluid_plan(zones=1, seeds=1, seed=0, generations=1, start_weight=None)
     out = tmp_path / "mine.toml"
-    report = chain_tasks.identify_all("pulley-fish", few, out, plan, None, lambda *_: None)
+    report = identify_all("pulley-fish", few, out, plan, None, lambda *_: None, DRAWINGS)
     assert report["summary"]["k_eff"] == pytest.approx(0.98, rel=0.02)
     assert report["summary"]["servo_mae_deg"] < 0.2
     assert len(report["summary"]["position_error_share"]) == 1
@@ -102,25 +105,21 @@ def test_given_commands_are_played_and_checked(tmp_path):
     sine = 0.4 * np.sin(2 * np.pi * 1.5 * time)
     write_recording(Recording("c", time, {"command_rad": sine}), tmp_path / "fluid-mine.csv")
     write_recording(Recording("c", time, {"command_rad": 4 * sine}), tmp_path / "fluid-wild.csv")
-    made = chain_tasks.record(
-        "fluid", "pulley-fish", tmp_path / "out", 0, [tmp_path / "fluid-mine.csv"]
-    )
+    made = record("fluid", "pulley-fish", tmp_path / "out", 0, [tmp_path / "fluid-mine.csv"])
     swim = read_recording(made[0])
     assert made[0].name == "fluid-mine.csv" and np.ptp(swim.columns["x_m"]) > 0.2
     with pytest.raises(BadInput, match=r"fluid-wild: column command_rad, row \d+: .* outside"):
-        chain_tasks.record(
-            "fluid", "pulley-fish", tmp_path / "two", 0, [tmp_path / "fluid-wild.csv"]
-        )
+        record("fluid", "pulley-fish", tmp_path / "two", 0, [tmp_path / "fluid-wild.csv"])
     assert not list((tmp_path / "two").glob("*"))
 
 
 def test_a_folder_without_a_bench_is_refused(folder, tmp_path):
-    plan = tasks.plan(1, 1, 0, 1, None)
+    plan = fluid_plan(1, 1, 0, 1, None)
     with pytest.raises(BadInput, match="begins with tail-sweep"):
-        chain_tasks.identify_all(
-            "pulley-fish", tmp_path, tmp_path / "f.toml", plan, None, lambda *_: None
+        identify_all(
+            "pulley-fish", tmp_path, tmp_path / "f.toml", plan, None, lambda *_: None, DRAWINGS
         )
     with pytest.raises(BadInput, match="exist already"):
-        chain_tasks.record("tail", "pulley-fish", folder, 0)
+        record("tail", "pulley-fish", folder, 0)
     with pytest.raises(BadInput, match="allowed are tail, motor, fluid"):
-        chain_tasks.record("wings", "pulley-fish", tmp_path, 0)
+        record("wings", "pulley-fish", tmp_path, 0)

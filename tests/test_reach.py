@@ -5,15 +5,15 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
+from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import check_fits, decide, load_policy, shipped
 from tailbeat.env.curriculum import Stage, settings_of
-from tailbeat.env.world import PERIOD, Scene, seeds_from
+from tailbeat.env.world import Scene, seeds_from
 from tailbeat.evaluate import trial
 from tailbeat.evaluate.reach import by_sector, in_pool, in_twin, reach, wilson
 from tailbeat.evaluate.runs import surge
 from tailbeat.evaluate.spectrum import windows
-from tailbeat.fish.store import digest, load_fish
-from tailbeat.learn_tasks import with_servo
+from tailbeat.fish.store import digest, load_fish, with_servo
 from tailbeat.pool.water import ensemble
 
 TWIN, FISH = load_fish("pulley-fish-pool"), load_fish("pulley-fish")

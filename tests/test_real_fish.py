@@ -7,7 +7,7 @@ from tailbeat.identify.job import Plan, identify_fluid
 from tailbeat.identify.predict import speed_mae
 from tailbeat.identify.runs import as_run
 from tailbeat.identify.search import Effort
-from tailbeat.importers import import_fishsim
+from tailbeat.importers.fishsim import import_fishsim
 
 HELD_OUT = ("f0_50", "f0_75", "f1_50", "f2_25")
 

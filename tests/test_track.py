@@ -15,14 +15,18 @@ pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 import cv2
 
 from sights import FISH, TARGET, true_calibration
-from tailbeat import track_cli, track_tasks
+from tailbeat.cli import camera
 from tailbeat.emulators.camera import Picture, Renderer, Scene
+from tailbeat.emulators.lab import pictures
 from tailbeat.emulators.optics import Optics
 from tailbeat.files import BadInput
+from tailbeat.vision.calibrate import calibrate
 from tailbeat.vision.calibration import read_calibration, write_calibration
 from tailbeat.vision.detector import open_detector
+from tailbeat.vision.follow import track
+from tailbeat.vision.sheet import write_sheets
 from tailbeat.vision.survey import board_corners
-from tailbeat.vision.tags import IDS, Board, tag_picture
+from tailbeat.vision.tags import IDS, Board, board_of, tag_picture
 
 MM = 150 / 25.4  # pixels of a millimetre on a printed PNG, read at half its resolution
 IDS_HERE = (0, 1)
@@ -45,7 +49,7 @@ def quiet(_: str) -> None:
 def lab(tmp_path_factory) -> Path:
     """What a lab would have taken."""
     folder = tmp_path_factory.mktemp("lab") / "pictures"
-    track_tasks.pictures(folder, 12, seed=3)
+    pictures(folder, 12, seed=3)
     return folder
 
 
@@ -53,7 +57,7 @@ def lab(tmp_path_factory) -> Path:
 def pages(tmp_path_factory) -> list[Path]:
     """Fish (tag 7), target, board."""
     out = tmp_path_factory.mktemp("sheets") / "sheet.png"
-    return track_tasks.sheets(out, (7, 1), 0.08, 0.026)
+    return write_sheets(out, (7, 1), 0.08, board_of(0.026))
 
 
 # ---- sheets -------------------------------------------------------------------------------------
@@ -85,11 +89,11 @@ def test_the_printed_board_is_the_one_that_is_looked_for(pages: list[Path]):
 
 
 def test_a_pdf_has_three_pages_of_a4_and_an_svg_is_one(tmp_path: Path):
-    (pdf,) = track_tasks.sheets(tmp_path / "sheet.pdf", IDS_HERE, 0.08, 0.026)
+    (pdf,) = write_sheets(tmp_path / "sheet.pdf", IDS_HERE, 0.08, board_of(0.026))
     boxes = re.findall(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", pdf.read_bytes())
     sizes = [sorted(float(x) / 72 * 25.4 for x in box) for box in boxes]
     assert sizes == [pytest.approx([210, 297], abs=0.1)] * 3
-    svg = track_tasks.sheets(tmp_path / "sheet.svg", IDS_HERE, 0.08, 0.026)[0].read_text()
+    svg = write_sheets(tmp_path / "sheet.svg", IDS_HERE, 0.08, board_of(0.026))[0].read_text()
     assert float(re.findall(r'width="([\d.]+)pt"', svg)[0]) / 72 * 25.4 == pytest.approx(
         210, abs=0.1
     )
@@ -105,7 +109,7 @@ def test_sheets_that_cannot_be_are_refused(tmp_path: Path):
         ("taken.png", IDS_HERE, 0.08, 0.026, "exists already"),
     ):
         with pytest.raises(BadInput, match=complaint):
-            track_tasks.sheets(tmp_path / name, ids, side, square)
+            write_sheets(tmp_path / name, ids, side, board_of(square))
     assert [path.name for path in tmp_path.iterdir()] == ["taken-target.png"]
 
 
@@ -127,7 +131,7 @@ SHEET = {"square": 0.026, "fish_side": 0.08, "fish_height": -0.03, "target_side"
 
 def test_a_lab_s_pictures_make_a_calibration(lab: Path, tmp_path: Path):
     out = tmp_path / "camera.json"
-    done = track_tasks.calibrate(str(lab / "views"), lab / "survey.csv", str(lab / "pool.png"),
+    done = calibrate(str(lab / "views"), lab / "survey.csv", str(lab / "pool.png"),
                                  SHEET, out, 20, quiet)  # fmt: skip
     assert done["points"] == 9 and done["place_rms_mm"] < 2 and done["views"] == 12
     made = read_calibration(out)
@@ -145,7 +149,7 @@ def test_views_are_taken_from_a_film_when_the_board_has_moved(lab: Path, tmp_pat
             writer.write(np.asarray(cv2.imread(str(path))))
     writer.release()
     heard: list[str] = []
-    done = track_tasks.calibrate(str(film), lab / "survey.csv", str(lab / "pool.png"), SHEET, out,
+    done = calibrate(str(film), lab / "survey.csv", str(lab / "pool.png"), SHEET, out,
                                  10, heard.append)  # fmt: skip
     assert done["views"] == 10 and "view 10 of 10" in heard
     assert done["focal_px"] == pytest.approx(Optics().focal, rel=0.01)
@@ -164,7 +168,7 @@ def test_what_is_missing_from_a_calibration_is_said(lab: Path, tmp_path: Path):
         ((pool, survey, pool), "seen whole enough in 0 of"),
     ):
         with pytest.raises(BadInput, match=complaint):
-            track_tasks.calibrate(*given, SHEET, out, 20, quiet)
+            calibrate(*given, SHEET, out, 20, quiet)
     assert not out.exists()
 
 
@@ -180,7 +184,7 @@ def test_a_film_is_tracked_to_its_end(tmp_path: Path):
     writer.release()
     write_calibration(tmp_path / "camera.json", true_calibration())
     heard: list[str] = []
-    done = track_tasks.track(str(path), tmp_path / "camera.json", IDS_HERE, 60.0, 30.0, 0.002, 0.0,
+    done = track(str(path), tmp_path / "camera.json", IDS_HERE, 60.0, 30.0, 0.002, 0.0,
                              heard.append)  # fmt: skip
     assert done["frames"] == 12 and done["fish_seen"] == done["target_seen"] == 1.0
     assert "the film is over after 12 frames" in done["fault"]
@@ -201,4 +205,4 @@ def test_the_verbs_print_write_and_refuse(tmp_path: Path):
     assert done.returncode == 2, done.stdout
     assert "no such camera" in done.stderr and "Traceback" not in done.stderr
     with pytest.raises(BadInput, match="give --socket or --pictures"):
-        track_cli.camera()
+        camera.camera()

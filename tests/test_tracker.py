@@ -18,12 +18,13 @@ pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 import cv2
 
 from sights import FISH, TARGET, true_calibration
-from tailbeat.benchmarks.vision import APART, calibrated, errors, fish_line, scattered, watch
+from tailbeat.benchmarks.vision import APART, calibrated, errors, scattered, watch
 from tailbeat.emulators.camera import Conditions, Renderer, Scene, calm
+from tailbeat.emulators.course import fish_line
 from tailbeat.emulators.film import CameraProcess, Filming, start_camera
+from tailbeat.emulators.live import ASIDE
 from tailbeat.emulators.optics import Optics
 from tailbeat.files import BadInput
-from tailbeat.live_tasks import ASIDE
 from tailbeat.vision.detector import HALF, open_detector
 from tailbeat.vision.tags import Tag
 from tailbeat.vision.tracker import Limits, Sighting, Tracker, misshapen, planar_pose

@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat import swim_tasks
-from tailbeat.control.actions import Generator
+from tailbeat.control.actions import PERIOD, Generator
 from tailbeat.control.policy import load_policy
 from tailbeat.env import randomize
 from tailbeat.env.sensors import quiet
-from tailbeat.env.simulator import PERIOD
 from tailbeat.env.world import Scene
 from tailbeat.evaluate import compare, disturb, evaluation, reach, scenes, spectrum, track
 from tailbeat.evaluate import runs as store
@@ -23,8 +21,9 @@ from tailbeat.evaluate.trial import Arm, Pool, swim, swim_all
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.runs import tracked_pose
-from tailbeat.pool.plant import LENGTH, WIDTH
+from tailbeat.link.places import LENGTH, WIDTH
 from tailbeat.pool.water import Water
+from tailbeat.report.page import of_folder
 
 FISH, TWIN = load_fish("pulley-fish"), load_fish("pulley-fish-pool")
 POLICY = "pulley-fish-pool-generator"
@@ -248,13 +247,19 @@ def test_a_gait_swum_in_the_twin_is_replayed_at_its_own_speed():
 # ---- the verbs ----------------------------------------------------------------------------------
 
 
+def tried(fish: str, pool: str, tasks: list[str], episodes: int, out: Path) -> dict[str, Any]:
+    """An evaluation of the shipped policy."""
+    policy = load_policy(POLICY)
+    where = evaluation.pool_of(policy, fish, None, pool, episodes, 0)
+    return evaluation.evaluate(policy, where, tasks, out, lambda *_: None)
+
+
 @pytest.fixture(scope="module")
 def evaluated(tmp_path_factory) -> tuple[Path, dict[str, Any]]:
     """A small evaluation of the shipped policy, with its page."""
     out = tmp_path_factory.mktemp("trial") / "shipped"
-    args = (POLICY, "pulley-fish", None, "full", ["reach", "spectrum"], 6, 0, out)
-    found = swim_tasks.evaluate(*args, lambda *_: None)
-    swim_tasks.report(out, "pulley-fish")
+    found = tried("pulley-fish", "full", ["reach", "spectrum"], 6, out)
+    of_folder(out, "pulley-fish")
     return out, found
 
 
@@ -280,7 +285,7 @@ def test_a_page_of_runs_cut_short_says_so(evaluated, tmp_path):
     plan = json.loads((copy / "plan.json").read_text())
     plan["arms"]["reach open"] = 500
     (copy / "plan.json").write_text(json.dumps(plan))
-    path, found = swim_tasks.report(copy, "pulley-fish")
+    path, found = of_folder(copy, "pulley-fish")
     assert found["cut_short"] == ["reach open"]
     assert "Cut short" in path.read_text()
 
@@ -288,7 +293,7 @@ def test_a_page_of_runs_cut_short_says_so(evaluated, tmp_path):
 def test_a_comparison_pairs_every_policy_with_its_twin_and_is_shared_between_processes(tmp_path):
     args = ([POLICY], "pulley-fish", None, 3, 0)
     for share in ("1/2", "2/2"):
-        found = swim_tasks.compare(*args, share, tmp_path / "c", lambda *_: None)
+        found = compare.compare(*args, share, tmp_path / "c", lambda *_: None)
     arms = [row["arm"] for row in found["rows"]]
     assert sorted(arms) == sorted(
         [
@@ -307,35 +312,30 @@ def test_a_comparison_pairs_every_policy_with_its_twin_and_is_shared_between_pro
     parts = [full[f"share_{name}"] for name in ("below_floor", "inside", "above")]
     assert sum(parts) == pytest.approx(1.0)
     assert full["gap_20cm"]["interval"][0] <= full["gap_20cm"]["difference"]
-    assert swim_tasks.report(tmp_path / "c", "pulley-fish")[0].is_file()
+    assert of_folder(tmp_path / "c", "pulley-fish")[0].is_file()
 
 
 def test_what_does_not_fit_is_refused(evaluated, tmp_path):
     out, _ = evaluated
-    args = ("pulley-fish", None, "full", ["reach"], 6, 0)
     with pytest.raises(BadInput, match="fish is not the pool's"):
-        swim_tasks.evaluate(POLICY, "crank-fish", *args[1:], tmp_path / "a", lambda *_: None)
+        tried("crank-fish", "full", ["reach"], 6, tmp_path / "a")
     with pytest.raises(BadInput, match="episodes was 6, now 7"):
-        swim_tasks.evaluate(POLICY, *args[:4], 7, 0, out, lambda *_: None)
+        tried("pulley-fish", "full", ["reach"], 7, out)
     with pytest.raises(BadInput, match="--pool 'sea': allowed are ensemble"):
-        swim_tasks.evaluate(
-            POLICY, "pulley-fish", None, "sea", *args[3:], tmp_path / "a", lambda *_: None
-        )
+        tried("pulley-fish", "sea", ["reach"], 6, tmp_path / "a")
     with pytest.raises(BadInput, match="--tasks dive: allowed are reach"):
-        swim_tasks.evaluate(POLICY, *args[:3], ["dive"], 6, 0, tmp_path / "a", lambda *_: None)
+        tried("pulley-fish", "full", ["dive"], 6, tmp_path / "a")
     for size, complaint in (
         ("1x0.7", "no free target"),
         ("3x2", "the eight needs"),
         ("a", "--walls"),
     ):
         with pytest.raises(BadInput, match=complaint):
-            where = swim_tasks.pool_of(load_policy(POLICY), "pulley-fish", None, "full", 4, 0, size)
+            where = evaluation.pool_of(load_policy(POLICY), "pulley-fish", None, "full", 4, 0, size)
             evaluation.arms_of(where, ["reach", "track"])
     with pytest.raises(BadInput, match="empty or missing folder"):
-        swim_tasks.report(tmp_path / "nothing", "pulley-fish")
+        of_folder(tmp_path / "nothing", "pulley-fish")
     with pytest.raises(BadInput, match="--share '3/2'"):
-        swim_tasks.compare(
-            [POLICY], "pulley-fish", None, 4, 0, "3/2", tmp_path / "b", lambda *_: None
-        )
+        compare.compare([POLICY], "pulley-fish", None, 4, 0, "3/2", tmp_path / "b", lambda *_: None)
     assert not (tmp_path / "a").exists()
     assert isinstance(SPACE, Generator)

@@ -12,7 +12,7 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
-from tailbeat.env.world import PERIOD
+from tailbeat.control.actions import PERIOD
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, Swim, quiet_engine, swim
 from tailbeat.fish.store import load_fish

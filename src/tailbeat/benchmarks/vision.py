@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 
 from tailbeat.control.observation import wrapped
 from tailbeat.emulators.camera import Conditions, Renderer, Scene, board_views
+from tailbeat.emulators.course import MARGIN, Course, fish_line, placed, three
 from tailbeat.emulators.film import CameraProcess, Filming, start_camera
 from tailbeat.emulators.optics import Optics, project
-from tailbeat.fish.outline import outline
-from tailbeat.fish.store import load_fish
-from tailbeat.pool.plant import LENGTH, WIDTH
+from tailbeat.link.places import LENGTH, WIDTH
 from tailbeat.vision.calibration import Calibration
 from tailbeat.vision.survey import Surveyed, fit_lens, hang
 from tailbeat.vision.tags import Board, Tag
@@ -34,54 +33,8 @@ Array = NDArray[np.float64]
 PLACES, FRAMES = 400, 300
 RATE = 60.0
 APART = 10.0  # s between scattered scenes: nothing is remembered from one to the next
-MARGIN = 0.15  # m that a tag's middle keeps from a wall
 FISH = Tag(height=-0.03)
 CORNER_NOISE = 0.1  # px rms of surveyed tags' middles
-
-
-@dataclass(frozen=True)
-class Course:
-    """A swim over the whole pool: a Lissajous figure with a beating head, and a target that is
-    moved by hand. Places in metres, times in seconds."""
-
-    seconds: float = 60.0  # of a round
-
-    def fish(self, time: float) -> Array:
-        """x, y, yaw of the fish's tag."""
-        u = 2 * np.pi * time / self.seconds
-        reach = np.array([LENGTH, WIDTH]) / 2 - MARGIN
-        place = reach * [np.sin(3 * u), np.sin(7 * u + 0.4)]
-        along = reach * [3 * np.cos(3 * u), 7 * np.cos(7 * u + 0.4)]
-        beat = 0.15 * np.sin(2 * np.pi * 2.0 * time)
-        return np.append(place, np.arctan2(along[1], along[0]) + beat)
-
-    def scene(self, time: float, line: Array | None = None) -> Scene:
-        """What there is to film; `line` is the fish's, in its tag's frame."""
-        pose, later = self.fish(time), self.fish(time + 1e-3)
-        change = later - pose
-        change[2] = wrapped(change[2])
-        place = [0.45 * LENGTH * np.sin(0.31 * time), 0.42 * WIDTH * np.cos(0.23 * time)]
-        target = (*place, 0.3 * time % (2 * np.pi))
-        return Scene(_three(pose), _three(change / 1e-3), _placed(line, pose), _three(target))
-
-
-def _three(numbers: Any) -> tuple[float, float, float]:
-    x, y, yaw = map(float, numbers)
-    return x, y, yaw
-
-
-def _placed(line: Array | None, pose: Array) -> Array | None:
-    if line is None:
-        return None
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return np.asarray(pose[:2] + line @ np.array([[c, s], [-s, c]]))
-
-
-def fish_line(name: str = "pulley-fish") -> Array:
-    """A straight fish from nose to tail (k, 2) [m], in its tag's frame."""
-    fish = load_fish(name)
-    straight = outline(fish, np.zeros(4 + len(fish.tail.links)))
-    return np.asarray(straight - np.array(fish.tracked[:2]))
 
 
 def calibrated(optics: Optics, fish: Tag = FISH, target: Tag | None = None) -> Calibration:
@@ -90,7 +43,7 @@ def calibrated(optics: Optics, fish: Tag = FISH, target: Tag | None = None) -> C
     lens = fit_lens(board_views(optics, board, 20, seed=7), board)
     known = np.array([[x, y, fish.height] for x in (-2.2, 0.0, 2.2) for y in (-1.0, 0.0, 1.0)])
     pixels = project(optics, known) + rng.normal(0, CORNER_NOISE, (len(known), 2))
-    hung = hang(lens, [Surveyed(_three(row)) for row in known], pixels)
+    hung = hang(lens, [Surveyed(three(row)) for row in known], pixels)
     return Calibration(lens, hung, fish, target or Tag())
 
 
@@ -160,7 +113,7 @@ def scattered(count: int, line: Array | None, seed: int = 0) -> list[Scene]:
         fish, target = (np.append(reach * rng.uniform(-1, 1, 2), yaw)
                         for yaw in rng.uniform(-np.pi, np.pi, 2))  # fmt: skip
         speed = rng.normal(0, [0.3, 0.3, 2.0])
-        scenes.append(Scene(_three(fish), _three(speed), _placed(line, fish), _three(target)))
+        scenes.append(Scene(three(fish), three(speed), placed(line, fish), three(target)))
     return scenes
 
 

@@ -18,6 +18,7 @@ from tailbeat.files import BadInput
 
 Array = NDArray[np.float64]
 TURN = 2 * np.pi
+PERIOD = 0.02  # s, of control
 
 
 @dataclass(frozen=True)

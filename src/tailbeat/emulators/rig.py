@@ -26,8 +26,9 @@ from tailbeat.fish.outline import outline
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import Frame
+from tailbeat.link.places import LENGTH, WIDTH
 from tailbeat.link.sender import Sender
-from tailbeat.pool.plant import LENGTH, WIDTH, Surroundings, at_rest, build_plant, step_plant
+from tailbeat.pool.plant import Surroundings, at_rest, build_plant, step_plant
 from tailbeat.pool.water import Water
 
 Array = NDArray[np.float64]

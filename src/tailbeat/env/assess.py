@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import bearing
-from tailbeat.env.world import PERIOD, World, seeds_from
+from tailbeat.env.world import World, seeds_from
 
 Array = NDArray[np.float64]
 Decide = Callable[[NDArray[np.float32]], NDArray[np.float32]]

@@ -10,6 +10,7 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
+from tailbeat.control.actions import PERIOD
 from tailbeat.env import randomize
 from tailbeat.env.randomize import Randomisation
 from tailbeat.files import BadInput
@@ -22,7 +23,6 @@ from tailbeat.fish.water import correct, water
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-PERIOD = 0.02  # s, of control
 
 
 class Body(Protocol):

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from tailbeat.control import actions as act
+from tailbeat.control.actions import PERIOD
 from tailbeat.env import view
-from tailbeat.env.world import PERIOD, TERMS, Flags, Outcome, Settings, World, seeds_from
+from tailbeat.env.world import TERMS, Flags, Outcome, Settings, World, seeds_from
 from tailbeat.fish.description import Fish
 
 Array = NDArray[np.float64]

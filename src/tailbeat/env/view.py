@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from tailbeat.env.world import PERIOD, Settings, World
+from tailbeat.control.actions import PERIOD
+from tailbeat.env.world import Settings, World
 from tailbeat.files import new_file
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import outline

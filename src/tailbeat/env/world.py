@@ -12,12 +12,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
-from tailbeat.control.actions import ActionSpace, Generator
+from tailbeat.control.actions import PERIOD, ActionSpace, Generator
 from tailbeat.control.observation import COMMANDS, Samples, observe
 from tailbeat.env import randomize, sensors
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel
-from tailbeat.env.simulator import PERIOD, Body, Flags, TwinBody
+from tailbeat.env.simulator import Body, Flags, TwinBody
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.runs import tracked_pose

@@ -15,15 +15,19 @@ from tailbeat.fish.description import Fish
 from tailbeat.identify.motor import as_bench, described_servo
 from tailbeat.identify.motor_job import Overlay
 from tailbeat.identify.predict import as_json, predict
-from tailbeat.identify.protocol import fluid_runs, limits, motor_commands
+from tailbeat.identify.protocol import (
+    EVERY,
+    HELD_OUT_MOTOR,
+    fluid_runs,
+    limits,
+    motor_commands,
+)
 from tailbeat.identify.runs import as_run
 from tailbeat.identify.shaft import free_run
 from tailbeat.identify.tail import identify_tail
 from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
 from tailbeat.recording import Recording, read_recording, write_recording
 
-HELD_OUT_MOTOR = ("motor-mixed", "motor-beat")
-EVERY = 3  # of the swims, every third is held out of an identification
 IDEAL = "idealised"
 
 

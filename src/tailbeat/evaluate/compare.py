@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from tailbeat.control.policy import Policy, decide
-from tailbeat.env.simulator import PERIOD, TwinBody
+from tailbeat.control.actions import PERIOD
+from tailbeat.control.policy import Policy, decide, load_policy
+from tailbeat.env.simulator import TwinBody
 from tailbeat.env.world import seeds_from
 from tailbeat.evaluate import runs as store
 from tailbeat.evaluate.evaluation import ENSEMBLE_SEED, POOLS, provenance, read_json
@@ -24,8 +25,10 @@ from tailbeat.evaluate.spectrum import SHARES, power_shares, windows
 from tailbeat.evaluate.trial import CHUNK, Arm, Progress, part, pools, swim
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
+from tailbeat.fish.store import load_fish
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.pool.water import ablations, ensemble
+from tailbeat.robot.fits import check_swims
 
 IDEAL = "idealised"  # the servo's name in a description
 
@@ -46,6 +49,46 @@ class Field:
     fish: Fish
     count: int
     seed: int
+
+
+def compare(
+    policies: Sequence[str],
+    fish: str,
+    twin: str | None,
+    targets: int,
+    seed: int,
+    share: str,
+    out: Path,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Swim every policy in every arm of the pool; numbers of all cells that are there."""
+    own, entrants = load_fish(fish), []
+    if targets < 2:
+        raise BadInput(f"--targets {targets}: give 2 or more.")
+    for name in policies:
+        policy = load_policy(name)
+        entrants.append(Entrant(_label(name), policy, check_swims(policy, twin, own)))
+    if len({one.name for one in entrants}) < len(entrants):
+        raise BadInput("two policies of the same name; rename a file or its folder.")
+    field = Field(own, targets, seed)
+    run(entrants, field, out, _share(share), progress)
+    found = read(out)
+    write_json(out / "comparison.json", found, overwrite=True)
+    return found
+
+
+def _label(policy: str) -> str:
+    """A run's folder where the file has the name that every run gives it."""
+    path = Path(policy)
+    return path.parent.name if path.name == "policy.onnx" else path.stem
+
+
+def _share(text: str) -> tuple[int, int]:
+    """`i/n` as an index from 0 and a count."""
+    first, _, count = text.partition("/")
+    if not (first.isdigit() and count.isdigit() and 1 <= int(first) <= int(count)):
+        raise BadInput(f"--share {text!r}: give i/n, from 1/n to n/n, one process each.")
+    return int(first) - 1, int(count)
 
 
 def pool_arms(entrant: Entrant, field: Field) -> list[Arm]:

@@ -16,21 +16,17 @@ from tailbeat.control.policy import Policy, as_text, decide
 from tailbeat.evaluate import bench_day, disturb, reach, runs, spectrum, track
 from tailbeat.evaluate import out_of_distribution as beyond
 from tailbeat.evaluate.flutter import flutter
+from tailbeat.evaluate.names import NAMES, TRIALS
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.trial import CHUNK, Arm, Pool, Progress, swim_all
-from tailbeat.files import BadInput, leaves, write_json
-from tailbeat.fish.description import Fish
-from tailbeat.fish.store import digest
+from tailbeat.files import BadInput, write_json
+from tailbeat.fish.store import digest, load_fish
 from tailbeat.pool.water import Water, ablations, ensemble, fingerprint
+from tailbeat.robot.fits import check_swims
 
-TASKS: dict[str, Any] = {"reach": reach, "disturb": disturb, "track": track, "beyond": beyond}
-NAMES = (*TASKS, "spectrum", "twin")
+TASKS: dict[str, Any] = dict(zip(TRIALS, (reach, disturb, track, beyond), strict=True))
 POOLS = 16  # waters of the ensemble
 ENSEMBLE_SEED = 0
-# What an identification may change of a description; all else is the fish's body.
-LAW = ("zones", "added_inertia", "added_along", "trailing_edge")  # of the fluid
-FITTED = ("name", "summary", "servo", "simulation", "uncertain", *LAW)
-FITTED_IN_TAIL = ("tail.damping_time", "tail.friction", "tail.k_eff", "tail.stiffness_scale")
 
 
 def waters_of(name: str) -> tuple[Water, ...]:
@@ -42,27 +38,32 @@ def waters_of(name: str) -> tuple[Water, ...]:
     return (ablations()[name],)
 
 
-def check_same_body(twin: Fish, fish: Fish) -> None:
-    """Raises BadInput where twin and pool's fish differ in what no identification changes."""
-    a, b = (leaves("", one.model_dump()) for one in (twin, fish))
-    wrong = [
-        f"{name} is {a.get(name)} in {twin.name}, {b.get(name)} in {fish.name}"
-        for name in sorted(set(a) | set(b))
-        if a.get(name) != b.get(name) and not _fitted(name)
-    ]
-    if wrong:
-        more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
-        raise BadInput(
-            f"the policy's fish is not the pool's: {'; '.join(wrong[:3])}{more}. Give the fish that"
-            f" it was identified from."
-        )
+def pool_of(
+    policy: Policy,
+    fish: str,
+    twin: str | None,
+    pool: str,
+    episodes: int,
+    seed: int,
+    walls: str = "5.5x2.7",
+) -> Pool:
+    """Where a policy is tried; raises BadInput where it does not fit the pool's fish."""
+    if episodes < 2:
+        raise BadInput(f"--episodes {episodes}: give 2 or more.")
+    own = load_fish(fish)
+    trained = check_swims(policy, twin, own)
+    waters = waters_of(pool)
+    actions = policy.contract.actions
+    return Pool(own, trained, actions, waters, episodes, seed, _walls(walls))
 
 
-def _fitted(name: str) -> bool:
-    top = name.split(".")[0].removesuffix("s")
-    stiffness = name.startswith("tail.links.") and name.endswith(".stiffness")
-    tops = {one.removesuffix("s") for one in FITTED}
-    return top in tops or name in FITTED_IN_TAIL or stiffness
+def _walls(text: str) -> tuple[float, float]:
+    """`length x width` in metres."""
+    try:
+        length, width = map(float, text.split("x"))
+    except ValueError:
+        raise BadInput(f"--walls {text!r}: give length x width in metres, as 5.5x2.7.") from None
+    return length, width
 
 
 def arms_of(pool: Pool, tasks: Sequence[str]) -> list[Arm]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, swim
+from tailbeat.fish.store import load_fish, with_servo
 from tailbeat.fish.twin import compile_twin
 from tailbeat.pool.plant import at_rest, build_plant, step_plant
 from tailbeat.pool.water import Water, fingerprint
@@ -46,6 +47,13 @@ def flutter(
         for (servo, rate, frequency, stroke), p, t in zip(cases, plant, free, strict=True)
     ]
     return {"fish": fish.name, "water": fingerprint([Water()]), "rows": rows}
+
+
+def flutter_of(fish: str, servos: Sequence[str] = ()) -> dict[str, Any]:
+    """The same of a described fish with some of its servos, its own by default."""
+    described = load_fish(fish)
+    chosen = [with_servo(described, name).servo for name in servos or [described.servo]]
+    return flutter(described, chosen)
 
 
 def _command(frequency: float, stroke: float, step: float) -> Array:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.env.simulator import PERIOD
+from tailbeat.control.actions import PERIOD
 from tailbeat.evaluate.tour import Tour
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish

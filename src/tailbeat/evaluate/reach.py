@@ -7,16 +7,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.control.policy import Policy, decide
+from tailbeat.control.actions import PERIOD
+from tailbeat.control.policy import Policy, check_fits, decide, load_policy
 from tailbeat.env.assess import Build, assess
+from tailbeat.env.curriculum import Stage, settings_of
 from tailbeat.env.world import Settings, World
 from tailbeat.evaluate.runs import NEAR, Runs
 from tailbeat.evaluate.scenes import grid, walled
 from tailbeat.evaluate.trial import Arm, Pool
+from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
+from tailbeat.fish.store import digest, load_fish
 from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolBody
-from tailbeat.pool.water import Water
+from tailbeat.pool.water import Water, ensemble
 
 Z95 = 1.96
 SECTOR = 30  # degrees of bearing, both sides together
@@ -45,6 +49,28 @@ def reach(policy: Policy, build: Build, count: int, seed: int) -> dict[str, Any]
     swims = assess(partial(decide, policy), build, count, seed)
     sectors = by_sector(swims.bearing, swims.reached, swims.nearest, swims.seconds)
     return {**swims.summary(), **shares(swims.reached, swims.nearest), "sectors": sectors}
+
+
+def try_policy(
+    path: str, fish: str, arc: float, count: int, seed: int, exact: bool, pools: int
+) -> dict[str, Any]:
+    """Swim a policy to seeded targets: in the twin with all noise and randomisation (`exact`:
+    undisturbed), or in `pools` waters of the virtual pool's ensemble."""
+    if not 0 < arc <= 180 or count < 1 or pools < 0:
+        raise BadInput(
+            f"--arc {arc:g}, --targets {count}, --pools {pools}: allowed are 0 to 180, 1 and more,"
+            f" 0 and more."
+        )
+    policy, described = load_policy(path), load_fish(fish)
+    held = policy.contract
+    who = (held.fish, held.fish_digest) if pools else (described.name, digest(described))
+    check_fits(held, *who, described.band, PERIOD)
+    share = 0.0 if exact else 1.0
+    stage = Stage("trial", 3, share, share, float(np.radians(arc)))
+    settings = settings_of(stage, held.actions)
+    waters = ensemble(pools, seed) if pools else []
+    build = in_pool(described, settings, waters) if pools else in_twin(described, settings)
+    return {"policy": path, "arc_deg": arc, "pools": pools, **reach(policy, build, count, seed)}
 
 
 # ---- the trial ----------------------------------------------------------------------------------

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import bearing
-from tailbeat.env.simulator import PERIOD
 from tailbeat.files import BadInput, leaves, new_file, write_json
 from tailbeat.recording import Recording
 

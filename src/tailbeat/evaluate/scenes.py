@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from tailbeat.env.simulator import PERIOD
+from tailbeat.control.actions import PERIOD
 from tailbeat.env.world import Scene
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control.actions import PERIOD
 from tailbeat.control.band import velocity_spectrum
-from tailbeat.env.simulator import PERIOD
 from tailbeat.evaluate.runs import Runs, surge
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish

@@ -7,22 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import Policy, decide
-from tailbeat.env.simulator import PERIOD
 from tailbeat.env.world import Settings, Task, World
-from tailbeat.evaluate.scenes import TRIES
 from tailbeat.evaluate.trial import Progress
-from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
-from tailbeat.pool.plant import LENGTH, WIDTH, Surroundings
+from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolBody
 from tailbeat.pool.water import Water
 
 Array = NDArray[np.float64]
 WALLS = (LENGTH, WIDTH)
 PATIENCE = 30.0  # s for one target
-APART = 0.8  # m between one target and the next
-MARGIN = 0.65  # m that targets keep from the walls: room for the fish to turn behind them
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,19 +49,6 @@ class Tour:
             }
             for number, place in enumerate(self.targets)
         ]
-
-
-def draw_targets(count: int, seed: int) -> Array:
-    """Places (count, 2) inside the paper's pool, each well apart from the one before."""
-    rng, room = np.random.default_rng(seed), np.array(WALLS) / 2 - MARGIN
-    places = [np.zeros(2)]
-    for _ in range(TRIES * count):
-        place = rng.uniform(-room, room)
-        if np.hypot(*(place - places[-1])) > APART:
-            places.append(place)
-        if len(places) > count:
-            return np.array(places[1:])
-    raise BadInput(f"{count} targets do not fit into the pool; ask for fewer.")
 
 
 def tour(

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import wrapped
-from tailbeat.env.simulator import PERIOD
 from tailbeat.env.world import Scene
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.scenes import PATHS, even, follow, lap_length

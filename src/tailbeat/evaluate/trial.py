@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 
 from tailbeat.control import actions as act
-from tailbeat.control.actions import ActionSpace
+from tailbeat.control.actions import PERIOD, ActionSpace
 from tailbeat.env.assess import Decide
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel
-from tailbeat.env.simulator import PERIOD
 from tailbeat.env.world import Scene, Settings, Task, World, seeds_from
 from tailbeat.evaluate import runs as store
 from tailbeat.evaluate.runs import SHOWN, Runs
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
-from tailbeat.pool.plant import LENGTH, WIDTH, Surroundings
+from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolBody
 from tailbeat.pool.water import Water
 

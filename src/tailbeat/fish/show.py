@@ -1,14 +1,18 @@
 """What was compiled: a fish as a table of numbers read back from the engine's model."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.files import refuse_existing, write_json
 from tailbeat.fish import surge
 from tailbeat.fish.description import Fish, Part
+from tailbeat.fish.render import save_picture
+from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import Options, Twin, compile_twin
 
 Array = NDArray[np.float64]
@@ -211,3 +215,30 @@ def _hinges(fish: Fish, compiled: Compiled) -> list[dict[str, Any]]:
         }
         for i, link in enumerate(fish.tail.links)
     ]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What `show` found: tables of rows, and the picture with how it was made."""
+
+    tables: dict[str, list[dict[str, Any]]]
+    picture: Path
+    how: str
+
+
+def show(fish: str, picture: Path | None, viewer: bool, json: Path | None) -> Shown:
+    """Compile a fish, read it back, draw it."""
+    described = load_fish(fish)
+    target = picture or Path("runs") / f"{described.name}.png"
+    for path in filter(None, (picture, json)):
+        refuse_existing(path)
+    found = tables(described)
+    twin = compile_twin(described, Options(looks=True))
+    how = save_picture(twin, np.zeros(twin.model.nq), target, overwrite=picture is None)
+    if json is not None:
+        write_json(json, found)
+    if viewer:
+        from mujoco import viewer as mujoco_viewer  # needs a screen, so only when asked for
+
+        mujoco_viewer.launch(twin.model)
+    return Shown(found, target, how)

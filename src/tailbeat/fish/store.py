@@ -57,6 +57,13 @@ def _sentence(error: ValidationError) -> str:
     return f"{field}{value}: {message}; correct it in the file."
 
 
+def with_servo(fish: Fish, servo: str | None) -> Fish:
+    """The fish with another of its servos, or as described."""
+    if servo is not None and servo not in fish.servos:
+        raise BadInput(f"--servo {servo!r}: {fish.name} has {', '.join(fish.servos)}.")
+    return fish.model_copy(update={"servo": servo or fish.servo})
+
+
 def with_values(fish: Fish, values: dict[str, float]) -> Fish:
     """A copy of the fish with fields set by dotted path, in SI, e.g. `zones.fin.kutta`.
 
@@ -83,6 +90,14 @@ def value_at(fish: Fish, path: str) -> float:
     for key in path.split("."):
         node = node[int(key)] if isinstance(node, tuple | list) else node[key]
     return float(node)
+
+
+def new_fish(path: Path) -> None:
+    """Write the commented template. Raises BadInput if `path` exists."""
+    check_fish_name(path)
+    text = (resources.files("tailbeat.fish") / "models" / "template.txt").read_text("utf-8")
+    with new_file(path) as beside:
+        beside.write_text(text.replace("my-fish", path.stem), encoding="utf-8")
 
 
 def check_fish_name(path: Path) -> None:

@@ -16,6 +16,8 @@ from tailbeat.recording import Recording
 Array = NDArray[np.float64]
 RATE = 50.0  # Hz: the robot's own loop
 SHARE = 0.9  # of the motor's range that is used
+HELD_OUT_MOTOR = ("motor-mixed", "motor-beat")
+EVERY = 3  # of the swims, every third is held out of an identification
 
 
 @dataclass(frozen=True)

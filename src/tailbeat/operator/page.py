@@ -10,17 +10,19 @@ import secrets
 import select
 import socket
 import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import Any
 
-from tailbeat.files import BadInput, plain
+from tailbeat.files import BadInput, need, plain
 from tailbeat.fish.description import Fish
+from tailbeat.link.addresses import address
 from tailbeat.link.datagrams import Order
+from tailbeat.link.places import LENGTH, WIDTH
 from tailbeat.link.sender import Sender
 from tailbeat.operator.snapshot import snapshot
+from tailbeat.processes import start
 
 EVERY = 0.05  # s between two snapshots
 LARGEST = 180_000  # bytes of a datagram, so of a picture
@@ -82,12 +84,11 @@ class Desk:
             return
         self.again = now + AGAIN
         handles = self.listening.fileno(), self.theirs.fileno()
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "tailbeat.operator.server", *map(str, handles)],
+        self.process = start(
+            ["-m", "tailbeat.operator.server", *map(str, handles)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             pass_fds=handles,
-            start_new_session=True,  # Ctrl-C is for the owner, who may still have to stop the fish
         )
         assert self.process.stdin is not None
         host = self.listening.getsockname()[0]
@@ -97,20 +98,27 @@ class Desk:
         self.process.stdin.flush()
 
 
-def open_desk(address: tuple[str, int], room: tuple[float, float]) -> Desk:
+def open_console(console: str) -> Desk | None:
+    """The operator's page at `host:port`, or None where that is empty."""
+    if not console:
+        return None
+    need("the console", "robot", "fastapi", "uvicorn", "websockets")
+    return open_desk(address(console, "--console"), (LENGTH, WIDTH))
+
+
+def open_desk(at: tuple[str, int], room: tuple[float, float]) -> Desk:
     """Open the console at host and port (0: any free one) for a pool of this size [m]. Raises
     BadInput where the address cannot be had. Returns when the page can be seen."""
-    if address[0] in ("", "0.0.0.0"):
+    if at[0] in ("", "0.0.0.0"):
         raise BadInput("--console: give the address of one network, not all of them.")
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listening.bind(address)
+        listening.bind(at)
     except OSError as error:
         listening.close()
         raise BadInput(
-            f"--console {address[0]}:{address[1]}: {error.strerror}; choose another address or"
-            " port."
+            f"--console {at[0]}:{at[1]}: {error.strerror}; choose another address or port."
         ) from None
     listening.listen()
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)

@@ -9,10 +9,32 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput
+from tailbeat.link.places import LENGTH, WIDTH
+
 ARRIVAL = 0.05  # m (paper)
 PATIENCE = 30.0  # s for one target
+APART = 0.8  # m between one target and the next
+MARGIN = 0.65  # m that targets keep from the walls: room for the fish to turn behind them
+TRIES = 2000  # draws for one target
 Place = tuple[float, float]
 Pose = tuple[float, float, float]
+
+
+def draw_targets(count: int, seed: int) -> NDArray[np.float64]:
+    """Places (count, 2) inside the paper's pool, each well apart from the one before."""
+    rng, room = np.random.default_rng(seed), np.array([LENGTH, WIDTH]) / 2 - MARGIN
+    places = [np.zeros(2)]
+    for _ in range(TRIES * count):
+        place = rng.uniform(-room, room)
+        if np.hypot(*(place - places[-1])) > APART:
+            places.append(place)
+        if len(places) > count:
+            return np.array(places[1:])
+    raise BadInput(f"{count} targets do not fit into the pool; ask for fewer.")
 
 
 @dataclass(eq=False)

@@ -20,7 +20,6 @@ from tailbeat.pool.section import STATES
 from tailbeat.pool.water import Water, rows
 
 Array = NDArray[np.float64]
-LENGTH, WIDTH = 5.5, 2.7  # m, the paper's pool
 LONGEST_DELAY = 0.2  # s, of a servo's description
 STATE = ("q", "v", "a", "fins", "history")  # arrays of a state, one row a fish
 

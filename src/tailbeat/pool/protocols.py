@@ -25,9 +25,8 @@ from tailbeat.identify.protocol import (
 )
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.identify.shaft import mean_held
+from tailbeat.link.places import LENGTH, WIDTH
 from tailbeat.pool.plant import (
-    LENGTH,
-    WIDTH,
     Surroundings,
     Swum,
     at_rest,

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control.actions import PERIOD
 from tailbeat.env.randomize import Randomisation
-from tailbeat.env.simulator import PERIOD
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
 from tailbeat.pool.plant import (

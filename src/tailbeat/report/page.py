@@ -15,6 +15,7 @@ from tailbeat.evaluate import compare, evaluation, runs, spectrum, track
 from tailbeat.evaluate.trial import CHUNK
 from tailbeat.files import BadInput, new_file, write_json
 from tailbeat.fish.description import Fish
+from tailbeat.fish.store import load_fish
 from tailbeat.report import bench_day, figures, swim_figures
 
 STYLE = """
@@ -68,6 +69,18 @@ def report(
         data = data or compare.read(out)
         return write(out, compared(out, data), data, "Which action space transfers"), data
     raise BadInput(f"{out}: holds neither an evaluation nor a comparison; make one first.")
+
+
+def of_folder(
+    out: Path, fish: str, twin: str | None = None, data: dict[str, Any] | None = None
+) -> tuple[Path, dict[str, Any]]:
+    """One page of what a folder holds; `data` are its numbers, if they are at hand."""
+    if not out.is_dir() or not any(out.iterdir()):
+        raise BadInput(f"{out}: an empty or missing folder; evaluate into it first.")
+    described = load_fish(fish)
+    plan = out / "plan.json"
+    held = evaluation.read_json(plan) if plan.is_file() else {}
+    return report(out, described, load_fish(twin or held.get("twin", fish)), data)
 
 
 # ---- an evaluation ------------------------------------------------------------------------------

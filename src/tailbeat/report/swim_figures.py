@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from tailbeat.env.simulator import PERIOD
+from tailbeat.control.actions import PERIOD
 from tailbeat.evaluate.runs import NEAR, Runs, surge
 from tailbeat.files import new_file
 from tailbeat.fish.description import Fish

@@ -1,6 +1,7 @@
-"""Picture and film of a tour of targets, from above. Draws what was swum; computes nothing."""
+"""Picture, film and page of a tour of targets. Draws what was swum; computes nothing."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,45 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
-from tailbeat.env.simulator import PERIOD
-from tailbeat.evaluate.tour import WALLS, Tour
+from tailbeat.control.actions import PERIOD
+from tailbeat.evaluate.evaluation import provenance
+from tailbeat.evaluate.swim import Swum
+from tailbeat.evaluate.tour import WALLS, Tour, as_json
 from tailbeat.evaluate.trial import Progress
-from tailbeat.files import new_file
+from tailbeat.files import new_file, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import outline
+from tailbeat.pool.water import fingerprint
+from tailbeat.report import page as pages
 from tailbeat.report.swim_figures import BLUE, GREEN, ORANGE, RED
 
+Counting = Callable[[], AbstractContextManager[Progress]]  # a bar on the terminal
 FILM_RATE = 12.5  # frames per second
 SPEED, LONGEST = 4.0, 60.0  # seconds swum per second shown, at least; s that a film lasts at most
+
+
+def write(swum: Swum, out: Path, counting: Counting) -> dict[str, Any]:
+    """Film, picture, page and summary of a swim; the summary first: a long film takes minutes."""
+    own, contract = swum.pool.fish, swum.policy.contract
+    data = {
+        **swum.asked,
+        "fish": own.name,
+        "water": fingerprint(swum.pool.waters),
+        **as_json(swum.tour),
+        "training": contract.training,
+        "provenance": provenance(),
+    }
+    write_json(out / "summary.json", data, overwrite=True)
+    with counting() as progress:
+        film(swum.tour, own, out / "swim.mp4", progress)
+    drawn = pages.figure(picture(swum.tour, own), out, "swim")
+    rows = [{"": k, "value": v} for k, v in {**data["provenance"], **contract.training}.items()]
+    sections = [
+        ("The swim", [drawn, pages.video(out / "swim.mp4"), pages.table(data["targets"])]),
+        ("Where this comes from", [pages.table(rows)]),
+    ]
+    pages.write(out, sections, data, f"{own.name} in the virtual pool")
+    return data
 
 
 def picture(tour: Tour, fish: Fish) -> Figure:

@@ -11,7 +11,7 @@ import queue
 import struct
 import threading
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 
 from tailbeat import __version__
 from tailbeat.files import BadInput, refuse_existing
-from tailbeat.recording import Recording
+from tailbeat.recording import Recording, write_recording
 
 CHUNK = 4096  # bytes: about a seventh of a second of rows, so much may be lost
 WAITING = 500  # rows, ten seconds
@@ -154,3 +154,11 @@ def as_recording(path: Path) -> Recording:
     time = np.array([row["time_s"] for row in whole])
     columns = {name: np.array([row[name] for row in whole]) for name in COLUMNS}
     return Recording(path.stem, time - time[0], columns, {"source": "tailbeat drive"})
+
+
+def export(log: Path, out: Path) -> Recording:
+    """A log as a recording, CSV or Parquet."""
+    refuse_existing(out)
+    recording = replace(as_recording(log), name=out.stem)
+    write_recording(recording, out)
+    return recording

@@ -6,10 +6,12 @@ unit that makes a service of the loop.
 
 import os
 import socket
+import sys
 from dataclasses import dataclass, field
 from importlib import resources
+from pathlib import Path
 
-from tailbeat.files import BadInput
+from tailbeat.files import BadInput, new_file
 
 EVERY = 0.25  # s between two words; WatchdogSec is 2
 
@@ -53,6 +55,13 @@ def from_environment() -> Notifier:
     """Of NOTIFY_SOCKET, a path or an abstract name; silent where it is not set."""
     name = os.environ.get("NOTIFY_SOCKET", "")
     return Notifier("\0" + name[1:] if name.startswith("@") else name)
+
+
+def write_unit(out: Path, user: str, servo: str, words: list[str]) -> None:
+    """Write a unit for `tailbeat drive` with these words. Raises BadInput."""
+    text = unit(sys.executable, user, servo, words)
+    with new_file(out) as beside:
+        beside.write_text(text, encoding="utf-8")
 
 
 def unit(python: str, user: str, servo: str, words: list[str]) -> str:

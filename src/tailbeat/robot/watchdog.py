@@ -16,10 +16,12 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import serial
 
 from tailbeat.files import BadInput
+from tailbeat.processes import start
 from tailbeat.robot.servo import DEADLINE, Servo, ServoFault
 from tailbeat.robot.wire import GONE
 
@@ -60,10 +62,8 @@ class Warden:
 @contextmanager
 def guard(path: str, ident: int = 1, baud: int = 1_000_000) -> Iterator[Warden]:
     """A warden for the servo on a port, there before anything moves. Raises BadInput."""
-    command = [sys.executable, "-m", "tailbeat.robot.watchdog", path, str(ident), str(baud)]
-    process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
-    )
+    words = ["-m", "tailbeat.robot.watchdog", path, str(ident), str(baud)]
+    process = start(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdin is not None and process.stdout is not None
     ready, _, _ = select.select([process.stdout], [], [], START)
     if not ready or process.stdout.readline() != b"ready\n":
@@ -111,6 +111,15 @@ def let_go(path: str, ident: int = 1, baud: int = 1_000_000, trying: float = TRY
             said = str(fault)
             time.sleep(0.02)
     return said
+
+
+def torque_off(servo: str, ident: int, baud: int) -> None:
+    """Turn the torque off from outside; raises BadInput where the servo does not confirm it."""
+    if not Path(servo).exists():
+        raise BadInput(f"--servo {servo}: no such port; give the servo's, as /dev/ttyUSB0.")
+    said = let_go(servo, ident, baud, trying=3.0)
+    if said:
+        raise BadInput(f"{servo}: {said}; TORQUE MAY BE ON: cut the servo's power.")
 
 
 def _once(path: str, ident: int, baud: int) -> None:

@@ -13,10 +13,11 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 
+from tailbeat.control.actions import PERIOD
 from tailbeat.env import curriculum, view
 from tailbeat.env.assess import Swims, assess
 from tailbeat.env.vector_env import FishVecEnv
-from tailbeat.env.world import PERIOD, TERMS, World
+from tailbeat.env.world import TERMS, World
 from tailbeat.files import BadInput
 from tailbeat.train import checkpoint
 from tailbeat.train.config import Plan

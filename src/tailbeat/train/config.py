@@ -13,8 +13,8 @@ from tailbeat.env.curriculum import settings_of
 from tailbeat.env.world import Settings, check_settings
 from tailbeat.files import BadInput, leaves, write_json
 from tailbeat.fish.description import Fish
-from tailbeat.fish.store import digest
-from tailbeat.train.recipes import Recipe
+from tailbeat.fish.store import digest, load_fish, with_servo
+from tailbeat.train.recipes import Recipe, recipe_of
 
 ACTIONS = ("generator", "direct", "filtered")
 WORKING_SET = 1.5e9  # bytes that torch, engine and 64 fish take beside the buffer (measured: 1.1e9)
@@ -67,6 +67,25 @@ def action_space(
     if binds != "fundamental":
         raise BadInput(f"--binds {binds}: allowed are fundamental, signal.")
     return Generator(low, high, ceiling=fish.band[1], floor=floor)
+
+
+def plan_of(
+    fish: str,
+    out: Path,
+    actions: str,
+    recipe: str,
+    seed: int,
+    hours: float,
+    device: str = "cpu",
+    servo: str | None = None,
+    binds: str | None = None,
+    floor: float = 0.0,
+) -> Plan:
+    """A run from a fish's, an action space's and a recipe's name. `binds` is the recipe's by
+    default."""
+    described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe)
+    space = action_space(actions, described, binds or chosen.binds, floor)
+    return Plan(described, space, chosen, seed, out, hours, device)
 
 
 def check(plan: Plan, resume: bool) -> None:

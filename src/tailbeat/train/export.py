@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from stable_baselines3 import SAC
 
-from tailbeat.control.actions import ActionSpace
+from tailbeat.control.actions import PERIOD, ActionSpace
 from tailbeat.control.observation import TABLE
 from tailbeat.control.policy import KEY, VERSION, Contract, Policy, as_text, load_policy
-from tailbeat.env.world import PERIOD
 from tailbeat.files import new_file
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest

@@ -60,6 +60,21 @@ def train(plan: Plan, resume: bool, report: Report, stage: str | None = None) ->
     return course
 
 
+def result(plan: Plan, course: Course) -> dict[str, Any]:
+    """What came of a run: its folder, its policy, the stages that it passed."""
+    return {
+        "folder": str(plan.out),
+        "policy": str(plan.out / "policy.onnx"),
+        "stages_passed": course.passed(),
+        "stages": sum(not one.by_hand for one in plan.recipe.stages),
+        "finished": course.finished,
+        "stalled": course.stalled,
+        "hours": course.seconds / 3600,
+        "promotions": course.promotions,
+        "last": course.history[-1] if course.history else None,
+    }
+
+
 def environment(plan: Plan) -> FishVecEnv:
     """The plan's fish in its first stage."""
     recipe = plan.recipe

@@ -45,6 +45,11 @@ class Board:
     marker: float = 0.0195
 
 
+def board_of(square: float) -> Board:
+    """The board with squares of another side [m]."""
+    return Board(square=square, marker=0.75 * square)
+
+
 @cache
 def tag_picture(ident: int) -> Picture:
     """A tag's modules (10, 10), 0 or 255, its white border included; row 0 is the top, columns run

@@ -6,7 +6,6 @@ anew is quick; both ends of a pipe between them belong to us, and what they send
 import multiprocessing
 import signal
 import subprocess
-import sys
 import threading
 import time
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 
 from tailbeat.files import BadInput
+from tailbeat.processes import start
 from tailbeat.vision.calibration import Calibration
 from tailbeat.vision.camera import CameraFault, open_camera
 from tailbeat.vision.tags import FISH, TARGET
@@ -104,10 +104,7 @@ class TrackerProcess:
         """Start a process and listen until it is gone; whether it saw anything."""
         ours, theirs = multiprocessing.Pipe()
         end = theirs.fileno()
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", RUN, str(end)],
-            pass_fds=[end], stdin=subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
+        self.process = start(["-c", RUN, str(end)], pass_fds=[end], stdin=subprocess.DEVNULL)
         theirs.close()
         try:
             ours.send(self.watching)

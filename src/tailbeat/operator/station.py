@@ -1,4 +1,4 @@
-"""What does the laptop do? Camera to poses, poses to the fish, orders and readings to the page."""
+"""The poolside station: camera to poses, poses to the fish, orders and readings to the page."""
 
 import select
 import signal
@@ -9,13 +9,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tailbeat.evaluate.tour import draw_targets
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
+from tailbeat.link import datagrams as link
+from tailbeat.link.datagrams import Order
+from tailbeat.link.sender import Sender
 from tailbeat.link.status import State
-from tailbeat.operator.tour import Pose, Tour
-from tailbeat.robot_tasks import open_console, told_to_end
-from tailbeat.track_tasks import need_extra
+from tailbeat.operator.page import announce, open_console, turn
+from tailbeat.operator.tour import Pose, Tour, draw_targets
+from tailbeat.processes import told_to_end
 
 Say = Callable[[str], None]
 TURN = 0.002  # s that a turn waits for the fish's word: the clock's answer must not
@@ -37,8 +39,7 @@ def open_tracker(
         return
     if calibration is None:
         raise BadInput("--camera: give its --calibration, made by `tailbeat calibrate`.")
-    need_extra()
-    from tailbeat.vision.calibration import read_calibration  # needs the extra
+    from tailbeat.vision.calibration import read_calibration  # needs OpenCV
     from tailbeat.vision.camera import open_camera
     from tailbeat.vision.tracking import start_tracker
 
@@ -84,8 +85,6 @@ class Leader:
             self._tour(self.tour, sender, pose if state is State.RUN else None, now, say)
 
     def _order(self, sender: Any, state: State, now: float, say: Say) -> None:
-        from tailbeat.link.datagrams import Order
-
         self.asked = now
         if state is State.ARMED:
             sender.order(Order.SWIM, now)
@@ -123,7 +122,7 @@ def drawn_tour(count: int, seed: int) -> Tour | None:
     return Tour([(float(x), float(y)) for x, y in draw_targets(count, seed)])
 
 
-def laptop(
+def work(
     robot: tuple[str, int],
     listen: tuple[str, int],
     key: Path,
@@ -135,10 +134,6 @@ def laptop(
 ) -> None:
     """Send what the tracker sees and serve the page until told to end, or a tour is over; then
     order the fish to stop, for nobody watches it any more. Raises BadInput."""
-    from tailbeat.link import datagrams as link  # needs the extra
-    from tailbeat.link.sender import Sender
-    from tailbeat.operator.page import announce
-
     described, secret = load_fish(fish), link.read_key(key)
     made = link.bind(*listen)
     desk = open_console(console)
@@ -148,7 +143,7 @@ def laptop(
     sender = Sender(secret, made, robot)
     over = lambda: bool(ended) or (leader is not None and leader.over())  # noqa: E731
     try:
-        _work(sender, tracker, desk, described, over, say, leader)
+        _turns(sender, tracker, desk, described, over, say, leader)
     finally:
         _farewell(sender, say)
         made.close()
@@ -156,7 +151,7 @@ def laptop(
             desk.close()
 
 
-def _work(
+def _turns(
     sender: Any,
     tracker: Any,
     desk: Any,
@@ -166,8 +161,6 @@ def _work(
     leader: Leader | None,
 ) -> None:
     """Turn by turn; says every change of the fish's state."""
-    from tailbeat.operator.page import turn
-
     sent, told = -1, ""
     while not over():
         select.select([sender.socket], [], [], TURN)
@@ -194,8 +187,6 @@ def _line(sender: Any) -> str:
 
 def _farewell(sender: Any, say: Say) -> None:
     """The fish stops before its poses end."""
-    from tailbeat.link.datagrams import Order
-
     if sender.status is None:
         return
     sender.order(Order.STOP, time.monotonic())

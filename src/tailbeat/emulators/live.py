@@ -1,8 +1,8 @@
-"""What does the main job do? Fish, camera, laptop and pool as processes of their own, in real time.
+"""Fish, camera, station and pool as processes of their own, in real time.
 
-The same verbs that a lab runs: `rig` stands in for the bench, `laptop` finds the fish in the
-camera's pictures and shows the page, `drive` is the fish. Here they are only started, told where
-the others are, and ended.
+They are the verbs that a lab runs: `rig` stands in for the bench, `laptop` finds the fish in the
+camera's pictures and shows the page, `drive` is the fish. Here they are started, told where the
+others are, and ended.
 """
 
 import json
@@ -10,21 +10,24 @@ import os
 import select
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tailbeat import robot_tasks, track_tasks
+from tailbeat.emulators.film import Filming
+from tailbeat.emulators.lab import pictures
 from tailbeat.files import BadInput
+from tailbeat.link import datagrams as link
+from tailbeat.link.places import TARGET
+from tailbeat.processes import end, start_verb, temporary
+from tailbeat.vision import calibrate as calibration
+from tailbeat.vision.tags import Board
 
 Say = Callable[[str], None]
 VIEWS = 20  # of the board, for the lens
 START = 60.0  # s for a process to start
-LINGER = 10.0  # s for one to end
-ALONE = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}  # one fish
 TURN = 0.2  # s between two looks whether all are alive
 # The target's tag lies in a corner: afloat it hides a fish that swims beneath it, till that holds.
 ASIDE = "-2.5,1.15"
@@ -33,17 +36,14 @@ ASIDE = "-2.5,1.15"
 def calibrate(folder: Path, seed: int, say: Say) -> Path:
     """What a lab does before its first swim: film a board and tags in the water, and calibrate."""
     say(f"calibrating the camera: {VIEWS} views of a board, tags in the water")
-    track_tasks.pictures(folder / "lab", VIEWS, seed)
-    from tailbeat.emulators.film import Filming  # needs the extra
-    from tailbeat.vision.tags import Board
-
+    pictures(folder / "lab", VIEWS, seed)
     filming = Filming()
     sheet = {"square": Board().square}
     for name, tag in (("fish", filming.fish), ("target", filming.target)):
         sheet |= {f"{name}_side": tag.side, f"{name}_height": tag.height}
     views, survey, pool = (str(folder / "lab" / n) for n in ("views", "survey.csv", "pool.png"))
     made = folder / "camera.json"
-    done = track_tasks.calibrate(views, Path(survey), pool, sheet, made, VIEWS, lambda _: None)
+    done = calibration.calibrate(views, Path(survey), pool, sheet, made, VIEWS, lambda _: None)
     say(f"lens {done['lens_rms_px']:.2f} px, place {done['place_rms_mm']:.1f} mm rms")
     return made
 
@@ -67,30 +67,16 @@ def started(words: list[str], log: Path, heard: bool = False) -> Iterator[Part]:
     """Start a verb; where it is not to be `heard`, what it says goes to its log too. It ends with
     us, however we end."""
     with log.open("w", encoding="utf-8") as kept:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "tailbeat", *words],
+        process = start_verb(
+            words,
             stdout=subprocess.PIPE if heard else kept,
             stderr=kept,
-            text=True,
-            env={**os.environ, **ALONE},
-            start_new_session=True,  # Ctrl-C is for us; we end them in their order
-            preexec_fn=robot_tasks.end_with_parent,
+            env={"PYTHONUNBUFFERED": "1"},
         )
         try:
             yield Part(words[0], process, log)
         finally:
             end(process)
-
-
-def end(process: "subprocess.Popen[str]") -> None:
-    """As Ctrl-C would; after ten seconds by force."""
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
-    try:
-        process.wait(LINGER)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
 
 
 def bench(fish: str, folder: Path, seed: int, log: Path, stack: ExitStack) -> tuple[Part, Any]:
@@ -119,13 +105,9 @@ def swim(
     drags, until Ctrl-C. Leaves the fish's log `swim.mcap`, the tour's `tour.json` and what
     each process said in `out`.
     Raises BadInput where a process ends before its time."""
-    robot_tasks.need_extra()
-    track_tasks.need_extra()
-    from tailbeat.link import datagrams as link  # needs the extra
-
     for number in (signal.SIGTERM, signal.SIGHUP):  # what we started ends with us
         signal.signal(number, signal.default_int_handler)
-    with robot_tasks.temporary() as name, ExitStack() as stack:
+    with temporary() as name, ExitStack() as stack:
         folder = Path(name)
         key = folder / "fish.key"
         link.make_key(key)
@@ -138,7 +120,7 @@ def swim(
         watch = ["laptop", "--robot", robot, "--listen", laptop, "--key", str(key), "--fish", fish]
         watch += ["--camera", ports["camera"], "--calibration", str(made), "--console", console]
         tour = ["--tour", str(targets), "--seed", str(seed), "--json", str(out / "tour.json")]
-        watch += tour if targets else [f"--begin={robot_tasks.TARGET}"]
+        watch += tour if targets else [f"--begin={TARGET}"]
         own = stack.enter_context(started(drive, out / "drive.log"))
         above = stack.enter_context(started(watch, out / "laptop.log", heard=True))
         _listen(above, (rig, own), say)

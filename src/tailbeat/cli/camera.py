@@ -1,14 +1,15 @@
-"""The camera's verbs: `tags`, `calibrate`, `track`, `camera`. Parse, call, print."""
+"""The camera: `tags`, `calibrate`, `track`, `camera`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tailbeat import console, track_tasks
+from tailbeat.cli import output
+from tailbeat.cli.extras import need_camera
+from tailbeat.cli.options import JsonOption, SeedOption
 from tailbeat.files import BadInput, refuse_existing, write_json
 
-JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 FishTag = Annotated[int, typer.Option("--fish-tag", help="Id of the fish's tag, 36h11.")]
 TargetTag = Annotated[int, typer.Option("--target-tag", help="Id of the target's tag.")]
 SquareOption = Annotated[float, typer.Option(help="Side of the board's squares [m], measured.")]
@@ -26,10 +27,14 @@ def tags(
     """Write the sheets to print: fish tag, target tag, calibration board, at true size."""
     if json is not None:
         refuse_existing(json)
-    paths = track_tasks.sheets(out, (fish_tag, target_tag), side, square)
+    need_camera()
+    from tailbeat.vision.sheet import write_sheets
+    from tailbeat.vision.tags import board_of
+
+    paths = write_sheets(out, (fish_tag, target_tag), side, board_of(square))
     if json is not None:
         write_json(json, {"sheets": [str(path) for path in paths]})
-    console.say(f"wrote {', '.join(map(str, paths))}; print at 100 % and measure")
+    output.say(f"wrote {', '.join(map(str, paths))}; print at 100 % and measure")
 
 
 def calibrate(
@@ -54,12 +59,15 @@ def calibrate(
     """Find the camera's lens and where it hangs over the pool; docs/camera.md says how."""
     if json is not None:
         refuse_existing(json)
+    need_camera()
+    from tailbeat.vision import calibrate as camera
+
     sheet = {
         "square": square, "fish_side": fish_side, "fish_height": fish_height,
         "target_side": target_side, "target_height": target_height,
     }  # fmt: skip
-    done = track_tasks.calibrate(views, survey, picture, sheet, out, count, console.say)
-    console.tables({"calibration": [done]})
+    done = camera.calibrate(views, survey, picture, sheet, out, count, output.say)
+    output.tables({"calibration": [done]})
     if json is not None:
         write_json(json, done)
 
@@ -78,10 +86,12 @@ def track(
     """Poses of fish and target from a camera, live; exit code 1 if the fish was never seen."""
     if json is not None:
         refuse_existing(json)
-    done = track_tasks.track(
-        camera, calibration, (fish_tag, target_tag), seconds, oldest, exposure, latency, console.say
-    )
-    console.tables({"track": [done]})
+    need_camera()
+    from tailbeat.vision import follow
+
+    ids = fish_tag, target_tag
+    done = follow.track(camera, calibration, ids, seconds, oldest, exposure, latency, output.say)
+    output.tables({"track": [done]})
     if json is not None:
         write_json(json, done)
     if not done["fish_seen"]:
@@ -96,13 +106,16 @@ def camera(
     fish: Annotated[str, typer.Option("--fish", help="A file or a shipped fish.")] = "pulley-fish",
     seconds: Annotated[float, typer.Option(help="How long; 0: until Ctrl-C.")] = 0.0,
     count: Annotated[int, typer.Option(help="Views of the board.")] = 20,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of everything random.")] = 0,
+    seed: SeedOption = 0,
 ) -> None:
     """A virtual camera above the pool: frames at a socket, and pictures to calibrate it with."""
     if (socket is None) == (pictures is None):
         raise BadInput("camera: give --socket or --pictures, one of them.")
+    need_camera()
+    from tailbeat.emulators import course, lab
+
     if pictures is not None:
-        track_tasks.pictures(pictures, count, seed)
-        console.say(f"wrote {pictures}: views/, pool.png, survey.csv")
+        lab.pictures(pictures, count, seed)
+        output.say(f"wrote {pictures}: views/, pool.png, survey.csv")
     if socket is not None:
-        track_tasks.film(socket, fish, seconds, seed, lambda line: print(line, flush=True))
+        course.film(socket, fish, seconds, seed, lambda line: print(line, flush=True))

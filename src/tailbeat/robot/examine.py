@@ -1,25 +1,21 @@
-"""What does `tailbeat doctor` do? Goes through the checks, in the order in which things fail."""
+"""All checks before a swim, in the order in which things fail."""
 
-import tempfile
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from tailbeat import robot_tasks, swim_tasks, track_tasks
-from tailbeat.control.policy import check_fits, load_policy
-from tailbeat.env.simulator import PERIOD
-from tailbeat.evaluate.evaluation import check_same_body
+from tailbeat.control.policy import load_policy
 from tailbeat.files import BadInput
-from tailbeat.fish.store import digest, load_fish
-from tailbeat.pool.plant import LENGTH, WIDTH
+from tailbeat.fish.store import load_fish
+from tailbeat.link import datagrams as link
+from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.robot import doctor
+from tailbeat.robot.doctor import BAD, Finding, finding
+from tailbeat.robot.fits import check_swims
+from tailbeat.robot.ports import Ports
 
-if TYPE_CHECKING:
-    from tailbeat.robot.doctor import Finding  # needs the extra
-
-Check = Callable[[], "list[Finding]"]
-BAD = "bad"
+Check = Callable[[], list[Finding]]
 
 
 @dataclass(frozen=True)
@@ -32,33 +28,24 @@ class Parts:
     laptop: tuple[str, int] | None = None
     key: Path | None = None
 
+    @classmethod
+    def of(cls, ports: Ports, key: Path) -> "Parts":
+        """The parts at a fish's ports."""
+        return cls(ports.servo, ports.imu, ports.listen, ports.laptop, key)
+
 
 def examine(
-    emulated: bool,
-    policy: str,
-    fish: str,
-    parts: Parts,
-    logs: Path,
-    seed: int,
-    cameras: Sequence[Check] = (),
-) -> "list[Finding]":
-    """Every check that applies; `cameras` are those of a camera. With `emulated`, of a bench that
-    is started for it."""
-    robot_tasks.need_extra()
-    with ExitStack() as stack:
-        if emulated:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tailbeat-")))
-            bench = robot_tasks.own_rig(fish, robot_tasks.TARGET, seed, folder)
-            ports, key = stack.enter_context(bench)
-            parts = Parts(ports.servo, ports.imu, ports.listen, ports.laptop, key)
-        return [
-            *check_policy(policy, fish),
-            *of_computer(logs),
-            *of_servo(parts),
-            *of_imu(parts),
-            *of_link(parts),
-            *(finding for check in cameras for finding in check()),
-        ]
+    policy: str, fish: str, parts: Parts, logs: Path, cameras: Sequence[Check] = ()
+) -> list[Finding]:
+    """Every check that applies; `cameras` are those of a camera."""
+    return [
+        *check_policy(policy, fish),
+        *of_computer(logs),
+        *of_servo(parts),
+        *of_imu(parts),
+        *of_link(parts),
+        *(finding for check in cameras for finding in check()),
+    ]
 
 
 def of_camera(camera: str, calibration: Path | None) -> list[Check]:
@@ -67,17 +54,14 @@ def of_camera(camera: str, calibration: Path | None) -> list[Check]:
         return []
     if calibration is None:
         raise BadInput("--camera: give its --calibration, made by `tailbeat calibrate`.")
-    track_tasks.need_extra()
-    from tailbeat.robot.doctor_camera import check_camera  # needs the extra
+    from tailbeat.robot.doctor_camera import check_camera  # needs OpenCV
     from tailbeat.vision.tags import FISH, TARGET
 
     return [lambda: check_camera(camera, calibration, (FISH, TARGET))]
 
 
-def check_policy(policy: str, fish: str) -> "list[Finding]":
+def check_policy(policy: str, fish: str) -> list[Finding]:
     """Whether the policy may run, and on this fish."""
-    from tailbeat.robot.doctor import finding
-
     try:
         loaded = load_policy(policy)
     except BadInput as error:
@@ -86,19 +70,15 @@ def check_policy(policy: str, fish: str) -> "list[Finding]":
     contract = loaded.contract
     found = [finding("policy", f"trained for {contract.fish}")]
     try:
-        trained, own = swim_tasks.twin_of(loaded, None), load_fish(fish)
-        check_same_body(trained, own)
-        check_fits(contract, trained.name, digest(trained), own.band, PERIOD)
+        check_swims(loaded, None, load_fish(fish))
     except BadInput as error:
         do = "train one for this fish, or give the fish that it was trained for"
         return [*found, finding("policy fits the fish", str(error), bad=True, do=do)]
     return [*found, finding("policy fits the fish", fish)]
 
 
-def of_computer(logs: Path) -> "list[Finding]":
+def of_computer(logs: Path) -> list[Finding]:
     """Disk, rights, clock rate, wireless."""
-    from tailbeat.robot import doctor
-
     return [
         doctor.check_disk(logs),
         *doctor.check_scheduling(),
@@ -107,26 +87,20 @@ def of_computer(logs: Path) -> "list[Finding]":
     ]
 
 
-def of_servo(parts: Parts) -> "list[Finding]":
+def of_servo(parts: Parts) -> list[Finding]:
     """From its port to its last register."""
-    from tailbeat.robot import doctor
-
     return _of_device("servo's port", parts.servo, doctor.find_servo, doctor.check_servo)
 
 
-def of_imu(parts: Parts) -> "list[Finding]":
+def of_imu(parts: Parts) -> list[Finding]:
     """From its port to its noise."""
-    from tailbeat.robot import doctor
-
     return _of_device("IMU's port", parts.imu, doctor.find_imu, doctor.check_imu)
 
 
 def _of_device(
     name: str, path: str, find: Callable[..., Any], check: Callable[..., Any]
-) -> "list[Finding]":
+) -> list[Finding]:
     """A device at a port: the port, whether it answers there, and what it says of itself."""
-    from tailbeat.robot import doctor
-
     if not path:
         return []
     found = doctor.check_port(name, path)
@@ -139,11 +113,8 @@ def _of_device(
         return [*found, answer, *check(device)]
 
 
-def of_link(parts: Parts) -> "list[Finding]":
+def of_link(parts: Parts) -> list[Finding]:
     """Key, address, laptop."""
-    from tailbeat.link import datagrams as link
-    from tailbeat.robot import doctor
-
     if parts.listen is None and parts.key is None:
         return []
     key = doctor.check_key(parts.key)
@@ -152,7 +123,7 @@ def of_link(parts: Parts) -> "list[Finding]":
     try:
         made = link.bind(*parts.listen)
     except BadInput as error:
-        return [key, doctor.finding("own address", str(error), bad=True, do="give another")]
+        return [key, finding("own address", str(error), bad=True, do="give another")]
     with made:
         receiver = link.Receiver(link.read_key(parts.key), (LENGTH, WIDTH))
         return [key, *doctor.check_link(made, parts.laptop, receiver)]

@@ -1,27 +1,29 @@
-"""Verbs of safety: `faults`, `pace`, `let-go`, `doctor`, `unit`. Parse, call, print."""
+"""Check: `doctor`, `faults`, `pace`, `let-go`, `unit`."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tailbeat import console, doctor_tasks, robot_tasks, safety_tasks
+from tailbeat.cli import output
+from tailbeat.cli.extras import need_camera, need_robot
+from tailbeat.cli.options import (
+    SHIPPED,
+    JsonOption,
+    PolicyOption,
+    PoolFish,
+    SeedOption,
+    ServoPort,
+)
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
-
-POLICY = "pulley-fish-pool-generator"
-JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
-FishOption = Annotated[str, typer.Option("--fish", help="The pool's fish: a file or a name.")]
-SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
-PolicyOption = Annotated[str, typer.Option("--policy", help="A policy, .onnx, or a shipped name.")]
-ServoPort = Annotated[str, typer.Option("--servo", help="The servo's serial port.")]
-
 
 SAFE_AFTER_KILL = 0.5  # s, asked for
 
 
 def faults(
-    policy: PolicyOption = POLICY,
-    fish: FishOption = "pulley-fish",
+    policy: PolicyOption = SHIPPED,
+    fish: PoolFish = "pulley-fish",
     only: Annotated[list[str] | None, typer.Option(help="Faults by name; default: all.")] = None,
     kills: Annotated[int, typer.Option(help="Kill the loop so often, at random moments.")] = 0,
     table: Annotated[
@@ -36,11 +38,15 @@ def faults(
         raise BadInput(f"--kills {kills}: give 0 or more.")
     for path in filter(None, (table, json)):
         refuse_existing(path)
-    done = safety_tasks.faults(policy, fish, only or [], kills, seed, console.say)
-    console.tables(dict(done))
+    need_robot()
+    from tailbeat.evaluate import fault_table
+    from tailbeat.report.fault_table import markdown
+
+    done = fault_table.faults(policy, fish, only or [], kills, seed, output.say)
+    output.tables(dict(done))
     if table is not None:
         with new_file(table) as beside:
-            beside.write_text(safety_tasks.markdown(done["faults"]), encoding="utf-8")
+            beside.write_text(markdown(done["faults"]), encoding="utf-8")
     if json is not None:
         write_json(json, done)
     let_go = all(row["off_s"] < SAFE_AFTER_KILL for row in done["killed"])  # False for NaN
@@ -49,8 +55,8 @@ def faults(
 
 
 def pace(
-    policy: PolicyOption = POLICY,
-    fish: FishOption = "pulley-fish",
+    policy: PolicyOption = SHIPPED,
+    fish: PoolFish = "pulley-fish",
     minutes: Annotated[float, typer.Option(help="How long.")] = 10.0,
     allowed: Annotated[float, typer.Option(help="Lateness p99.9 asked for, ms.")] = 2.0,
     seed: SeedOption = 0,
@@ -62,8 +68,11 @@ def pace(
         refuse_existing(json)
     if not minutes > 0:
         raise BadInput(f"--minutes {minutes:g}: give a time above 0.")
-    done = safety_tasks.pace(policy, fish, minutes, seed, console.say)
-    console.tables({"pace": [done]})
+    need_robot()
+    from tailbeat.benchmarks import loop
+
+    done = loop.pace(policy, fish, minutes, seed, output.say)
+    output.tables({"pace": [done]})
     if json is not None:
         write_json(json, done)
     if not done["late_p99.9_ms"] <= allowed:
@@ -76,16 +85,19 @@ def let_go(
     baud: Annotated[int, typer.Option(help="Its baud rate.")] = 1_000_000,
 ) -> None:
     """Take the torque away, whoever left it on; exit code 2 where the servo does not confirm."""
-    safety_tasks.let_go(servo, ident, baud)
-    console.say(f"{servo}: torque is off")
+    need_robot()
+    from tailbeat.robot.watchdog import torque_off
+
+    torque_off(servo, ident, baud)
+    output.say(f"{servo}: torque is off")
 
 
 def doctor(
     emulated: Annotated[
         bool, typer.Option("--rig", help="Look at an emulated bench, started for this.")
     ] = False,
-    policy: PolicyOption = POLICY,
-    fish: FishOption = "pulley-fish",
+    policy: PolicyOption = SHIPPED,
+    fish: PoolFish = "pulley-fish",
     servo: Annotated[str, typer.Option("--servo", help="The servo's serial port.")] = "",
     imu: Annotated[str, typer.Option("--imu", help="The IMU's serial port.")] = "",
     listen: Annotated[str, typer.Option(help="host:port to listen on for poses.")] = "",
@@ -107,15 +119,25 @@ def doctor(
         raise BadInput(
             "doctor: give --servo, --imu, --listen with --laptop, --key, --camera, or --rig."
         )
+    need_robot()
+    from tailbeat.emulators.bench import own_bench
+    from tailbeat.link.addresses import address
+    from tailbeat.robot.examine import Parts, examine, of_camera
+
     ends = [
-        robot_tasks.address(text, option) if text else None
+        address(text, option) if text else None
         for text, option in ((listen, "--listen"), (laptop, "--laptop"))
     ]
-    parts = doctor_tasks.Parts(servo, imu, ends[0], ends[1], key)
-    cameras = doctor_tasks.of_camera(camera, calibration)
-    found = doctor_tasks.examine(emulated, policy, fish, parts, logs, seed, cameras)
+    if camera:
+        need_camera()
+    cameras = of_camera(camera, calibration)
+    with ExitStack() as stack:
+        parts = Parts(servo, imu, ends[0], ends[1], key)
+        if emulated:
+            parts = Parts.of(*stack.enter_context(own_bench(fish, seed)))
+        found = examine(policy, fish, parts, logs, cameras)
     rows = [vars(finding) for finding in found]
-    console.tables({"doctor": rows})
+    output.tables({"doctor": rows})
     if json is not None:
         write_json(json, {"findings": rows})
     if any(finding.verdict == "bad" for finding in found):
@@ -147,5 +169,7 @@ def unit(
     ]
     words += ["--listen", listen, "--laptop", laptop, "--key", str(key.resolve())]
     words += ["--log", str(logs.resolve())]
-    safety_tasks.unit(out, user, servo, words)
-    console.say(f"wrote {out}; copy it to /etc/systemd/system, then systemctl daemon-reload")
+    from tailbeat.robot.systemd import write_unit
+
+    write_unit(out, user, servo, words)
+    output.say(f"wrote {out}; copy it to /etc/systemd/system, then systemctl daemon-reload")

@@ -1,18 +1,17 @@
-"""The learning verbs: `train`, `policy show`, `policy diff`, `policy try`. Parse, call, print."""
+"""Learn: `train`, `policy show`, `policy diff`, `policy try`."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tailbeat import console, learn_tasks
+from tailbeat.cli import output, results
+from tailbeat.cli.extras import need_training
+from tailbeat.cli.options import FishOption, JsonOption, PolicyFile, SeedOption
 from tailbeat.files import refuse_existing, write_json
 
 policy = typer.Typer(help="Look at policies, compare and try them.", no_args_is_help=True)
-PolicyFile = Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
-FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]
-SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
 
 
 def train(
@@ -38,24 +37,20 @@ def train(
     """Train a policy through the stages; exit code 1 if it did not pass them all."""
     if json is not None:
         refuse_existing(json)
-    with console.training() as report:
-        done = learn_tasks.train(
-            fish,
-            out,
-            actions,
-            recipe,
-            seed,
-            hours,
-            resume,
-            device,
-            servo,
-            binds,
-            floor,
-            stage,
-            report,
-            console.say,
-        )
-    console.trained(done)
+    need_training()
+    from tailbeat.report.learning_figures import courses
+    from tailbeat.train.config import plan_of
+    from tailbeat.train.train import result
+    from tailbeat.train.train import train as run
+
+    with output.training() as report:
+        plan = plan_of(fish, out, actions, recipe, seed, hours, device, servo, binds, floor)
+        room = plan.recipe.buffer_bytes / 1e6
+        output.say(f"replay buffer: {room:.0f} MB of memory and of every checkpoint")
+        course = run(plan, resume, report, stage)
+        courses({f"{actions}, seed {seed}": vars(course)}, out / "curve.png")
+    done = result(plan, course)
+    results.trained(done)
     if json is not None:
         write_json(json, done)
     if not done["finished"]:
@@ -65,8 +60,10 @@ def train(
 @policy.command("show")
 def show(file: PolicyFile, json: JsonOption = None) -> None:
     """Print a policy's contract; its golden pairs are checked on the way."""
-    contract = learn_tasks.show_policy(file)
-    console.contract(contract)
+    from tailbeat.control.policy import load_policy
+
+    contract = asdict(load_policy(file).contract)
+    results.contract(contract)
     if json is not None:
         write_json(json, contract)
 
@@ -78,8 +75,10 @@ def diff(
     json: JsonOption = None,
 ) -> None:
     """Every field in which two policies' contracts differ; exit code 1 if any does."""
-    rows = learn_tasks.diff_policies(first, second)
-    console.differences(rows)
+    from tailbeat.control.policy import differences, load_policy
+
+    rows = differences(load_policy(first).contract, load_policy(second).contract)
+    results.differences(rows)
     if json is not None:
         write_json(json, rows)
     if rows:
@@ -102,9 +101,12 @@ def try_(
     """Swim a policy to seeded targets in its twin, all noise and randomisation on, or in pools."""
     if json is not None:
         refuse_existing(json)
-    done = learn_tasks.try_policy(file, fish, arc, targets, seed, exact, pools)
+    need_training()
+    from tailbeat.evaluate.reach import try_policy
+
+    done = try_policy(file, fish, arc, targets, seed, exact, pools)
     where = "in the virtual pool" if pools else "in the twin"
-    console.tables({f"{where}, by bearing": done["sectors"]})
-    console.tables({where: [{k: v for k, v in done.items() if k != "sectors"}]})
+    output.tables({f"{where}, by bearing": done["sectors"]})
+    output.tables({where: [{k: v for k, v in done.items() if k != "sectors"}]})
     if json is not None:
         write_json(json, done)

@@ -1,0 +1,38 @@
+"""How punctual is the robot's loop on this machine? Driven against an emulated bench."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tailbeat.emulators.bench import own_bench
+from tailbeat.link.status import State
+from tailbeat.processes import temporary
+from tailbeat.robot.log import read_rows
+from tailbeat.robot.session import drive
+
+MINUTE = 60.0
+
+
+def pace(
+    policy: str, fish: str, minutes: float, seed: int, say: Callable[[str], None]
+) -> dict[str, Any]:
+    """The loop against the emulated bench for so long: how punctual it was, and whether it drifts.
+    Where it holds it is armed anew, and counted."""
+    holds = [0]
+
+    def each(own: Any) -> None:
+        if own.stand.state is State.HOLD:
+            holds[0] += own.arm(time.monotonic()).state is State.ARMED
+
+    with temporary() as folder:
+        log = Path(folder) / "pace.mcap"
+        with own_bench(fish, seed) as (ports, key):
+            told = drive(policy, ports, key, None, MINUTE * minutes, log, say, each=each)
+        rows = read_rows(log)
+    late = 1e3 * np.array([row["late_s"] for row in rows])
+    tenth = max(late.size // 10, 1)
+    drift = float(np.median(late[-tenth:]) - np.median(late[:tenth]))
+    return {**told, "armed_anew": holds[0], "drift_ms": drift}

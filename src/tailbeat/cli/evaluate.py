@@ -1,0 +1,106 @@
+"""Evaluate: `evaluate`, `compare`, `report`, `bench`."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tailbeat.cli import output, results
+from tailbeat.cli.options import JsonOption, PolicyFile, PoolFish, SeedOption, TwinOption
+from tailbeat.evaluate.names import NAMES
+from tailbeat.files import refuse_existing, write_json
+
+
+def evaluate(
+    policy: PolicyFile,
+    out: Annotated[Path, typer.Option("--out", help="Folder of the runs; taken up if it exists.")],
+    fish: PoolFish = "pulley-fish",
+    twin: TwinOption = None,
+    pool: Annotated[
+        str, typer.Option(help="ensemble, full, no lag, no stall or no added inertia.")
+    ] = "ensemble",
+    task: Annotated[
+        list[str] | None, typer.Option("--tasks", help=f"Of {', '.join(NAMES)}; default: all.")
+    ] = None,
+    episodes: Annotated[int, typer.Option(help="Swims in each arm of a task.")] = 250,
+    walls: Annotated[
+        str, typer.Option(help="Of the walled trials, length x width [m].")
+    ] = "5.5x2.7",
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Try a policy in the virtual pool: targets, disturbances, tracks, beyond its training."""
+    if json is not None:
+        refuse_existing(json)
+    from tailbeat.control.policy import load_policy
+    from tailbeat.evaluate import evaluation
+
+    with output.counting() as progress:
+        loaded = load_policy(policy)
+        where = evaluation.pool_of(loaded, fish, twin, pool, episodes, seed, walls)
+        done = evaluation.evaluate(loaded, where, task or list(NAMES), out, progress)
+    results.evaluated(done)
+    _page(out, fish, twin, done, json)
+
+
+def compare(
+    policies: Annotated[list[str], typer.Argument(help="Policies of several kinds and seeds.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder of the cells; taken up if it exists.")],
+    fish: PoolFish = "pulley-fish",
+    twin: TwinOption = None,
+    targets: Annotated[int, typer.Option(help="Targets of each cell.")] = 100,
+    share: Annotated[
+        str, typer.Option(help="i/n: swim every n-th cell only, for n processes.")
+    ] = "1/1",
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """The controlled comparison: every policy in its twin and in the pool, piece by piece."""
+    if json is not None:
+        refuse_existing(json)
+    from tailbeat.evaluate import compare as comparison
+
+    with output.counting() as progress:
+        done = comparison.compare(policies, fish, twin, targets, seed, share, out, progress)
+    results.compared(done)
+    _page(out, fish, twin, done, json)
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(help="Folder of an evaluation or a comparison.")],
+    fish: PoolFish = "pulley-fish",
+    twin: TwinOption = None,
+    json: JsonOption = None,
+) -> None:
+    """One page of a folder's numbers and figures, the paper's beside them."""
+    if json is not None:
+        refuse_existing(json)
+    from tailbeat.report.page import of_folder
+
+    path, data = of_folder(folder, fish, twin)
+    output.say(f"page: {path}")
+    if json is not None:
+        write_json(json, data)
+
+
+def _page(out: Path, fish: str, twin: str | None, done: dict[str, Any], json: Path | None) -> None:
+    """The page of numbers just made, and the numbers where they are asked for."""
+    from tailbeat.report.page import of_folder
+
+    path, _ = of_folder(out, fish, twin, done)
+    output.say(f"page: {path}")
+    if json is not None:
+        write_json(json, done)
+
+
+def bench(
+    env: Annotated[bool, typer.Option(help="Also environment and updates, against SB3's.")] = True,
+    json: JsonOption = None,
+) -> None:
+    """Measure the step against a bare engine loop on this machine, pool and environment too."""
+    from tailbeat.benchmarks import suite
+
+    result = suite.bench(env)
+    results.benched(result)
+    if json is not None:
+        write_json(json, result)

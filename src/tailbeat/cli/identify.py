@@ -1,0 +1,212 @@
+"""Identify a fish: `identify tail|motor|fluid|all`, `predict`, `coverage`, `flutter`."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from tailbeat.cli import output, results
+from tailbeat.cli.options import FishOption, JsonOption, SeedOption
+from tailbeat.files import refuse_existing, write_json
+
+identify = typer.Typer(help="Find a fish's parameters from recordings.", no_args_is_help=True)
+OutFish = Annotated[Path, typer.Option("--out", help="The identified fish to write.")]
+AddedOption = Annotated[
+    float | None,
+    typer.Option(help="Share of the described added mass that is inertia; default: as described."),
+]
+LawOption = Annotated[
+    Literal["described", "whole"],
+    typer.Option(
+        "--law",
+        help="whole: added mass across the parts, lift with a trailing edge (docs/twin.md).",
+    ),
+]
+
+
+@identify.command("fluid")
+def identify_fluid(
+    fish: FishOption,
+    fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit; repeat.")],
+    out: OutFish,
+    validate: Annotated[
+        list[Path] | None, typer.Option("--validate", help="Recordings held out; repeat.")
+    ] = None,
+    zones: Annotated[int, typer.Option(help="1: one coefficient set; 3: one per zone.")] = 3,
+    seeds: Annotated[int, typer.Option(help="Independent searches, the best one kept.")] = 5,
+    seed: SeedOption = 0,
+    generations: Annotated[int, typer.Option(help="CMA-ES generations per seed.")] = 15,
+    start_weight: Annotated[
+        bool | None,
+        typer.Option(help="Weigh a run's start 4:1; default: when it starts from rest."),
+    ] = None,
+    added_inertia: AddedOption = None,
+    law: LawOption = "described",
+    json: JsonOption = None,
+) -> None:
+    """Fit the fluid coefficients; writes fish, report (.json) and figure (.png) side by side."""
+    from tailbeat.identify import stages
+    from tailbeat.report.figures import measured_against_twin
+
+    with output.search_progress() as progress:
+        plan = stages.fluid_plan(
+            zones, seeds, seed, generations, start_weight, added_inertia, law == "whole"
+        )
+        done = stages.fluid(
+            fish, fit, validate or [], out, plan, json, progress, measured_against_twin
+        )
+    results.identified(done.report)
+    output.say(f"wrote {', '.join(map(str, done.files))}")
+
+
+@identify.command("tail")
+def identify_tail(
+    fish: FishOption,
+    sweeps: Annotated[list[Path], typer.Argument(help="Driven sweeps, CSV or Parquet.")],
+    out: OutFish,
+    static: Annotated[Path | None, typer.Option(help="A slow pull: the loop it makes.")] = None,
+    ring_down: Annotated[Path | None, typer.Option(help="A released tail.")] = None,
+    json: JsonOption = None,
+) -> None:
+    """Stiffness and damping from driven sweeps with shaft torque, spread over the hinges."""
+    from tailbeat.identify import stages
+    from tailbeat.report import bench_figures
+
+    done = stages.tail(fish, sweeps, static, ring_down, out, json, bench_figures.tail)
+    results.tail(done.report)
+    output.say(f"wrote {', '.join(map(str, done.files))}")
+
+
+@identify.command("motor")
+def identify_motor(
+    fish: FishOption,
+    fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit; repeat.")],
+    out: OutFish,
+    validate: Annotated[
+        list[Path] | None, typer.Option("--validate", help="Recordings held out; repeat.")
+    ] = None,
+    load: Annotated[
+        str | None, typer.Option(help="tail, pendulum or nothing; default: as recorded, else tail.")
+    ] = None,
+    gain: Annotated[
+        float | None, typer.Option(help="Gain register the fish will run with; default: middle.")
+    ] = None,
+    gears: Annotated[bool, typer.Option(help="Fit the gears' load-dependent friction.")] = True,
+    cross_validate: Annotated[bool, typer.Option(help="Also leave out each gain in turn.")] = False,
+    seeds: Annotated[int, typer.Option(help="Independent searches, the best one kept.")] = 5,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Servo from recorded commands and encoder angles, free-running against a known load."""
+    from tailbeat.identify import stages
+    from tailbeat.report import bench_figures
+
+    plan = stages.motor_plan(seeds, seed, gears, gain)
+    with output.search_progress() as progress:
+        done = stages.motor(
+            fish,
+            fit,
+            validate or [],
+            out,
+            load,
+            plan,
+            cross_validate,
+            json,
+            progress,
+            bench_figures.motor,
+        )
+    results.motor(done.report)
+    output.say(f"wrote {', '.join(map(str, done.files))}")
+
+
+@identify.command("all")
+def identify_all(
+    fish: FishOption,
+    folder: Annotated[Path, typer.Option("--from", help="Folder with all recordings.")],
+    out: OutFish,
+    zones: Annotated[int, typer.Option(help="1: one coefficient set; 3: one per zone.")] = 3,
+    seeds: Annotated[int, typer.Option(help="Independent searches per stage.")] = 3,
+    seed: SeedOption = 0,
+    generations: Annotated[int, typer.Option(help="CMA-ES generations of the fluid.")] = 15,
+    added_inertia: AddedOption = None,
+    law: LawOption = "described",
+    json: JsonOption = None,
+) -> None:
+    """Tail, then servo, then fluid from one folder; writes fish, report, page and figures."""
+    from tailbeat.identify import chain, stages
+    from tailbeat.report.identified import DRAWINGS
+
+    plan = stages.fluid_plan(zones, seeds, seed, generations, None, added_inertia, law == "whole")
+    with output.search_progress() as progress:
+        report = chain.identify_all(fish, folder, out, plan, json, progress, DRAWINGS)
+    output.tables({"summary": [report["summary"]]})
+    output.say(f"wrote {out} and, beside it, {out.with_suffix('.md').name}")
+
+
+def predict(
+    fish: FishOption,
+    recordings: Annotated[
+        list[Path], typer.Argument(help="Recordings or logs, CSV or Parquet, or OUT/runs/*.npz.")
+    ],
+    fitted_on: Annotated[
+        list[Path] | None,
+        typer.Option("--fitted-on", help="Fit a naive model of five numbers on these; repeat."),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Predict recorded swims with the twin, beside what was measured; exit code 1 if the twin
+    diverged or reached no steady speed. With --fitted-on, compare it with a naive model."""
+    from tailbeat.evaluate.replay import predict_swims
+
+    if json is not None:
+        refuse_existing(json)
+    result = predict_swims(fish, recordings, fitted_on or [])
+    if json is not None:
+        write_json(json, result)
+    results.predicted(result)
+    if not all(run["settled"] for run in result["runs"]):
+        raise typer.Exit(1)
+
+
+def coverage(
+    swims: Annotated[
+        list[Path],
+        typer.Argument(help="A policy's swims: logs as CSV or Parquet, or OUT/runs/*.npz."),
+    ],
+    against: Annotated[
+        list[Path], typer.Option("--against", help="Recordings the fish was identified on; repeat.")
+    ],
+    fish: FishOption,
+    json: JsonOption = None,
+) -> None:
+    """Check whether an identification's recordings cover a policy's swims, and say what to record
+    next; exit code 1 if over 5 % of some quantity lies outside the recorded range."""
+    from tailbeat.evaluate import replay
+
+    if json is not None:
+        refuse_existing(json)
+    result = replay.coverage(fish, swims, against)
+    if json is not None:
+        write_json(json, result)
+    results.covered(result)
+    if not result["covered"]:
+        raise typer.Exit(1)
+
+
+def flutter(
+    fish: FishOption,
+    out: Annotated[Path, typer.Option("--out", help="The figure to write, .png.")],
+    servo: Annotated[list[str] | None, typer.Option(help="Servo variants; repeat.")] = None,
+    json: JsonOption = None,
+) -> None:
+    """Speed of twin and virtual pool over frequency and stroke, in and far beyond the band."""
+    from tailbeat.evaluate.flutter import flutter_of
+    from tailbeat.report.figures import speed_map
+
+    for path in filter(None, (out, json)):
+        refuse_existing(path)
+    report = flutter_of(fish, servo or [])
+    speed_map(report, out)
+    if json is not None:
+        write_json(json, report)
+    output.tables({f"speed [m/s], water {report['water']}": report["rows"]})

@@ -1,0 +1,21 @@
+"""Arguments and options that several verbs share."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+SHIPPED = "pulley-fish-pool-generator"  # the policy that is taken by default
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
+FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]
+PoolFish = Annotated[str, typer.Option("--fish", help="The pool's fish: a file or a name.")]
+TwinOption = Annotated[
+    str | None, typer.Option("--twin", help="The fish the policy was trained on, if not shipped.")
+]
+PolicyFile = Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")]
+PolicyOption = Annotated[str, typer.Option("--policy", help="A policy, .onnx, or a shipped name.")]
+ServoPort = Annotated[str, typer.Option("--servo", help="The servo's serial port.")]
+ConsoleOption = Annotated[
+    str, typer.Option("--console", help="host:port to show the operator's page at.")
+]

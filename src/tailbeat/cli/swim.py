@@ -1,0 +1,275 @@
+"""Swim: `swim`, `rig`, `drive`, `laptop`, `key`, `export`."""
+
+import sys
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tailbeat.cli import output, results
+from tailbeat.cli.extras import need_camera, need_robot
+from tailbeat.cli.options import (
+    SHIPPED,
+    ConsoleOption,
+    JsonOption,
+    PoolFish,
+    SeedOption,
+    TwinOption,
+)
+from tailbeat.emulators.bench import own_bench
+from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.link.addresses import address
+from tailbeat.link.places import TARGET, place
+from tailbeat.robot.ports import Ports
+
+TargetOption = Annotated[str, typer.Option("--target", help="Where the target is: x,y [m].")]
+
+
+def swim(
+    fish: Annotated[
+        str | None, typer.Option("--fish", help="Beat this fish open-loop instead, no policy.")
+    ] = None,
+    policy: Annotated[str, typer.Option(help="A policy's file or a shipped one's name.")] = SHIPPED,
+    pool_fish: Annotated[str, typer.Option(help="The pool's fish.")] = "pulley-fish",
+    twin: TwinOption = None,
+    headless: Annotated[
+        bool, typer.Option("--headless", help="Swim to drawn targets and end, with a page.")
+    ] = False,
+    direct: Annotated[
+        bool, typer.Option("--direct", help="The same without bytes, faster than real time.")
+    ] = False,
+    console_at: Annotated[
+        str, typer.Option("--console", help="host:port of the operator's page; a tour takes any.")
+    ] = "127.0.0.1:8080",
+    targets: Annotated[int, typer.Option(help="Of a tour: how many, one after the other.")] = 8,
+    seed: SeedOption = 0,
+    out: Annotated[Path, typer.Option(help="Folder for page, film, log, summary.")] = Path("runs"),
+    json: JsonOption = None,
+) -> None:
+    """The main job: fish, camera and laptop over a virtual pool, in real time. Drag the target on
+    the page; or --headless (so too without a terminal): a tour of targets, then a page; exit code 1
+    if it missed one by more than 20 cm."""
+    if json is not None:
+        refuse_existing(json)
+    if fish is not None:
+        from tailbeat.fish.store import load_fish
+        from tailbeat.report.open_loop import open_loop
+
+        done = open_loop(load_fish(fish), out)
+        results.summary(done)
+    elif not (headless or direct) and sys.stdout.isatty():
+        if json is not None:
+            raise BadInput("--json: a swim that you attend has no result; add --headless.")
+        _attend(policy, pool_fish, twin, seed, console_at, out)
+        return
+    else:
+        done = _tour(policy, pool_fish, twin, targets, seed, out, direct)
+    if json is not None:
+        write_json(json, done)
+    if fish is None and done["within_20cm"] < targets:
+        raise typer.Exit(1)
+
+
+def _attend(
+    policy: str, fish: str, twin: str | None, seed: int, console_at: str, out: Path
+) -> None:
+    """Swim after the target that the operator drags, until Ctrl-C."""
+    need_robot()
+    need_camera()
+    from tailbeat.evaluate.swim import attended
+
+    log = attended(policy, fish, twin, seed, console_at, out, output.say)
+    output.say(f"log: {log}; `tailbeat export {log} --out swim.csv` makes a recording of it")
+
+
+def _tour(
+    policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path, direct: bool
+) -> dict[str, Any]:
+    """Swim to drawn targets, draw the page, say what came of it."""
+    from tailbeat.evaluate import swim as swims
+    from tailbeat.report import tour
+
+    if direct:
+        with output.counting() as progress:
+            swum = swims.direct(policy, fish, twin, targets, seed, progress)
+    else:
+        need_robot()
+        need_camera()
+        swum = swims.live(policy, fish, twin, targets, seed, out, output.say)
+    done = tour.write(swum, out, output.counting)
+    output.tables({f"{done['fish']} in the virtual pool, {done['policy']}": done["targets"]})
+    output.say(f"{done['within_5cm']} of {targets} within 5 cm; page: {out / 'report.html'}")
+    return done
+
+
+def rig(
+    key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
+    robot: Annotated[str, typer.Option("--robot", help="host:port where the loop listens.")] = "",
+    camera: Annotated[
+        Path | None, typer.Option("--camera", help="Film at this socket; then no poses are sent.")
+    ] = None,
+    fish: PoolFish = "pulley-fish",
+    target: TargetOption = TARGET,
+    console_at: ConsoleOption = "",
+    seed: SeedOption = 0,
+) -> None:
+    """An emulated bench in real time: servo and IMU on pseudo-terminals; poses over the network, or
+    pictures in which `tailbeat laptop --camera` finds them."""
+    need_robot()
+    from tailbeat.emulators import serve
+
+    say = lambda line: print(line, flush=True)  # noqa: E731
+    if camera is not None:
+        serve.filmed_rig(fish, camera, target, seed, say)
+    elif key is None or not robot:
+        raise BadInput("rig: give --key and --robot for poses, or --camera for pictures.")
+    else:
+        serve.rig(fish, key, robot, target, console_at, seed, say)
+
+
+def drive(
+    policy: Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")],
+    log: Annotated[Path, typer.Option("--log", help="The log to write, .mcap, or a folder.")],
+    emulated: Annotated[
+        bool, typer.Option("--rig", help="Start an emulated bench and drive that.")
+    ] = False,
+    servo: Annotated[str, typer.Option(help="The servo's serial port.")] = "",
+    imu: Annotated[str, typer.Option(help="The IMU's serial port.")] = "",
+    listen: Annotated[str, typer.Option(help="host:port to listen on for poses.")] = "",
+    laptop: Annotated[str, typer.Option(help="host:port of the laptop.")] = "",
+    key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
+    fish: PoolFish = "pulley-fish",
+    target: Annotated[
+        str | None, typer.Option("--target", help="x,y [m] instead of the target's tag.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="How long; 30 by default, with orders until Ctrl-C.")
+    ] = None,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Stay disarmed until ordered; else arm and swim.")
+    ] = False,
+    console_at: ConsoleOption = "",
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Drive the fish fifty times a second: arm, swim, let go; exit code 1 if it stopped itself."""
+    need_robot()
+    from tailbeat.robot import session
+
+    log = session.log_in(log)
+    for path in filter(None, (log, json)):
+        refuse_existing(path)
+    aim = None if target is None else place(target)
+    stay = wait or bool(console_at)
+    if seconds is None:
+        seconds = float("inf") if stay else 30.0
+    if not seconds > 0:
+        raise BadInput(f"--seconds {seconds:g}: give a time above 0.")
+    if emulated:
+        bench: AbstractContextManager[tuple[Ports, Path]] = own_bench(
+            fish, seed, target or TARGET, console_at, output.say
+        )
+        aim = None if stay else aim  # the tag floats there; the operator may drag it
+    else:
+        bench = _given(servo, imu, listen, laptop, key, console_at)
+    with bench as (ports, secret):
+        done = session.drive(
+            policy, ports, secret, aim, seconds, log, output.say, by_itself=not wait, stay=stay
+        )
+    output.tables({"drive": [done]})
+    if json is not None:
+        write_json(json, done)
+    by_hand = done.get("swum_s", 1) > 0 and done["ended"] in session.BY_HAND
+    if done["ended"] != "swimming" and not (stay and by_hand):
+        raise typer.Exit(1)
+
+
+def _given(
+    servo: str, imu: str, listen: str, laptop: str, key: Path | None, console_at: str
+) -> AbstractContextManager[tuple[Ports, Path]]:
+    """The fish's own ports and key, as given."""
+    if not (servo and imu and listen and laptop and key):
+        raise BadInput("drive: give --servo, --imu, --listen, --laptop and --key, or --rig.")
+    if console_at:
+        raise BadInput("--console: the laptop shows it; see `tailbeat laptop --console`.")
+    ends = address(listen, "--listen"), address(laptop, "--laptop")
+    return nullcontext((Ports(servo, imu, *ends), key))
+
+
+def laptop(
+    robot: Annotated[str, typer.Option("--robot", help="host:port where the fish listens.")],
+    key: Annotated[Path, typer.Option("--key", help="The shared key.")],
+    listen: Annotated[str, typer.Option("--listen", help="host:port of ours, as the fish has it.")],
+    console_at: ConsoleOption = "127.0.0.1:8080",
+    camera: Annotated[
+        str, typer.Option("--camera", help="Where pictures come from: /dev/video0, unix:/path.")
+    ] = "",
+    calibration: Annotated[
+        Path | None, typer.Option("--calibration", help="A file of `tailbeat calibrate`.")
+    ] = None,
+    fish_tag: Annotated[int, typer.Option(help="Id of the fish's tag, 36h11.")] = 0,
+    target_tag: Annotated[int, typer.Option(help="Id of the target's tag.")] = 1,
+    exposure: Annotated[float, typer.Option(help="Of the camera [s].")] = 0.002,
+    latency: Annotated[
+        float, typer.Option(help="From the exposure's end to the frame's stamp [s].")
+    ] = 0.0,
+    fish: Annotated[
+        str, typer.Option("--fish", help="The fish as drawn: a file or a name.")
+    ] = "pulley-fish",
+    targets: Annotated[
+        int, typer.Option("--tour", help="Lead the fish to so many drawn targets, then stop it.")
+    ] = 0,
+    begin: Annotated[
+        str | None,
+        typer.Option("--begin", help="Arm the fish once; x,y [m] of a target to drag from there."),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of those targets.")] = 0,
+    json: Annotated[
+        Path | None, typer.Option("--json", help="Write what became of the tour here as JSON.")
+    ] = None,
+) -> None:
+    """Stand above the pool: find the fish, send its pose, and show the operator's page."""
+    need_robot()
+    from tailbeat.operator import station
+
+    if json is not None:
+        refuse_existing(json)
+    there = address(robot, "--robot")
+    ours = address(listen, "--listen")
+    ids = fish_tag, target_tag
+    tour = station.drawn_tour(targets, seed)
+    if tour is not None and not camera:
+        raise BadInput("--tour: needs the fish's poses; give --camera and its --calibration.")
+    aim = None if begin is None else place(begin, "--begin")
+    leader = station.Leader(tour, aim) if tour or aim else None
+    if camera:
+        need_camera()
+    with station.open_tracker(camera, calibration, ids, exposure, latency) as tracker:
+        station.work(there, ours, key, console_at, tracker, fish, output.say, leader)
+    if json is not None:
+        rows = tour.rows if tour else []
+        write_json(json, {"targets": rows, "armed_anew": leader.rearmed if leader else 0})
+    if tour is not None and tour.target is not None:
+        raise typer.Exit(1)
+
+
+def key(path: Annotated[Path, typer.Argument(help="The key file to write.")]) -> None:
+    """Write a key that laptop and fish share; copy it to both, readable by its owner alone."""
+    need_robot()
+    from tailbeat.link.datagrams import make_key
+
+    make_key(path)
+    output.say(f"wrote {path}; copy it to both machines")
+
+
+def export(
+    log: Annotated[Path, typer.Argument(help="A log of `tailbeat drive`, .mcap.")],
+    out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
+) -> None:
+    """A drive's log as a recording that identification reads; also of a log that was cut off."""
+    need_robot()
+    from tailbeat.robot import log as logs
+
+    recording = logs.export(log, out)
+    output.say(f"wrote {out}: {recording.time.size} rows")

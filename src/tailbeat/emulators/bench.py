@@ -1,0 +1,45 @@
+"""Start an emulated bench as a process beside this one."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from subprocess import PIPE
+
+from tailbeat.files import BadInput
+from tailbeat.link import datagrams as link
+from tailbeat.link.addresses import address
+from tailbeat.link.places import TARGET
+from tailbeat.processes import start_verb, temporary
+from tailbeat.robot.ports import Ports
+
+
+@contextmanager
+def own_bench(
+    fish: str,
+    seed: int,
+    target: str = TARGET,
+    console: str = "",
+    say: Callable[[str], None] = print,
+) -> Iterator[tuple[Ports, Path]]:
+    """A bench of our own in a process beside, and its key; says where its console is."""
+    with temporary() as folder:
+        key = Path(folder) / "rig.key"
+        link.make_key(key)
+        listen = link.free_address()
+        words = ["rig", "--fish", fish, "--key", str(key), "--robot", f"{listen[0]}:{listen[1]}"]
+        words += [f"--target={target}", "--seed", str(seed), "--console", console]
+        process = start_verb(words, stdout=PIPE)
+        assert process.stdout is not None
+        try:
+            line = process.stdout.readline()
+            if not line:
+                raise BadInput("the emulated bench did not start; see what it said above.")
+            said = json.loads(line)
+            for told in said["console"]:
+                say(told)
+            laptop = address(said["laptop"], "laptop")
+            yield Ports(said["servo"], said["imu"], listen, laptop), key
+        finally:
+            process.terminate()
+            process.wait(10)

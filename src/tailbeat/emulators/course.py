@@ -1,0 +1,82 @@
+"""A fish that swims round and round and a target that drifts, to be filmed by a virtual camera."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.control.observation import wrapped
+from tailbeat.emulators.camera import Scene
+from tailbeat.emulators.film import Filming, start_camera
+from tailbeat.fish.outline import outline
+from tailbeat.fish.store import load_fish
+from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.processes import told_to_end
+
+Array = NDArray[np.float64]
+Say = Callable[[str], None]
+MARGIN = 0.15  # m that a tag's middle keeps from a wall
+
+
+@dataclass(frozen=True)
+class Course:
+    """A swim over the whole pool: a Lissajous figure with a beating head, and a target that is
+    moved by hand. Places in metres, times in seconds."""
+
+    seconds: float = 60.0  # of a round
+
+    def fish(self, time: float) -> Array:
+        """x, y, yaw of the fish's tag."""
+        u = 2 * np.pi * time / self.seconds
+        reach = np.array([LENGTH, WIDTH]) / 2 - MARGIN
+        place = reach * [np.sin(3 * u), np.sin(7 * u + 0.4)]
+        along = reach * [3 * np.cos(3 * u), 7 * np.cos(7 * u + 0.4)]
+        beat = 0.15 * np.sin(2 * np.pi * 2.0 * time)
+        return np.append(place, np.arctan2(along[1], along[0]) + beat)
+
+    def scene(self, time: float, line: Array | None = None) -> Scene:
+        """What there is to film; `line` is the fish's, in its tag's frame."""
+        pose, later = self.fish(time), self.fish(time + 1e-3)
+        change = later - pose
+        change[2] = wrapped(change[2])
+        place = [0.45 * LENGTH * np.sin(0.31 * time), 0.42 * WIDTH * np.cos(0.23 * time)]
+        target = (*place, 0.3 * time % (2 * np.pi))
+        return Scene(three(pose), three(change / 1e-3), placed(line, pose), three(target))
+
+
+def three(numbers: Any) -> tuple[float, float, float]:
+    """Three numbers of an array."""
+    x, y, yaw = map(float, numbers)
+    return x, y, yaw
+
+
+def placed(line: Array | None, pose: Array) -> Array | None:
+    """A line (k, 2) [m] of the tag's frame in the world, at a pose."""
+    if line is None:
+        return None
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return np.asarray(pose[:2] + line @ np.array([[c, s], [-s, c]]))
+
+
+def fish_line(name: str = "pulley-fish") -> Array:
+    """A straight fish from nose to tail (k, 2) [m], in its tag's frame."""
+    fish = load_fish(name)
+    straight = outline(fish, np.zeros(4 + len(fish.tail.links)))
+    return np.asarray(straight - np.array(fish.tracked[:2]))
+
+
+def film(socket: Path, fish: str, seconds: float, seed: int, say: Say) -> None:
+    """A virtual camera at a socket over a fish that swims round and round, until told to stop."""
+    course, drawn = Course(), fish_line(fish)
+    camera = start_camera(socket, Filming(seed=seed))
+    ended = told_to_end()
+    say(f"filming at {camera.where}")
+    began = time.monotonic()
+    while not ended and not (seconds and time.monotonic() - began >= seconds):
+        camera.show(course.scene(time.monotonic() - began, drawn))
+        time.sleep(0.004)
+    camera.close()

@@ -1,0 +1,69 @@
+"""Serve an emulated bench in real time until told to stop."""
+
+import gc
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from tailbeat.emulators import rig as bench
+from tailbeat.emulators.film import Filming, start_camera
+from tailbeat.fish.store import load_fish
+from tailbeat.link.addresses import address
+from tailbeat.link.datagrams import read_key
+from tailbeat.link.places import place
+from tailbeat.operator.page import announce, open_console, turn
+from tailbeat.processes import told_to_end
+from tailbeat.robot import timing
+
+Say = Callable[[str], None]
+
+
+def rig(fish: str, key: Path, robot: str, target: str, console: str, seed: int, say: Say) -> None:
+    """Serve an emulated bench until told to stop; says where it is as one line of JSON."""
+    there, aim = address(robot, "--robot"), place(target)
+    described, secret = load_fish(fish), read_key(key)
+    desk = open_console(console)
+    made = bench.open_rig(described, secret, there, aim, seed)
+    ended = told_to_end()
+    _hurry(made)
+    host, port = made.laptop.socket.getsockname()
+    ports = {"servo": made.ports[0], "imu": made.ports[1], "laptop": f"{host}:{port}"}
+    say(json.dumps({**ports, "console": announce(desk) if desk else []}))
+
+    def over() -> bool:
+        if desk is not None:
+            turn(desk, made.laptop.sender, described, time.monotonic())
+        return bool(ended)
+
+    try:
+        bench.serve(made, over)
+    finally:
+        bench.close_rig(made)
+        if desk is not None:
+            desk.close()
+
+
+def filmed_rig(fish: str, camera: Path, target: str, seed: int, say: Say) -> None:
+    """Serve an emulated bench that gives pictures at a socket instead of poses, until told to stop;
+    says where it is as one line of JSON."""
+    described, aim = load_fish(fish), place(target)
+    eye = start_camera(camera, Filming(seed=seed))
+    made, ended = bench.open_filmed_rig(described, eye, aim), told_to_end()
+    _hurry(made)
+    say(json.dumps({"servo": made.ports[0], "imu": made.ports[1], "camera": eye.where}))
+    try:
+        bench.serve(made, lambda: bool(ended))
+    finally:
+        bench.close_rig(made)
+
+
+def _hurry(made: Any) -> None:
+    """Compile before anyone waits for it, and collect no more: that would hold up the bus; a bench
+    that is late looks like a servo that is."""
+    timing.claim()
+    made.shaft.advance(0.0, 0.01)
+    _ = made.shaft.pose
+    gc.freeze()
+    gc.disable()

@@ -1,0 +1,4 @@
+"""The tasks of an evaluation by name."""
+
+TRIALS = ("reach", "disturb", "track", "beyond")
+NAMES = (*TRIALS, "spectrum", "twin")

@@ -1,0 +1,34 @@
+"""Write the command recordings of a protocol into a folder."""
+
+from pathlib import Path
+
+from tailbeat.files import BadInput, refuse_existing
+from tailbeat.fish.store import load_fish
+from tailbeat.identify import protocol
+from tailbeat.identify.manoeuvres import manoeuvres
+from tailbeat.recording import write_recording
+
+PROTOCOLS = ("tail", "motor", "fluid")
+
+
+def write_protocol(kind: str, fish: str, out: Path, speed: float) -> list[Path]:
+    """Write the command recordings of one bench into a folder; returns their paths."""
+    if kind not in PROTOCOLS:
+        raise BadInput(f"protocol {kind!r}: allowed are {', '.join(PROTOCOLS)}.")
+    described = load_fish(fish)
+    limit = protocol.limits(described, speed)
+    if kind == "tail":
+        made = {
+            "tail-sweep": protocol.tail_sweep(described, limit),
+            "tail-static": protocol.tail_static(limit),
+        }
+    elif kind == "motor":
+        made = protocol.motor_commands(described, limit)
+    else:
+        made = {**protocol.fluid_runs(described, limit), **manoeuvres(described, limit)}
+    paths = [out / f"{name}.csv" for name in made]
+    for path in paths:
+        refuse_existing(path)
+    for path, recording in zip(paths, made.values(), strict=True):
+        write_recording(recording, path)
+    return paths

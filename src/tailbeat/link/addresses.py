@@ -1,0 +1,16 @@
+"""Network addresses as a person types them."""
+
+import socket
+
+from tailbeat.files import BadInput
+
+
+def address(text: str, option: str) -> tuple[str, int]:
+    """`host:port`."""
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit() or not 0 <= int(port) < 65536:
+        raise BadInput(f"{option} {text!r}: give host:port, as 127.0.0.1:5151.")
+    try:
+        return socket.gethostbyname(host), int(port)  # once, not in every period of the loop
+    except OSError as error:
+        raise BadInput(f"{option} {host}: {error.strerror}; give its address.") from None

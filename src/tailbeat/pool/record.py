@@ -1,0 +1,30 @@
+"""Play a test bench's protocol in the virtual pool and write its recordings."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from tailbeat.files import BadInput
+from tailbeat.fish.store import load_fish
+from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
+from tailbeat.recording import Recording, read_recording, write_recording
+
+RECORDERS: dict[str, Callable[..., Iterator[Recording]]] = {
+    "tail": record_tail,
+    "motor": record_motor,
+    "fluid": record_fluid,
+}
+
+
+def record(kind: str, fish: str, out: Path, seed: int, commands: Sequence[Path] = ()) -> list[Path]:
+    """Play one bench's protocol (or given commands) in the virtual pool; writes its recordings,
+    returns their paths."""
+    if kind not in RECORDERS:
+        raise BadInput(f"record {kind!r}: allowed are {', '.join(RECORDERS)}.")
+    if any(out.glob(f"{kind}-*.csv")):
+        raise BadInput(f"{out}: {kind} recordings exist already; give another folder.")
+    paths = []
+    given = [read_recording(path) for path in commands]
+    for recording in RECORDERS[kind](load_fish(fish), seed, commands=given):
+        paths.append(out / f"{recording.name}.csv")
+        write_recording(recording, paths[-1])
+    return paths

@@ -1,0 +1,57 @@
+"""Start Python processes, end them, and hear when this process is asked to end."""
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from typing import Any
+
+LINGER = 10.0  # s that a process may take to end
+ALONE = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # one fish needs no pool of threads
+
+
+def start(words: Sequence[str], **more: Any) -> "subprocess.Popen[Any]":
+    """Start `python words` in a session of its own, so that Ctrl-C reaches this process alone.
+    `more` goes to `subprocess.Popen`."""
+    return subprocess.Popen([sys.executable, *words], start_new_session=True, **more)
+
+
+def start_verb(words: Sequence[str], **more: Any) -> "subprocess.Popen[str]":
+    """Start a verb of tailbeat with few threads. It gets SIGTERM when this process dies."""
+    more["env"] = {**os.environ, **ALONE, **more.get("env", {})}
+    words = ["-m", "tailbeat", *words]
+    return start(words, text=True, preexec_fn=end_with_parent, **more)
+
+
+def end_with_parent() -> None:
+    """Send this process SIGTERM when its parent dies (Linux: prctl(2), PR_SET_PDEATHSIG)."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(1, signal.SIGTERM)
+
+
+def end(process: "subprocess.Popen[Any]") -> None:
+    """End a process as Ctrl-C would; kill it after ten seconds."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    try:
+        process.wait(LINGER)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def told_to_end(*numbers: signal.Signals) -> list[int]:
+    """A list that fills with the signals that ask for the end: these, or Ctrl-C and SIGTERM."""
+    ended: list[int] = []
+    for number in numbers or (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda n, _: ended.append(n))
+    return ended
+
+
+def temporary() -> "tempfile.TemporaryDirectory[str]":
+    """A folder that is removed at the end."""
+    return tempfile.TemporaryDirectory(prefix="tailbeat-")

@@ -1,0 +1,55 @@
+"""Does a policy fit a fish? The twin that it was trained in, and the body that it may swim."""
+
+from tailbeat.control.actions import PERIOD
+from tailbeat.control.policy import Policy, check_fits
+from tailbeat.files import BadInput, leaves
+from tailbeat.fish.description import Fish
+from tailbeat.fish.store import digest, load_fish
+
+# What an identification may change of a description; all else is the fish's body.
+LAW = ("zones", "added_inertia", "added_along", "trailing_edge")  # of the fluid
+FITTED = ("name", "summary", "servo", "simulation", "uncertain", *LAW)
+FITTED_IN_TAIL = ("tail.damping_time", "tail.friction", "tail.k_eff", "tail.stiffness_scale")
+
+
+def twin_of(policy: Policy, twin: str | None) -> Fish:
+    """The fish that a policy was trained on, with the servo it had; `twin` names its file where it
+    is not a shipped one."""
+    contract = policy.contract
+    described = load_fish(twin or contract.fish)
+    variants = [described.model_copy(update={"servo": name}) for name in described.servos]
+    same = [one for one in variants if digest(one) == contract.fish_digest]
+    chosen = same[0] if same else described
+    check_fits(contract, chosen.name, digest(chosen), chosen.band, PERIOD)
+    return chosen
+
+
+def check_swims(policy: Policy, twin: str | None, fish: Fish) -> Fish:
+    """The fish that a policy was trained on; raises BadInput where it may not swim `fish`."""
+    trained = twin_of(policy, twin)
+    check_same_body(trained, fish)
+    check_fits(policy.contract, trained.name, digest(trained), fish.band, PERIOD)
+    return trained
+
+
+def check_same_body(twin: Fish, fish: Fish) -> None:
+    """Raises BadInput where twin and pool's fish differ in what no identification changes."""
+    a, b = (leaves("", one.model_dump()) for one in (twin, fish))
+    wrong = [
+        f"{name} is {a.get(name)} in {twin.name}, {b.get(name)} in {fish.name}"
+        for name in sorted(set(a) | set(b))
+        if a.get(name) != b.get(name) and not _fitted(name)
+    ]
+    if wrong:
+        more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
+        raise BadInput(
+            f"the policy's fish is not the pool's: {'; '.join(wrong[:3])}{more}. Give the fish that"
+            f" it was identified from."
+        )
+
+
+def _fitted(name: str) -> bool:
+    top = name.split(".")[0].removesuffix("s")
+    stiffness = name.startswith("tail.links.") and name.endswith(".stiffness")
+    tops = {one.removesuffix("s") for one in FITTED}
+    return top in tops or name in FITTED_IN_TAIL or stiffness

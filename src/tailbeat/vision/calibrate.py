@@ -1,0 +1,125 @@
+"""Calibrate a camera: its lens from views of a board, its place from surveyed points."""
+
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tailbeat import __version__
+from tailbeat.files import BadInput, refuse_existing
+from tailbeat.vision.calibration import Calibration, write_calibration
+from tailbeat.vision.camera import CameraFault, open_camera
+from tailbeat.vision.detector import open_detector
+from tailbeat.vision.survey import board_corners, fit_lens, hang, read_survey
+from tailbeat.vision.tags import Tag, board_of
+
+Say = Callable[[str], None]
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
+MOVED = 30.0  # px: two views of a board less apart say the same
+
+
+def calibrate(
+    views: str, survey: Path, picture: str, sheet: dict[str, float], out: Path, count: int, say: Say
+) -> dict[str, Any]:
+    """Lens from views of the board, place from surveyed points, one file. `sheet`: the board's
+    `square` and, of fish and target, `side` and `height` [m], as `fish_side` and so on."""
+    refuse_existing(out)
+    board = board_of(sheet["square"])
+    known = read_survey(survey)
+    images = list(_views(views, board, count, say))
+    lens = fit_lens(images, board)
+    say(f"lens: {len(images)} views, {lens.rms:.2f} px rms")
+    points, pixels = _found(picture, known, say)
+    hung = hang(lens, points, pixels)
+    fish, target = (Tag(sheet[f"{n}_side"], sheet[f"{n}_height"]) for n in ("fish", "target"))
+    provenance = {
+        "views": views, "views_given": len(images), "survey": str(survey), "picture": picture,
+        "points": [point.name for point in points], "board": vars(board),
+        "tailbeat": __version__, "opencv": version("opencv-python-headless"),
+    }  # fmt: skip
+    write_calibration(out, Calibration(lens, hung, fish, target, provenance=provenance))
+    return {
+        "file": str(out), "views": len(images), "lens_rms_px": lens.rms,
+        "focal_px": float(lens.matrix[0, 0]), "points": len(points),
+        "place_rms_mm": 1e3 * hung.rms, "camera_m": hung.position.tolist(),
+        "fish_height_m": fish.height, "target_height_m": target.height,
+    }  # fmt: skip
+
+
+def _is_camera(where: str) -> bool:
+    return where.startswith(("unix:", "/dev/video")) or where.isdigit()
+
+
+def _pictures(where: str) -> Iterator[tuple[str, Any]]:
+    """Grey pictures of a file, of a folder's files, of a film or a camera, each with a name."""
+    path = Path(where)
+    if path.is_dir() or path.suffix.lower() in PICTURES:
+        paths = sorted(path.iterdir()) if path.is_dir() else [path]
+        chosen = [one for one in paths if one.suffix.lower() in PICTURES]
+        if not chosen:
+            raise BadInput(f"{where}: no picture in it ({', '.join(PICTURES)}); give another.")
+        yield from ((one.name, _picture(one)) for one in chosen)
+        return
+    camera = open_camera(where)
+    number = 0
+    try:
+        while True:
+            number += 1
+            yield f"frame {number}", camera.read()[0]
+    except CameraFault as fault:
+        if _is_camera(where) or number == 1:
+            raise BadInput(str(fault)) from None
+    finally:
+        camera.close()
+
+
+def _picture(path: Path) -> Any:
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise BadInput(f"{path}: OpenCV cannot read this picture; save it as PNG.")
+    return image
+
+
+def _views(where: str, board: Any, count: int, say: Say) -> Iterator[Any]:
+    """Views for the lens: every picture of a folder; of films and cameras those in which the board
+    has moved on, until there are `count`."""
+    if Path(where).is_dir():
+        yield from (image for _, image in _pictures(where))
+        return
+    kept: list[Any] = []
+    say(f"show the board everywhere in the picture, near and tilted; {count} views are taken")
+    for _, image in _pictures(where):
+        found = board_corners(image, board)
+        if found is None:
+            continue
+        middle = found[1].mean(axis=0)
+        if all(np.linalg.norm(middle - other) > MOVED for other in kept):
+            kept.append(middle)
+            say(f"view {len(kept)} of {count}")
+            yield image
+        if len(kept) == count:
+            return
+
+
+def _found(picture: str, known: list[Any], say: Say) -> tuple[list[Any], Any]:
+    """The surveyed points that are seen, and where (n, 2) [px]; a camera is asked for twenty
+    frames, and the median taken, against waves."""
+    detector = open_detector()
+    places: dict[int, list[Any]] = {}
+    for number, (_, image) in enumerate(_pictures(picture), 1):
+        for one in detector.find(image):
+            places.setdefault(one.ident, []).append(one.corners.mean(axis=0))
+        if number == 20:
+            break
+    points, pixels = [], []
+    for point in known:
+        seen = [point.pixel] if point.pixel else places.get(point.tag, [])
+        if not seen:
+            say(f"{point.name} is not seen, and left out")
+            continue
+        points.append(point)
+        pixels.append(np.median(seen, axis=0))
+    return points, np.array(pixels).reshape(-1, 2)
