@@ -156,20 +156,14 @@ def unit(
     user: Annotated[str, typer.Option(help="Whom it runs as, not root.")] = "fish",
 ) -> None:
     """Write a systemd unit that runs `tailbeat drive` with these words, disarmed until ordered."""
+    from tailbeat.robot.systemd import write_unit
+
     held = Path(policy)
     words = [
         str(held.resolve()) if held.is_file() else policy,
-        "--wait",
-        "--seconds",
-        "inf",
-        "--servo",
-        servo,
-        "--imu",
-        imu,
+        *("--wait", "--seconds", "inf", "--servo", servo, "--imu", imu),
     ]
     words += ["--listen", listen, "--laptop", laptop, "--key", str(key.resolve())]
     words += ["--log", str(logs.resolve())]
-    from tailbeat.robot.systemd import write_unit
-
     write_unit(out, user, servo, words)
     output.say(f"wrote {out}; copy it to /etc/systemd/system, then systemctl daemon-reload")

@@ -116,15 +116,15 @@ def rig(
 ) -> None:
     """An emulated bench in real time: servo and IMU on pseudo-terminals; poses over the network, or
     pictures in which `tailbeat laptop --camera` finds them."""
+    if camera is None and (key is None or not robot):
+        raise BadInput("rig: give --key and --robot for poses, or --camera for pictures.")
     need_robot()
     from tailbeat.emulators import serve
 
     say = lambda line: print(line, flush=True)  # noqa: E731
     if camera is not None:
         serve.filmed_rig(fish, camera, target, seed, say)
-    elif key is None or not robot:
-        raise BadInput("rig: give --key and --robot for poses, or --camera for pictures.")
-    else:
+    elif key is not None:
         serve.rig(fish, key, robot, target, console_at, seed, say)
 
 

@@ -27,7 +27,7 @@ from tailbeat.link import datagrams as link
 from tailbeat.robot.log import read_rows
 from tailbeat.robot.ports import Ports
 
-Drive = Callable[..., Any]  # `robot_tasks.drive`
+Drive = Callable[..., Any]  # `robot.session.drive`
 Row = dict[str, Any]
 SWIMMING = 0.8  # s before something is broken
 CALM = 0.3  # s that a tail must be straight, or a swim go on
