@@ -1,1 +1,1 @@
-"""What can I type? The verbs of `tailbeat`: parse, call, print."""
+"""The verbs of `tailbeat`: parse, call, print."""

@@ -1,4 +1,4 @@
-"""The camera: `tags`, `calibrate`, `track`, `camera`."""
+"""Print tags, calibrate a camera, track with it, emulate one."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""Check: `doctor`, `faults`, `pace`, `let-go`, `unit`."""
+"""Check devices, faults and timing."""
 
 from contextlib import ExitStack
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Describe a fish: `new-fish`, `show`."""
+"""Describe a fish and see what it compiles to."""
 
 from pathlib import Path
 from typing import Annotated

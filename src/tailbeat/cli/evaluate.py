@@ -1,4 +1,4 @@
-"""Evaluate: `evaluate`, `compare`, `report`, `bench`."""
+"""Evaluate and compare policies, write the page, measure speed."""
 
 from pathlib import Path
 from typing import Annotated, Any

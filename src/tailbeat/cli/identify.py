@@ -1,4 +1,4 @@
-"""Identify a fish: `identify tail|motor|fluid|all`, `predict`, `coverage`, `flutter`."""
+"""Identify a fish and test what it predicts."""
 
 from pathlib import Path
 from typing import Annotated, Literal

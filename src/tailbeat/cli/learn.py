@@ -1,4 +1,4 @@
-"""Learn: `train`, `policy show`, `policy diff`, `policy try`."""
+"""Train policies, look at them, compare and try them."""
 
 from dataclasses import asdict
 from pathlib import Path

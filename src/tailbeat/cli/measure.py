@@ -1,4 +1,4 @@
-"""Measure: `protocol`, `record`, `import fishsim`, `import xl330`."""
+"""Write protocols, record them, import recordings."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""Swim: `swim`, `rig`, `drive`, `laptop`, `key`, `export`."""
+"""Swim in the virtual pool or with the robot."""
 
 import sys
 from contextlib import AbstractContextManager, nullcontext

@@ -50,7 +50,7 @@ def flutter(
 
 
 def flutter_of(fish: str, servos: Sequence[str] = ()) -> dict[str, Any]:
-    """The same of a described fish with some of its servos, its own by default."""
+    """Speeds of a fish with some of its servos, by default the one described."""
     described = load_fish(fish)
     chosen = [with_servo(described, name).servo for name in servos or [described.servo]]
     return flutter(described, chosen)

@@ -39,13 +39,9 @@ def open_tracker(
         return
     if calibration is None:
         raise BadInput("--camera: give its --calibration, made by `tailbeat calibrate`.")
-    from tailbeat.vision.calibration import read_calibration  # needs OpenCV
-    from tailbeat.vision.camera import open_camera
-    from tailbeat.vision.tracking import start_tracker
+    from tailbeat.vision.follow import watch  # needs OpenCV
 
-    made = read_calibration(calibration)
-    open_camera(camera, made.lens.size).close()  # refused here if it is none, not again and again
-    tracker = start_tracker(camera, made, ids, exposure=exposure, latency=latency)
+    tracker = watch(camera, calibration, ids, exposure, latency)
     try:
         yield tracker
     finally:

@@ -74,7 +74,7 @@ def report(
 def of_folder(
     out: Path, fish: str, twin: str | None = None, data: dict[str, Any] | None = None
 ) -> tuple[Path, dict[str, Any]]:
-    """One page of what a folder holds; `data` are its numbers, if they are at hand."""
+    """The page of a folder, with fish by name; `data` are its numbers, if they are at hand."""
     if not out.is_dir() or not any(out.iterdir()):
         raise BadInput(f"{out}: an empty or missing folder; evaluate into it first.")
     described = load_fish(fish)

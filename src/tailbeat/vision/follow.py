@@ -8,13 +8,28 @@ from typing import Any
 import numpy as np
 
 from tailbeat.processes import told_to_end
-from tailbeat.vision.calibration import read_calibration
+from tailbeat.vision.calibration import OLDEST, read_calibration
 from tailbeat.vision.camera import open_camera
-from tailbeat.vision.tracking import start_tracker
+from tailbeat.vision.tracking import TrackerProcess, start_tracker
 
 Say = Callable[[str], None]
 EVERY = 0.5  # s between two lines
 STARTING = 20.0  # s that the tracker may take on top
+
+
+def watch(
+    camera: str,
+    calibration: Path,
+    ids: tuple[int, int],
+    exposure: float,
+    latency: float,
+    oldest: float = OLDEST,
+) -> TrackerProcess:
+    """Start a tracker with a calibration file that is at most `oldest` days old. `ids` are those of
+    fish and target, `exposure` and `latency` are the camera's [s]. Raises BadInput."""
+    made = read_calibration(calibration, oldest)
+    open_camera(camera, made.lens.size).close()  # refused here if it is none, not again and again
+    return start_tracker(camera, made, ids, exposure=exposure, latency=latency)
 
 
 def track(
@@ -22,9 +37,7 @@ def track(
     exposure: float, latency: float, say: Say,
 ) -> dict[str, Any]:  # fmt: skip
     """Watch so long (0: until told to stop), say a line now and then, sum up."""
-    made = read_calibration(calibration, oldest)
-    open_camera(camera, made.lens.size).close()  # refused here if it is none, not again and again
-    tracker = start_tracker(camera, made, ids, exposure=exposure, latency=latency)
+    tracker = watch(camera, calibration, ids, exposure, latency, oldest)
     ended = told_to_end()
     try:
         took = _follow(tracker, seconds, lambda: bool(ended), say)
