@@ -91,8 +91,7 @@ def _tour(
     from tailbeat.report import tour
 
     if direct:
-        with output.counting() as progress:
-            swum = swims.direct(policy, fish, twin, targets, seed, progress)
+        swum = swims.direct(policy, fish, twin, targets, seed, output.counting)
     else:
         need_robot()
         need_camera()

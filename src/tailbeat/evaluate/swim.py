@@ -1,6 +1,7 @@
 """A policy swims to targets in the virtual pool: in process, or live through emulated devices."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -18,6 +19,7 @@ from tailbeat.files import BadInput
 from tailbeat.operator.tour import draw_targets
 
 Say = Callable[[str], None]
+Counting = Callable[[], AbstractContextManager[Progress]]  # opens a bar and closes it
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +33,12 @@ class Swum:
 
 
 def direct(
-    policy: str, fish: str, twin: str | None, targets: int, seed: int, progress: Progress
+    policy: str, fish: str, twin: str | None, targets: int, seed: int, counting: Counting
 ) -> Swum:
     """Swim to targets in the pool's plant, without bytes and faster than real time."""
     loaded, where, drawn = _entered(policy, fish, twin, targets, seed)
-    swum = tour(loaded, where.fish, where.waters[0], drawn, seed, progress)
+    with counting() as progress:
+        swum = tour(loaded, where.fish, where.waters[0], drawn, seed, progress)
     return Swum(swum, loaded, where, {"policy": policy, "seed": seed})
 
 

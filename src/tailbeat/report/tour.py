@@ -1,7 +1,6 @@
 """Picture, film and page of a tour of targets. Draws what was swum; computes nothing."""
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from matplotlib.patches import Circle, Rectangle
 
 from tailbeat.control.actions import PERIOD
 from tailbeat.evaluate.evaluation import provenance
-from tailbeat.evaluate.swim import Swum
+from tailbeat.evaluate.swim import Counting, Swum
 from tailbeat.evaluate.tour import WALLS, Tour, as_json
 from tailbeat.evaluate.trial import Progress
 from tailbeat.files import new_file, write_json
@@ -24,7 +23,6 @@ from tailbeat.pool.water import fingerprint
 from tailbeat.report import page as pages
 from tailbeat.report.swim_figures import BLUE, GREEN, ORANGE, RED
 
-Counting = Callable[[], AbstractContextManager[Progress]]  # a bar on the terminal
 FILM_RATE = 12.5  # frames per second
 SPEED, LONGEST = 4.0, 60.0  # seconds swum per second shown, at least; s that a film lasts at most
 
