@@ -92,7 +92,7 @@ def test_one_folder_one_command(folder, tmp_path):
     assert len(report["summary"]["position_error_share"]) == 1
     fish = load_fish(out)
     assert fish.tail.k_eff == pytest.approx(report["summary"]["k_eff"], rel=1e-4)
-    assert fish.servo == "identified"
+    assert fish.servo == "identified" and fish.name == "mine"
     page = (tmp_path / "mine.md").read_text()
     assert "fluid-06 | held out" in page and "mine-tail.png" in page
     saved = json.loads((tmp_path / "mine.json").read_text())
@@ -123,3 +123,12 @@ def test_a_folder_without_a_bench_is_refused(folder, tmp_path):
         record("tail", "pulley-fish", folder, 0)
     with pytest.raises(BadInput, match="allowed are tail, motor, fluid"):
         record("wings", "pulley-fish", tmp_path, 0)
+
+
+def test_a_crank_plays_given_commands_and_has_no_protocol_of_its_own():
+    time = np.arange(0, 2, 0.02)
+    turning = Recording("turning", time, {"command_rad": 2 * np.pi * time})
+    (swum,) = record_fluid(load_fish("crank-fish"), commands=[turning])
+    assert swum.columns["motor_angle_rad"][-1] == pytest.approx(4 * np.pi, abs=0.8)
+    with pytest.raises(BadInput, match="cannot be swung"):
+        next(record_fluid(load_fish("crank-fish")))
