@@ -22,7 +22,6 @@ LOWEST = 3e-5  # the rate falls no further: at 1e-5 the tenth stage stood still,
 FASTEST = 0.18  # m/s of targets that go on: half of what the fish swims (chosen)
 FAR = 9.0  # m from the start at which a follower counts as lost (chosen)
 PROMOTED = 0.95  # rolling share of targets acquired (paper)
-EASED = 0.7  # share from which the rate begins to fall towards the next stage's (chosen)
 Figures = TypeVar("Figures", SensorModel, Randomisation)
 RATES = ("frame_rate",)  # figures of a sensor model that are no errors
 
@@ -81,13 +80,9 @@ def scaled(figures: Figures, share: float) -> Figures:
     return replace(figures, **small)
 
 
-def learning_rate(
-    stages: tuple[Stage, ...], index: int, first: tuple[float, ...], share: float = 0.0
-) -> float:
-    """The phase's `first` rate, times `FALL` with every stage in it (paper). The fall comes
-    gradually, as the `share` of targets acquired nears the mark of promotion (ours: at the first
-    rate of a phase the policy hovers below the mark), and not below `LOWEST`."""
+def learning_rate(stages: tuple[Stage, ...], index: int, first: tuple[float, ...]) -> float:
+    """The phase's `first` rate, times `FALL` with every stage in it (paper), and not below
+    `LOWEST`."""
     phase = stages[index].phase
     before = sum(stage.phase == phase for stage in stages[:index])
-    near = min(max((share - EASED) / (PROMOTED - EASED), 0.0), 1.0)
-    return max(float(first[phase - 1] * FALL ** (before + near)), LOWEST)
+    return max(float(first[phase - 1] * FALL**before), LOWEST)

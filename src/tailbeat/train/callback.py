@@ -122,8 +122,7 @@ class Coach(BaseCallback):
         waiting = recipe.waiting if len(judged) < recipe.window else 1
         pace = TrainFreq(waiting, TrainFrequencyUnit.STEP)
         self.model.train_freq = pace  # type: ignore[assignment]  # SB3 makes one of what it is given
-        share = _share(judged) if recipe.quick else 0.0
-        rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rates, share)
+        rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rates)
         self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
 
     def _count(self, fish: int, info: Row) -> None:

@@ -17,7 +17,6 @@ from stable_baselines3 import SAC
 from tailbeat.env.world import World
 from tailbeat.files import BadInput, write_json
 from tailbeat.train.replay import EXTRA, RelabelBuffer
-from tailbeat.train.sac import greedy_actor
 
 ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 SPARE = 200e6  # bytes that stay free on the disk
@@ -84,7 +83,6 @@ def load(place: Path, model: SAC, world: World) -> dict[str, Any]:
     buffer.pos, buffer.full = state["buffer"]
     learned = torch.load(place / "networks.pt", map_location="cpu", weights_only=True)
     model.policy.load_state_dict(learned["policy"])
-    greedy_actor(model).load_state_dict(learned["greedy"])
     for name, optimizer in _optimizers(model).items():
         optimizer.load_state_dict(learned[name])
     if model.log_ent_coef is not None:
@@ -104,7 +102,6 @@ def _optimizers(model: SAC) -> dict[str, Any]:
 def _learned(model: SAC) -> dict[str, Any]:
     found = {name: one.state_dict() for name, one in _optimizers(model).items()}
     found |= {"policy": model.policy.state_dict(), "torch": torch.get_rng_state()}
-    found |= {"greedy": greedy_actor(model).state_dict()}
     if model.log_ent_coef is not None:
         found["log_ent_coef"] = model.log_ent_coef.data
     return found

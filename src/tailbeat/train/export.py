@@ -20,7 +20,6 @@ from tailbeat.files import new_file
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest
 from tailbeat.train.features import CloseUp
-from tailbeat.train.sac import greedy_actor
 
 Single = NDArray[np.float32]
 GOLDEN = 16  # pairs
@@ -59,17 +58,17 @@ def versions() -> dict[str, str]:
 
 
 def act(model: SAC, seen: Single) -> Single:
-    """Deterministic actions of the greedy actor, unscaled, as the exported network gives them."""
+    """Deterministic actions of the actor, unscaled, as the exported network gives them."""
     with torch.no_grad():
         there = torch.as_tensor(seen, device=model.device)
-        found: Single = greedy_actor(model)(there, deterministic=True).cpu().numpy()
+        found: Single = model.actor(there, deterministic=True).cpu().numpy()
     return found
 
 
 def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
     """Layers of the actor's mean, ReLU between them, tanh at the end; before them the close-up,
     where the networks have one."""
-    actor = greedy_actor(model)
+    actor = model.actor
     layers: list[Any] = [m for m in actor.latent_pi if isinstance(m, torch.nn.Linear)] + [actor.mu]
     nodes, weights, name = _close_up(actor.features_extractor)
     for index, layer in enumerate(layers):

@@ -27,7 +27,7 @@ class Recipe:
 
     name: str
     quick: bool  # critics and actor side by side, else SB3's own update
-    relabel: bool  # other targets and mirror images in the buffer
+    relabel: bool  # other targets in the buffer
     fish: int
     updates: int
     returns: int

@@ -1,9 +1,9 @@
-"""A replay buffer that makes more of each swim: other targets for the same way, and its mirror.
+"""A replay buffer that makes more of each swim: other targets for the same way.
 
 A swim says what it would have earned for any target, since reward and observation depend on the
 target by its place alone. So a share of every batch gets a target that the fish came by later, a
-share one anywhere about, and half is mirrored left to right: the fish is symmetric. Rewards are the
-environment's, recomputed; arrivals end a transition as they do there.
+share one anywhere about. Rewards are the environment's, recomputed; arrivals end a transition as
+they do there.
 """
 
 from typing import Any
@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
-from tailbeat.control.observation import SCALES, TABLE, relative
+from tailbeat.control.observation import SCALES, relative
 from tailbeat.env.vector_env import FishVecEnv
 from tailbeat.env.world import NEAR
 
 Single = NDArray[np.float32]
 FIRST = 12  # observed numbers that depend on the target begin here
 AHEAD = 300  # steps within which a later place becomes the target (chosen)
-LEFT_RIGHT = ("sin motor angle", "motor velocity", "yaw rate", "centre", "target left")
 EXTRA = ("frames", "next_frames", "place", "effort", "episode")
 
 
@@ -71,7 +70,6 @@ class RelabelBuffer(ReplayBuffer):
         at = batch_inds, fish
         parts = self._gather(at)
         self._retarget(parts, self._other_targets(at))
-        self._mirror(parts)
         steps = np.isfinite(parts["way"][..., 0]).sum(axis=1)
         columns = parts["ended"], parts["reward"], (self.discount**steps).astype(np.float32)
         order = parts["seen"], parts["action"], parts["next"]
@@ -157,22 +155,6 @@ class RelabelBuffer(ReplayBuffer):
         bearing = 2 * np.pi * np.random.random_sample(count)  # noqa: NPY002
         offset = distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
         return np.asarray(self.place[at] + offset, dtype=np.float32)
-
-    def _mirror(self, parts: dict[str, Any]) -> None:
-        space = self.source.world.space
-        if space.low != -space.high:
-            return
-        signs = np.where(np.random.random_sample(len(parts["seen"])) < 0.5, -1, 1)  # noqa: NPY002
-        swap = np.where(MIRRORED, signs[:, None], 1)
-        parts["seen"] = (parts["seen"] * swap).astype(np.float32)
-        parts["next"] = (parts["next"] * swap).astype(np.float32)
-        flips = np.ones(parts["action"].shape[1], bool)
-        flips[0] = space.kind != "generator"  # its frequency has no side
-        swap = np.where(flips, signs[:, None], 1)
-        parts["action"] = (parts["action"] * swap).astype(np.float32)
-
-
-MIRRORED = np.array([entry.name.endswith(LEFT_RIGHT) for entry in TABLE])
 
 
 def _seen(frames: Single, target: Single) -> Single:

@@ -2,17 +2,15 @@
 
 Critics and actor take their gradients at the same moment, each on a thread of its own, from the
 same parameters; SB3 lets the actor see the critics one step later. Samples, noise and steps are
-drawn in one thread, so a seed gives one run. A running mean of the actor's weights is kept beside:
-the deterministic policy is that mean, which does not follow every update's jitter. The fish explore
-with noise that is correlated in time: white at fifty decisions a second, the generator's lag would
-average it away (after Eberhard et al., "Pink Noise Is All You Need", ICLR 2023; first order here).
+drawn in one thread, so a seed gives one run. The fish explore with noise that is correlated in
+time: white at fifty decisions a second, the generator's lag would average it away (after Eberhard
+et al., "Pink Noise Is All You Need", ICLR 2023; first order here).
 Everything else is `stable_baselines3.SAC`.
 """
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -25,14 +23,12 @@ Tensor = torch.Tensor
 BESIDE = ThreadPoolExecutor(1)  # kept: a new thread for every call makes updates half as fast
 LOG_TWO_PI = float(np.log(2 * np.pi))
 SMALL = 1e-6  # keeps the squash's log finite, as in SB3
-STEADY = 1e-3  # of the actor's weights, per update, into their running mean (chosen)
-YOUNG = 10.0  # the mean spans the last tenth of the updates, until they are 10,000 (chosen)
 
 
 class QuickSAC(SAC):
     """SAC with critics and actor updated side by side. Takes SAC's arguments and `memory`, what the
     exploring noise keeps of itself from one control step to the next; `rounded` updates multiply
-    matrices in bfloat16 where the processor can. `steady` is the mean actor.
+    matrices in bfloat16 where the processor can.
     """
 
     def __init__(self, *args: Any, memory: float = 0.0, rounded: bool = False, **rest: Any) -> None:
@@ -41,7 +37,6 @@ class QuickSAC(SAC):
 
     def _setup_model(self) -> None:
         super()._setup_model()
-        self.steady = deepcopy(self.actor)
         self.noise = torch.randn((self.n_envs, *(self.action_space.shape or ())))
 
     def _sample_action(
@@ -87,8 +82,6 @@ class QuickSAC(SAC):
         missing = (log_prob + self.target_entropy).mean()
         _step(self.ent_coef_optimizer, [self.log_ent_coef], [-missing.reshape(1)])
         polyak_update(self.critic.parameters(), self.critic_target.parameters(), self.tau)
-        share = max(STEADY, YOUNG / (YOUNG + self._n_updates))
-        polyak_update(self.actor.parameters(), self.steady.parameters(), share)
         return float(critic_loss), float(actor_loss), float(entropy)
 
     def _critic_gradient(self, data: Any, noise: Tensor, entropy: Tensor) -> tuple[Tensor, Any]:
@@ -139,11 +132,6 @@ def _products(rounded: bool) -> Iterator[None]:
         yield
     finally:
         torch.set_float32_matmul_precision(before)
-
-
-def greedy_actor(model: SAC) -> Any:
-    """The actor that decides when nothing is explored: the mean one, where it is kept."""
-    return model.steady if isinstance(model, QuickSAC) else model.actor
 
 
 def _step(optimizer: Any, parameters: list[Any], gradient: Any) -> None:
