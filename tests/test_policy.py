@@ -22,6 +22,7 @@ from tailbeat.control.observation import TABLE
 from tailbeat.control.policy import (
     Policy,
     _digests,
+    as_text,
     check_fits,
     decide,
     differences,
@@ -138,6 +139,24 @@ def test_a_thousand_recorded_steps_replay_to_the_bit(written):
 def test_a_tampered_field_is_named(written, tmp_path, field, value):
     with pytest.raises(BadInput, match=f"{field} changed after"):
         load_policy(changed(written[0], tmp_path / "p.onnx", **{field: value}))
+
+
+@pytest.mark.parametrize(
+    ("row", "other"),
+    [
+        (9, replace(TABLE[9], scale=2.7 * TABLE[9].scale)),
+        (14, replace(TABLE[14], unit="km")),
+        (12, TABLE[13]),
+    ],
+)
+def test_a_policy_of_other_scales_units_or_order_is_refused(written, tmp_path, row, other):
+    """The paper's own accident: signed anew, so that the digests agree, and wrong all the same."""
+    table = [*TABLE[:row], other, *TABLE[row + 1 :]]
+    model = onnx.load(str(written[0]))
+    model.metadata_props[0].value = as_text(replace(written[2].contract, observation=tuple(table)))
+    onnx.save(model, str(tmp_path / "p.onnx"))
+    with pytest.raises(BadInput, match=f"observation {row} is"):
+        load_policy(tmp_path / "p.onnx")
 
 
 def test_unknown_versions_and_strangers_are_refused(written, tmp_path):

@@ -12,7 +12,7 @@ from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.decay import ring_down, static_loop
 from tailbeat.identify.hinges import hinges_for, spread, tail_inertia, with_stiffness
-from tailbeat.identify.tail import identify_tail, measure, project
+from tailbeat.identify.tail import identify_tail, line, measure, project
 from tailbeat.recording import Recording, crop, read_recording
 
 TRUTH = TailTruth()
@@ -171,3 +171,18 @@ def test_the_shipped_sample_gives_its_documented_truth():
     fit = identify_tail([read_recording(folder / "tail-sweep.csv")])
     assert fit.k_eff.value == pytest.approx(TRUTH.k_eff, rel=0.01)
     assert fit.c_eff.value == pytest.approx(TRUTH.c_eff, rel=0.1)
+
+
+def test_ninety_five_percent_intervals_of_a_line_hold_the_truth_that_often():
+    """Few conditions, so that Student's t and not the normal quantile must be taken."""
+    rng, held = np.random.default_rng(6), []
+    basis = np.stack([np.ones(6), np.arange(6.0)], axis=1)
+    deviation = np.full(6, 0.1)
+    for _ in range(600):
+        measured = basis @ [1.0, 0.5] + rng.normal(0, 0.3, 6)  # scatters more than it claims
+        found, _ = line(basis, measured, deviation)
+        held += [
+            one.interval[0] <= true <= one.interval[1]
+            for one, true in zip(found, (1.0, 0.5), strict=True)
+        ]
+    assert np.mean(held) == pytest.approx(0.95, abs=0.03)

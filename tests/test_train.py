@@ -207,6 +207,18 @@ def test_the_critics_gradient_is_that_of_sb3_s_loss(learner):
         assert torch.allclose(slope, parameter.grad, atol=1e-6)
 
 
+def test_what_lies_behind_an_end_is_worth_nothing(learner):
+    """At an arrival the critics learn the reward alone, whatever comes next."""
+    data, noise = learner.replay_buffer.sample(32), torch.randn(32, 6)
+    ended = data._replace(dones=torch.ones_like(data.dones))
+    elsewhere = ended._replace(next_observations=torch.randn_like(data.next_observations))
+    loss, _ = learner._critic_gradient(ended, noise, torch.tensor([0.1]))
+    assert torch.equal(loss, learner._critic_gradient(elsewhere, noise, torch.tensor([0.1]))[0])
+    found = learner.critic(data.observations, data.actions)
+    wanted = 0.5 * sum(torch.nn.functional.mse_loss(q, data.rewards) for q in found)
+    assert loss.item() == pytest.approx(wanted.item(), rel=1e-5)
+
+
 def test_updates_are_measured_against_sb3_s_of_the_same_size(monkeypatch):
     for name, few in (("STEPS", 20), ("UPDATES", 10), ("TURNS", 1)):
         monkeypatch.setattr(update_bench, name, few)

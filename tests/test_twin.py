@@ -287,3 +287,13 @@ def test_a_diverging_twin_says_so_and_does_not_disturb_its_neighbour(tmp_path, m
     assert done[1].diverged and not done[1].qpos.any() and np.isfinite(done[1].markers).all()
     assert np.array_equal(done[0].qpos, done[2].qpos)
     assert list(tmp_path.iterdir()) == []  # no engine log either
+
+
+def test_a_taut_tendon_is_stiffer_than_the_engine_would_make_it():
+    """A hundredth of its softness is left: the tail pulls on its pulley, not on a spring."""
+    fish = load_fish("pulley-fish")
+    twin = compile_twin(fish)
+    own = compile_twin(fish).model
+    mujoco.mj_setConst(own, mujoco.MjData(own))
+    assert twin.model.tendon_invweight0 == pytest.approx(0.01 * own.tendon_invweight0)
+    assert (own.tendon_invweight0 > 0).all()
