@@ -159,7 +159,12 @@ def test_an_answer_that_is_no_number_is_held_and_not_sent(swimming, monkeypatch)
     swimming.ticks(lambda: swimming.loop.stand.state is State.HOLD, 3.0)
     assert "not a number" in swimming.loop.stand.reason
     sent = [swimming.loop.sent]
-    swimming.ticks(lambda: sent.append(swimming.loop.sent) or abs(sent[-1]) < 0.01, 10.0)
+
+    def straight() -> bool:
+        sent.append(swimming.loop.sent)
+        return abs(sent[-1]) < 0.01
+
+    swimming.ticks(straight, 10.0)
     steps = np.abs(np.diff(sent))
     assert steps.max() <= 1.0 * 0.02 + 0.002  # at 1 rad/s; a count is 1.5 mrad
 

@@ -215,8 +215,8 @@ def test_what_lies_behind_an_end_is_worth_nothing(learner):
     loss, _ = learner._critic_gradient(ended, noise, torch.tensor([0.1]))
     assert torch.equal(loss, learner._critic_gradient(elsewhere, noise, torch.tensor([0.1]))[0])
     found = learner.critic(data.observations, data.actions)
-    wanted = 0.5 * sum(torch.nn.functional.mse_loss(q, data.rewards) for q in found)
-    assert loss.item() == pytest.approx(wanted.item(), rel=1e-5)
+    both = [torch.nn.functional.mse_loss(q, data.rewards).item() for q in found]
+    assert loss.item() == pytest.approx(0.5 * sum(both), rel=1e-5)
 
 
 def test_updates_are_measured_against_sb3_s_of_the_same_size(monkeypatch):
