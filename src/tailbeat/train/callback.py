@@ -112,18 +112,18 @@ class Coach(BaseCallback):
         self.env.world.change(self.plan.settings(stage))
         if isinstance(self.model, QuickSAC):  # memory finds competence; later it costs targets
             self.model.memory = recipe.memory if stage == 0 else 0.0
+        rate = curriculum.learning_rate(recipe.stages, stage, recipe.rates)
+        self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
         self._set_pace(self._judged())
         self.starts = [None] * self.env.num_envs  # fish on their way began in the stage before
 
     def _set_pace(self, judged: list[bool]) -> None:
-        """Learning rate, and steps between updates: a verdict takes thirty seconds of swimming and
-        more, and most stages turn out to need no learning at all."""
+        """Steps between updates: a verdict takes thirty seconds of swimming and more, and most
+        stages turn out to need no learning at all."""
         recipe = self.plan.recipe
         waiting = recipe.waiting if len(judged) < recipe.window else 1
         pace = TrainFreq(waiting, TrainFrequencyUnit.STEP)
         self.model.train_freq = pace  # type: ignore[assignment]  # SB3 makes one of what it is given
-        rate = curriculum.learning_rate(recipe.stages, self.course.stage, recipe.rates)
-        self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
 
     def _count(self, fish: int, info: Row) -> None:
         self.course.episodes += 1

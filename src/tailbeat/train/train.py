@@ -1,4 +1,4 @@
-"""From a fish to a policy: build, resume, learn, write. `plan` says what, `coach` watches."""
+"""From a fish to a policy: build, resume, learn, write. `config` says what, `callback` watches."""
 
 import signal
 from collections.abc import Iterator
