@@ -153,20 +153,19 @@ def test_a_cut_link_holds_and_then_stops(swimming):
 
 def test_an_answer_that_is_no_number_is_held_and_not_sent(swimming, monkeypatch):
     swimming.swim()
-    swimming.ticks(lambda: swimming.rows[-1]["state"] == "run")
+    swimming.ticks(lambda: swimming.rows[-1]["state"] == "run" and abs(swimming.loop.sent) > 0.2)
     nothing = np.full((1, 6), np.nan, np.float32)
     monkeypatch.setattr("tailbeat.control.runner.decide", lambda *_: nothing)
-    swimming.ticks(lambda: swimming.loop.stand.state is State.HOLD, 3.0)
-    assert "not a number" in swimming.loop.stand.reason
     sent = [swimming.loop.sent]
 
-    def straight() -> bool:
+    def held() -> bool:
         sent.append(swimming.loop.sent)
-        return abs(sent[-1]) < 0.01
+        return swimming.loop.stand.state is State.HOLD
 
-    swimming.ticks(straight, 10.0)
-    steps = np.abs(np.diff(sent))
-    assert steps.max() <= 1.0 * 0.02 + 0.002  # at 1 rad/s; a count is 1.5 mrad
+    swimming.ticks(held, 3.0)
+    assert "not a number" in swimming.loop.stand.reason
+    swimming.ticks(lambda: held() and abs(sent[-1]) < 0.01, 10.0)  # back to straight, slowly
+    assert np.abs(np.diff(sent)).max() <= 1.0 * 0.02 + 0.002  # at 1 rad/s; a count is 1.5 mrad
 
 
 def test_a_servo_that_shuts_down_or_restarts_stops_the_swim(swimming):
