@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("cv2", reason="the robot extra is not installed")
 pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 
-from sights import FISH, TARGET, true_calibration
+from camera_views import FISH, TARGET, true_calibration
 from tailbeat.emulators.camera import Picture, board_views
 from tailbeat.emulators.optics import Optics, project
 from tailbeat.files import BadInput

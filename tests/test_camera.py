@@ -15,7 +15,7 @@ pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 
 import cv2
 
-from sights import FISH, true_calibration
+from camera_views import FISH, true_calibration
 from tailbeat.emulators import film
 from tailbeat.emulators.camera import Conditions, Renderer, Scene, calm
 from tailbeat.emulators.film import Filming, as_numbers, as_scene, listen, packed, serve

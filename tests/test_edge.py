@@ -9,7 +9,7 @@ import pytest
 from tailbeat.control.actions import PERIOD
 from tailbeat.env import randomize
 from tailbeat.env.randomize import FIELDS, Randomisation
-from tailbeat.env.simulator import TwinBody
+from tailbeat.env.simulator import TwinSimulator
 from tailbeat.files import BadInput
 from tailbeat.fish import edge
 from tailbeat.fish.description import Fish, TrailingEdge
@@ -168,8 +168,8 @@ def test_a_part_without_a_length_is_refused_by_name() -> None:
 # ---- one model everywhere -----------------------------------------------------------------------
 
 
-def drawn(fish: Fish, ranges: Randomisation, count: int = 1, seed: int = 0) -> TwinBody:
-    body, rng = TwinBody(fish, count), np.random.default_rng(seed)
+def drawn(fish: Fish, ranges: Randomisation, count: int = 1, seed: int = 0) -> TwinSimulator:
+    body, rng = TwinSimulator(fish, count), np.random.default_rng(seed)
     body.rest(np.arange(count))
     for i in range(count):
         body.draw(i, ranges, rng)

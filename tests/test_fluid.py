@@ -17,7 +17,13 @@ from tailbeat.identify.fluid import (
     insensitive,
     residual_function,
 )
-from tailbeat.identify.job import Plan, as_report, identify_fluid, parameter_rows, toml_values
+from tailbeat.identify.job import (
+    FluidConfig,
+    as_report,
+    identify_fluid,
+    parameter_rows,
+    toml_values,
+)
 from tailbeat.identify.predict import as_json, predict
 from tailbeat.identify.runs import as_run
 from tailbeat.identify.search import Effort
@@ -47,8 +53,8 @@ def synthetic_runs(noise: float = 0.0):
 
 
 def test_known_coefficients_come_back_or_are_named(tmp_path):
-    plan = Plan(zones=3, seeds=2, effort=Effort(generations=12))
-    found = identify_fluid(PULLEY, synthetic_runs(noise=1e-3), [], plan, tmp_path)
+    config = FluidConfig(zones=3, seeds=2, effort=Effort(generations=12))
+    found = identify_fluid(PULLEY, synthetic_runs(noise=1e-3), [], config, tmp_path)
     rows, known = parameter_rows(found), truth()
     decided = {path: row for path, row in rows.items() if row["decided_by_data"]}
     assert len(decided) >= 4
@@ -56,7 +62,7 @@ def test_known_coefficients_come_back_or_are_named(tmp_path):
         assert row["value"] == pytest.approx(known[path], rel=0.10), path
     inside = [row["interval"][0] <= known[path] <= row["interval"][1] for path, row in rows.items()]
     assert np.mean(inside) >= 0.7  # 12 of 15 when written: local intervals are a little narrow
-    undecided = as_report(found, plan)["undecided"]
+    undecided = as_report(found, config)["undecided"]
     assert set(undecided) | set(decided) == set(rows) and undecided
     assert set(toml_values(found, ["a"])) == set(rows) | ASSUMED
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tailbeat.evaluate.bench_day import EVERY
+from tailbeat.evaluate.fresh_recordings import EVERY
 from tailbeat.files import BadInput
 from tailbeat.fish.show import length_of
 from tailbeat.fish.store import load_fish

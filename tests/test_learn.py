@@ -29,7 +29,7 @@ COLUMN = {entry.name: i for i, entry in enumerate(TABLE)}
 def played(world: World, actions: np.ndarray) -> list[np.ndarray]:
     """States after each step, and observations, rewards."""
     world.reset()
-    found, body = [], world.body
+    found, body = [], world.simulator
     for action in actions:
         done = world.step(action)
         found.append(
@@ -58,8 +58,8 @@ def test_two_worlds_share_nothing():
     one.reset(), two.reset()
     for _ in range(5):
         one.step(np.ones((1, 6)))
-    assert np.all(two.body.qpos == 0) and two.age[0] == 0
-    assert np.abs(one.body.qpos).max() > 0
+    assert np.all(two.simulator.qpos == 0) and two.age[0] == 0
+    assert np.abs(one.simulator.qpos).max() > 0
 
 
 def test_fish_that_end_begin_anew_and_the_others_go_on():
@@ -148,9 +148,9 @@ def test_an_undisturbed_observation_is_the_truth():
     world.reset()
     for action in random_actions(40, 1):
         seen = world.step(action).observation[0]
-    exact = world.body.qpos[0, world.body.motor]
+    exact = world.simulator.qpos[0, world.simulator.motor]
     assert seen[COLUMN["sin motor angle"]] == pytest.approx(np.sin(exact), abs=1e-6)
-    assert seen[COLUMN["yaw rate"]] * 2.0 == pytest.approx(world.body.qvel[0, 2], abs=1e-5)
+    assert seen[COLUMN["yaw rate"]] * 2.0 == pytest.approx(world.simulator.qvel[0, 2], abs=1e-5)
     age = seen[COLUMN["frame 0 (newest): staleness"]] * 0.1
     assert -1e-6 <= age < 1 / 60 + 1e-6
     distance = np.linalg.norm(world.target - world.pose[:, :2])
@@ -194,14 +194,14 @@ def drawn(ranges: Randomisation, seeds: range) -> randomize.Physics:
     world = World(FISH, replace(STILL, physics=ranges), list(seeds))
     for _ in range(20):
         world.reset()
-    return world.body.physics
+    return world.simulator.physics
 
 
 def test_draws_stay_in_their_bands_after_many_resets():
     """Twenty episodes of twenty fish: had draws accumulated, they would have left the bands."""
     ranges = Randomisation()
     physics = drawn(ranges, range(20))
-    head = physics.twin.model.body("head").id
+    head = physics.twin.model.simulator("head").id
     for name, part, width in (
         ("body_mass", head, ranges.head_mass),
         ("jnt_stiffness", slice(4, None), ranges.tail_stiffness),
@@ -297,7 +297,7 @@ def test_nothing_is_lost_in_random_swims():
     for _ in range(400):
         seen, reward, *_ = env.step(rng.uniform(-1, 1, (32, 6)))
         assert np.isfinite(seen).all() and np.isfinite(reward).all()
-    assert env.world.body.warned.sum() == 0
+    assert env.world.simulator.warned.sum() == 0
 
 
 @pytest.mark.slow
@@ -314,7 +314,7 @@ def test_a_million_control_steps_leave_no_trace():
             assert np.isfinite(seen).all()
             memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     assert memory[-1] - memory[2] < 20_000  # kB
-    assert env.world.body.warned.sum() == 0
+    assert env.world.simulator.warned.sum() == 0
 
 
 # ---- bad settings -------------------------------------------------------------------------------

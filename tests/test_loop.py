@@ -21,7 +21,7 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 pytest.importorskip("mcap", reason="the robot extra is not installed")
 
-from tailbeat.control import runner as pilot
+from tailbeat.control import runner as runner
 from tailbeat.control.policy import load_policy
 from tailbeat.emulators import rig as bench
 from tailbeat.fish.store import load_fish
@@ -30,11 +30,11 @@ from tailbeat.link.status import State
 from tailbeat.recording import read_recording
 from tailbeat.robot.imu import connect as connect_imu
 from tailbeat.robot.loop import Devices, Loop
-from tailbeat.robot.safety import Limits
+from tailbeat.robot.safety import SafetyLimits
 from tailbeat.robot.servo import connect as connect_servo
 
 KEY, POLICY = bytes(32), load_policy("pulley-fish-pool-generator")
-WIDE = Limits(pose_hold=2.0, pose_stop=5.0, imu_hold=2.0, servo_hold=2.0, servo_stop=4.0,
+WIDE = SafetyLimits(pose_hold=2.0, pose_stop=5.0, imu_hold=2.0, servo_hold=2.0, servo_stop=4.0,
               clock_doubt=1.0, overruns_hold=10**6)  # fmt: skip
 PATIENT = 0.5
 
@@ -51,7 +51,7 @@ class Bench:
     def ticks(self, until: Callable[[], bool], seconds: float = 20.0) -> None:
         end = time.monotonic() + seconds
         while not until():
-            assert time.monotonic() < end, self.loop.stand
+            assert time.monotonic() < end, self.loop.safety_status
             self.loop.tick(time.monotonic())
             time.sleep(0.01)
 
@@ -59,7 +59,7 @@ class Bench:
         """Up to a swimming fish."""
         self.ticks(lambda: self.loop.devices.receiver.clock.offset(0) is not None)
         self.ticks(lambda: bool(self.loop.seen) and self.loop.servo is not None)
-        assert self.loop.arm(time.monotonic()).state is State.ARMED, self.loop.stand
+        assert self.loop.arm(time.monotonic()).state is State.ARMED, self.loop.safety_status
         self.loop.devices.servo.set((98, 1), 127)  # its own watchdog: a thread may be late
         assert self.loop.swim().state is State.RUN
 
@@ -117,17 +117,17 @@ def test_poses_are_the_plant_s_and_their_age_is_right_on_another_s_clock(swimmin
 
 
 def test_what_was_logged_gives_the_same_decisions_again(swimming):
-    """Replay equals record: the rows of a swim through the pilot."""
+    """Replay equals record: the rows of a swim through the policy runner."""
     swimming.swim()
     swimming.ticks(lambda: len([r for r in swimming.rows if r["state"] == "run"]) > 40)
-    course = pilot.begin(POLICY)
+    course = runner.begin(POLICY)
     ran = [row for row in swimming.rows if row["state"] == "run"]
     for row in ran:
-        readings = pilot.Readings(
+        readings = runner.Readings(
             row["motor_angle_rad"], row["motor_velocity_rad_s"], row["yaw_rate_rad_s"],
             row["decided_on"],
         )  # fmt: skip
-        course, decision = pilot.steer(POLICY, course, readings)
+        course, decision = runner.steer(POLICY, course, readings)
         assert np.array_equal(decision.action, row["action"])
         assert decision.setpoint == row["setpoint_rad"]
 
@@ -137,17 +137,17 @@ def test_an_order_to_stop_takes_the_torque_at_once(swimming):
     receiver = swimming.loop.devices.receiver
     order = link.stop_datagram(KEY, 1, receiver.nonce, 1)
     swimming.rig.laptop.socket.sendto(order, swimming.rig.laptop.fish)
-    swimming.ticks(lambda: swimming.loop.stand.state is State.STOP, 2.0)
-    assert swimming.torque == 0 and "console" in swimming.loop.stand.reason
+    swimming.ticks(lambda: swimming.loop.safety_status.state is State.STOP, 2.0)
+    assert swimming.torque == 0 and "console" in swimming.loop.safety_status.reason
 
 
 def test_a_cut_link_holds_and_then_stops(swimming):
     swimming.swim()
     swimming.rig.laptop.due = math.inf  # no more frames
-    swimming.loop.limits = Limits(**{**vars(WIDE), "pose_hold": 0.5, "pose_stop": 1.5})
-    swimming.ticks(lambda: swimming.loop.stand.state is State.HOLD, 5.0)
-    assert "no pose for" in swimming.loop.stand.reason and swimming.torque == 1
-    swimming.ticks(lambda: swimming.loop.stand.state is State.STOP, 5.0)
+    swimming.loop.limits = SafetyLimits(**{**vars(WIDE), "pose_hold": 0.5, "pose_stop": 1.5})
+    swimming.ticks(lambda: swimming.loop.safety_status.state is State.HOLD, 5.0)
+    assert "no pose for" in swimming.loop.safety_status.reason and swimming.torque == 1
+    swimming.ticks(lambda: swimming.loop.safety_status.state is State.STOP, 5.0)
     assert swimming.torque == 0
 
 
@@ -160,10 +160,10 @@ def test_an_answer_that_is_no_number_is_held_and_not_sent(swimming, monkeypatch)
 
     def held() -> bool:
         sent.append(swimming.loop.sent)
-        return swimming.loop.stand.state is State.HOLD
+        return swimming.loop.safety_status.state is State.HOLD
 
     swimming.ticks(held, 3.0)
-    assert "not a number" in swimming.loop.stand.reason
+    assert "not a number" in swimming.loop.safety_status.reason
     swimming.ticks(lambda: held() and abs(sent[-1]) < 0.01, 10.0)  # back to straight, slowly
     assert np.abs(np.diff(sent)).max() <= 1.0 * 0.02 + 0.002  # at 1 rad/s; a count is 1.5 mrad
 
@@ -171,16 +171,16 @@ def test_an_answer_that_is_no_number_is_held_and_not_sent(swimming, monkeypatch)
 def test_a_servo_that_shuts_down_or_restarts_stops_the_swim(swimming):
     swimming.swim()
     swimming.rig.servo.fail(2)
-    swimming.ticks(lambda: swimming.loop.stand.state is State.STOP, 3.0)
-    assert "hardware error" in swimming.loop.stand.reason
+    swimming.ticks(lambda: swimming.loop.safety_status.state is State.STOP, 3.0)
+    assert "hardware error" in swimming.loop.safety_status.reason
     swimming.rig.servo.put(70, 0)
     swimming.loop.disarm()
     swimming.ticks(lambda: not swimming.loop.servo.alert)
     swimming.swim()
     swimming.rig.servo.reboot()
     swimming.rig.servo.quiet_until = 0.0
-    swimming.ticks(lambda: swimming.loop.stand.state is State.STOP, 3.0)
-    assert "lost its torque" in swimming.loop.stand.reason and swimming.torque == 0
+    swimming.ticks(lambda: swimming.loop.safety_status.state is State.STOP, 3.0)
+    assert "lost its torque" in swimming.loop.safety_status.reason and swimming.torque == 0
 
 
 def test_a_pulled_servo_stops_and_an_exception_lets_go(swimming):
@@ -192,9 +192,9 @@ def test_a_pulled_servo_stops_and_an_exception_lets_go(swimming):
     swimming.swim()
     swimming.rig.servo.faults.mute = 10**6
     swimming.loop.devices.servo.deadline = 0.02
-    swimming.loop.limits = Limits(**{**vars(WIDE), "servo_hold": 0.3, "servo_stop": 0.6})
-    swimming.ticks(lambda: swimming.loop.stand.state is State.STOP, 5.0)
-    assert "no servo for" in swimming.loop.stand.reason
+    swimming.loop.limits = SafetyLimits(**{**vars(WIDE), "servo_hold": 0.3, "servo_stop": 0.6})
+    swimming.ticks(lambda: swimming.loop.safety_status.state is State.STOP, 5.0)
+    assert "no servo for" in swimming.loop.safety_status.reason
     swimming.rig.servo.faults.mute = 0
 
 

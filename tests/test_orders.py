@@ -23,7 +23,7 @@ from tailbeat.link.status import (
     status_datagram,
 )
 from tailbeat.robot.reporter import Reporter
-from tailbeat.robot.safety import Limits
+from tailbeat.robot.safety import SafetyLimits
 
 KEY, RUN = bytes(range(32)), 77
 FRAME = Frame(0, (0.1, -0.2, 1.5), (1.0, 0.5))
@@ -140,7 +140,9 @@ def test_a_reporter_speaks_ten_times_a_second_and_tells_the_worst_since():
     reporter, to, said = Reporter(), followed(), []
     for k in range(100):
         late = 0.007 if k == 52 else 0.001
-        packet = reporter.report(row(0.02 * k, busy_s=1e-4 * k), late, to, Limits(), (1.0, 2.0))
+        packet = reporter.report(
+            row(0.02 * k, busy_s=1e-4 * k), late, to, SafetyLimits(), (1.0, 2.0)
+        )
         said += [read_status(KEY, packet)] if packet else []
     statuses = [found[3] for found in said if found]
     assert len(statuses) == 20
@@ -173,7 +175,7 @@ class Pair:
             self.questions += 1
             to, there = self.receiver, self.sender.socket.getsockname()
             asked = link.ask_datagram(KEY, to.nonce, self.questions, time.monotonic_ns())
-            said = self.reporter.report(row(self.now), 0.0, to, Limits(), None)
+            said = self.reporter.report(row(self.now), 0.0, to, SafetyLimits(), None)
             for packet in filter(None, (asked, said)):
                 self.fish.sendto(packet, there)
                 self.heard = (*self.heard, packet)

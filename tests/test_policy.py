@@ -34,7 +34,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.store import digest, load_fish
 from tailbeat.train.export import act as act_of_sb3
 from tailbeat.train.export import export
-from tailbeat.train.features import CloseUp
+from tailbeat.train.features import TargetFeatures
 
 FISH = load_fish("pulley-fish-pool")
 LOW, HIGH = FISH.motor.range or (-1.0, 1.0)
@@ -81,7 +81,7 @@ def test_the_network_in_the_file_is_sb3_s(written):
 
 def test_a_network_with_a_close_up_is_sb3_s_too(tmp_path):
     space = Generator(LOW, HIGH)
-    model = untrained(space, features_extractor_class=CloseUp)
+    model = untrained(space, features_extractor_class=TargetFeatures)
     policy = export(model, FISH, space, sights(400), {}, tmp_path / "policy.onnx")
     seen = sights(1000)
     assert np.abs(decide(policy, seen) - act_of_sb3(model, seen)).max() <= 1e-6
@@ -96,7 +96,7 @@ def test_a_close_up_gives_bearings_far_off_and_decimetres_near():
         entry = next(e for e in TABLE if e.name == f"frame 0 (newest): target {name}")
         seen[:, TABLE.index(entry)] = metres / entry.scale
     env = FishVecEnv(FISH, 1, seed=0)
-    found = CloseUp(env.observation_space)(torch.as_tensor(seen)).numpy()
+    found = TargetFeatures(env.observation_space)(torch.as_tensor(seen)).numpy()
     assert np.array_equal(found[:, :24], seen)
     share = away / (away + 0.1)
     wanted = np.stack([share * np.cos(angle), share * np.sin(angle), 1 - share], axis=1)
@@ -111,9 +111,9 @@ def test_a_thousand_recorded_steps_replay_to_the_bit(written):
     record = []
     for _ in range(1000):
         action = decide(policy, seen[None])
-        record.append((seen, action, env.world.body.ctrl))
+        record.append((seen, action, env.world.simulator.ctrl))
         seen, _, over, cut, _ = env.step(action[0])
-        record[-1] = (*record[-1][:2], env.world.body.ctrl[0, 0].copy())
+        record[-1] = (*record[-1][:2], env.world.simulator.ctrl[0, 0].copy())
         if over or cut:
             break
     alone = load_policy(path)

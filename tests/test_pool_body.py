@@ -12,7 +12,7 @@ from tailbeat.env.sensors import quiet
 from tailbeat.env.world import Settings, World
 from tailbeat.fish.store import load_fish
 from tailbeat.pool.plant import at_rest, build_plant, step_plant
-from tailbeat.pool.simulator import PoolBody
+from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water, ensemble
 
 FISH = load_fish("pulley-fish")
@@ -21,12 +21,12 @@ STILL = Settings(sensors=quiet(), physics=randomize.none())
 
 def swum(waters: list[Water], seeds: list[int], actions: np.ndarray) -> np.ndarray:
     """Poses and joints (steps, n, nv) in a pool."""
-    world = World(FISH, STILL, seeds, body=PoolBody(FISH, waters))
+    world = World(FISH, STILL, seeds, simulator=PoolSimulator(FISH, waters))
     world.reset()
     found = []
     for action in actions:
         world.step(action)
-        found.append(world.body.qpos.copy())
+        found.append(world.simulator.qpos.copy())
     return np.array(found)
 
 
@@ -56,7 +56,7 @@ def test_a_fish_in_a_batch_of_pools_swims_as_it_would_alone():
 
 
 def test_a_new_episode_begins_at_rest_and_forgets():
-    world = World(FISH, STILL, [5], body=PoolBody(FISH, [Water()]))
+    world = World(FISH, STILL, [5], simulator=PoolSimulator(FISH, [Water()]))
     actions = np.random.default_rng(2).uniform(-1, 1, (30, 1, 6))
     paths = []
     for _ in range(2):
@@ -64,13 +64,13 @@ def test_a_new_episode_begins_at_rest_and_forgets():
         world.reset()
         paths.append(np.array([world.step(a).observation[0] for a in actions]))
     assert np.array_equal(paths[0], paths[1])
-    assert world.body.energy[0] > 0
+    assert world.simulator.energy[0] > 0
 
 
 def test_fish_that_are_let_be_stay_and_the_others_swim_on_as_before():
     waters = ensemble(4, seed=4)
     commands = np.random.default_rng(3).uniform(-0.8, 0.8, (40, 4))
-    whole, some = (PoolBody(FISH, waters) for _ in range(2))
+    whole, some = (PoolSimulator(FISH, waters) for _ in range(2))
     for step, command in enumerate(commands):
         if step == 20:
             some.keep(np.array([True, False, False, True]))

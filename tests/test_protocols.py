@@ -10,7 +10,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.chain import identify_all
-from tailbeat.identify.stages import fluid_plan
+from tailbeat.identify.stages import fluid_config
 from tailbeat.identify.tail import identify_tail
 from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
 from tailbeat.pool.record import record
@@ -84,9 +84,9 @@ def test_one_folder_one_command(folder, tmp_path):
     for name in ("tail-sweep", "motor-chirp", "motor-steps", "motor-beat", "fluid-01", "fluid-05"):
         (few / f"{name}.csv").write_bytes((folder / f"{name}.csv").read_bytes())
     (few / "fluid-06.csv").write_bytes((folder / "fluid-07.csv").read_bytes())
-    plan = fluid_plan(zones=1, seeds=1, seed=0, generations=1, start_weight=None)
+    config = fluid_config(zones=1, seeds=1, seed=0, generations=1, start_weight=None)
     out = tmp_path / "mine.toml"
-    report = identify_all("pulley-fish", few, out, plan, None, lambda *_: None, DRAWINGS)
+    report = identify_all("pulley-fish", few, out, config, None, lambda *_: None, DRAWINGS)
     assert report["summary"]["k_eff"] == pytest.approx(0.98, rel=0.02)
     assert report["summary"]["servo_mae_deg"] < 0.2
     assert len(report["summary"]["position_error_share"]) == 1
@@ -114,10 +114,10 @@ def test_given_commands_are_played_and_checked(tmp_path):
 
 
 def test_a_folder_without_a_bench_is_refused(folder, tmp_path):
-    plan = fluid_plan(1, 1, 0, 1, None)
+    config = fluid_config(1, 1, 0, 1, None)
     with pytest.raises(BadInput, match="begins with tail-sweep"):
         identify_all(
-            "pulley-fish", tmp_path, tmp_path / "f.toml", plan, None, lambda *_: None, DRAWINGS
+            "pulley-fish", tmp_path, tmp_path / "f.toml", config, None, lambda *_: None, DRAWINGS
         )
     with pytest.raises(BadInput, match="exist already"):
         record("tail", "pulley-fish", folder, 0)

@@ -3,7 +3,7 @@
 import pytest
 
 from tailbeat.fish.store import load_fish
-from tailbeat.identify.job import Plan, identify_fluid
+from tailbeat.identify.job import FluidConfig, identify_fluid
 from tailbeat.identify.predict import speed_mae
 from tailbeat.identify.runs import as_run
 from tailbeat.identify.search import Effort
@@ -19,8 +19,8 @@ def test_fitted_on_two_swims_the_others_are_within_12_mm_per_second(data, tmp_pa
     def runs(*names: str):
         return [as_run(import_fishsim(data / "fishsim" / f"markers_{n}.csv"), fish) for n in names]
 
-    plan = Plan(zones=3, seeds=1, effort=Effort(generations=10))
-    found = identify_fluid(fish, runs("f1_00", "f1_75"), runs(*HELD_OUT), plan, tmp_path)
+    config = FluidConfig(zones=3, seeds=1, effort=Effort(generations=10))
+    found = identify_fluid(fish, runs("f1_00", "f1_75"), runs(*HELD_OUT), config, tmp_path)
     assert speed_mae(found.fitted) < 0.004
     assert speed_mae(found.validated) < 0.012
     assert all(prediction.settled for prediction in (*found.fitted, *found.validated))

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat.evaluate.rehearsal import Noise, TailTruth, release, slow_pull, tail_sweep
+from synthetic_recordings import Noise, TailTruth, release, slow_pull, tail_sweep
 from tailbeat.files import BadInput
 from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import load_fish

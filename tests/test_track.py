@@ -14,7 +14,7 @@ pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 
 import cv2
 
-from sights import FISH, TARGET, true_calibration
+from camera_views import FISH, TARGET, true_calibration
 from tailbeat.cli import camera
 from tailbeat.emulators.camera import Picture, Renderer, Scene
 from tailbeat.emulators.lab import pictures

@@ -17,17 +17,17 @@ pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 
 import cv2
 
-from sights import FISH, TARGET, true_calibration
+from camera_views import FISH, TARGET, true_calibration
 from tailbeat.benchmarks.vision import APART, calibrated, errors, scattered, watch
 from tailbeat.emulators.camera import Conditions, Renderer, Scene, calm
-from tailbeat.emulators.course import fish_line
 from tailbeat.emulators.film import CameraProcess, Filming, start_camera
 from tailbeat.emulators.live import ASIDE
 from tailbeat.emulators.optics import Optics
+from tailbeat.emulators.scripted import fish_line
 from tailbeat.files import BadInput
 from tailbeat.vision.detector import HALF, open_detector
 from tailbeat.vision.tags import Tag
-from tailbeat.vision.tracker import Limits, Sighting, Tracker, misshapen, planar_pose
+from tailbeat.vision.tracker import Sighting, Tracker, TrackerLimits, misshapen, planar_pose
 from tailbeat.vision.tracking import TrackerProcess, start_tracker
 
 FRAME = 1 / 60
@@ -134,8 +134,8 @@ def test_a_mirrored_tag_and_a_mirrored_picture_are_never_believed(tracker, rende
         frame = Tracker(true_calibration()).see(flipped, 0).frame
         assert frame.fish is None and frame.target is None
     square = np.array([[0, 0], [0.08, 0], [0.08, 0.08], [0, 0.08]])
-    assert misshapen(square, 0.08, Limits()) == ""
-    assert misshapen(square[::-1], 0.08, Limits()) == "mirrored"
+    assert misshapen(square, 0.08, TrackerLimits()) == ""
+    assert misshapen(square[::-1], 0.08, TrackerLimits()) == "mirrored"
 
 
 def test_a_tag_that_turns_over_is_not_believed_for_a_second(tracker, renderer):
@@ -206,7 +206,7 @@ def test_a_pose_is_the_corners_middle_and_lower_edge():
     corners = np.array([[1.0, 2.0], [1.08, 2.0], [1.08, 2.08], [1.0, 2.08]])
     assert planar_pose(corners) == pytest.approx((1.04, 2.04, 0.0))
     assert planar_pose(np.roll(corners, -1, axis=0))[2] == pytest.approx(math.pi / 2)
-    bent = replace(Limits(), size=1.0)
+    bent = replace(TrackerLimits(), size=1.0)
     corners[2] += 0.04
     assert misshapen(corners, 0.08, bent) == "no square"
 

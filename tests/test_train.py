@@ -34,8 +34,8 @@ from tailbeat.env.world import Settings, Task, World
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import load_fish
 from tailbeat.train import checkpoint
-from tailbeat.train import config as planned
-from tailbeat.train.config import Plan, action_space, check
+from tailbeat.train import config as config
+from tailbeat.train.config import RunConfig, action_space, check
 from tailbeat.train.recipes import paper, quick, recipe_of, smoke
 from tailbeat.train.replay import FIRST, RelabelBuffer, _seen
 from tailbeat.train.sac import QuickSAC, _products, rounds
@@ -284,13 +284,13 @@ def test_a_stage_scales_noise_and_physics():
     assert (last.sensors, last.physics) == (Settings().sensors, Settings().physics)
 
 
-def planned_for(out: Path, **changes: Any) -> Plan:
+def planned_for(out: Path, **changes: Any) -> RunConfig:
     few = replace(
         smoke(), fish=4, updates=1, batch=16, starts=40, buffer=40_000, window=4,
         stages=STAGES[:3],
     )  # fmt: skip
-    plan = Plan(FISH, action_space("generator", FISH), few, 0, out, hours=0.002)
-    return replace(plan, **changes)
+    run = RunConfig(FISH, action_space("generator", FISH), few, 0, out, hours=0.002)
+    return replace(run, **changes)
 
 
 @pytest.mark.parametrize(
@@ -305,9 +305,9 @@ def planned_for(out: Path, **changes: Any) -> Plan:
     ],
 )
 def test_plans_that_cannot_be_are_refused_before_anything_is_written(tmp_path, changes, complaint):
-    plan = planned_for(tmp_path / "run", **changes)
+    run = planned_for(tmp_path / "run", **changes)
     with pytest.raises(BadInput, match=complaint):
-        train(plan, False, print)
+        train(run, False, print)
     assert not (tmp_path / "run").exists()
 
 
@@ -332,8 +332,8 @@ def test_unknown_names_are_refused():
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("train") / "run"
     rows: list[dict[str, Any]] = []
-    course = train(planned_for(out), False, rows.append)
-    assert not course.finished and course.seconds > 5
+    progress = train(planned_for(out), False, rows.append)
+    assert not progress.finished and progress.seconds > 5
     return out
 
 
@@ -350,11 +350,11 @@ def test_a_run_leaves_policy_curve_and_one_checkpoint(run):
 
 def test_a_resumed_run_goes_on_where_it_was(run):
     before = checkpoint.read_state(run / "checkpoint")
-    course = train(planned_for(run, hours=0.001), True, print)
+    progress = train(planned_for(run, hours=0.001), True, print)
     after = checkpoint.read_state(run / "checkpoint")
     assert after["updates"] > before["updates"] and after["decisions"] > before["decisions"]
-    assert course.seconds > before["seconds"]
-    assert course.history[: len(before["history"])] == before["history"]
+    assert progress.seconds > before["seconds"]
+    assert progress.history[: len(before["history"])] == before["history"]
     ends = np.load(run / "checkpoint" / "buffer.npz")["episode"]
     assert (np.diff(ends, axis=0) >= 0).all()  # no episode spans the interruption
 
@@ -371,27 +371,27 @@ def test_of_episodes_cut_by_an_interruption_the_arrivals_do_not_count_either(run
     """The late ones of their fellows are lost, so what is left of that time is arrivals."""
     recent = [[1_000, False], [3_900, True]]
     copy = copied(run, tmp_path, control_steps=4 * 4_000, recent=recent)
-    course = train(planned_for(copy, hours=1e-5), True, print)
-    assert course.recent == [(1_000, False)]
+    progress = train(planned_for(copy, hours=1e-5), True, print)
+    assert progress.recent == [(1_000, False)]
 
 
 def test_a_finished_run_goes_on_in_a_stage_asked_for_alone(run, tmp_path):
     copy = copied(run, tmp_path, finished=True)
     with pytest.raises(BadInput, match="passed its stages"):
         train(planned_for(copy), True, print)
-    course = train(planned_for(copy, hours=1e-5), True, print, stage="full noise")
-    assert course.stage == 2 and not course.finished
+    progress = train(planned_for(copy, hours=1e-5), True, print, stage="full noise")
+    assert progress.stage == 2 and not progress.finished
 
 
 def test_a_checkpoint_is_whole(run):
     """Everything that learning depends on comes back: networks, optimisers, buffer, randomness."""
     from tailbeat.train.train import environment, learner
 
-    plan = planned_for(run)
+    run = planned_for(run)
     models: list[Any] = []
     for _ in range(2):
-        env = environment(plan)
-        model = learner(plan, env)
+        env = environment(run)
+        model = learner(run, env)
         checkpoint.load(run / "checkpoint", model, env.world)
         noise = torch.randn(2), np.random.random_sample(), env.world.rngs[3].random()  # noqa: NPY002
         models.append((model, noise))
@@ -437,12 +437,12 @@ def test_a_floor_above_the_ceiling_is_refused_at_the_command_line(tmp_path):
 def test_a_full_disk_is_told_and_the_last_checkpoint_kept(run, monkeypatch):
     from tailbeat.train.train import environment, learner
 
-    plan = planned_for(run)
-    env = environment(plan)
+    run = planned_for(run)
+    env = environment(run)
     kept = checkpoint.read_state(run / "checkpoint")
     monkeypatch.setattr(checkpoint, "SPARE", 1e18)  # no disk has so much to spare
     with pytest.raises(BadInput, match="MB free, a checkpoint needs"):
-        checkpoint.save(run, learner(plan, env), env.world, {})
+        checkpoint.save(run, learner(run, env), env.world, {})
     assert checkpoint.read_state(run / "checkpoint") == kept
 
 
@@ -472,8 +472,8 @@ def test_a_killed_run_loses_a_checkpoint_interval_at_most(tmp_path):
     process.kill()
     process.wait()
     kept = checkpoint.read_state(checkpoint.find(out))
-    course = train(planned_for(out, hours=0.0005), True, print)
-    assert course.seconds > kept["seconds"] > 0
+    progress = train(planned_for(out, hours=0.0005), True, print)
+    assert progress.seconds > kept["seconds"] > 0
     assert load_policy(out / "policy.onnx").contract.training["updates"] >= kept["updates"]
 
 
@@ -486,15 +486,15 @@ train(endless(sys.argv[1]), False, lambda row: print(row["updates"], flush=True)
 """
 
 
-def smoking(out: str) -> Plan:
+def smoking(out: str) -> RunConfig:
     space = action_space("generator", FISH, smoke().binds)
-    return Plan(FISH, space, smoke(), 0, Path(out), hours=1.0, checkpoint_minutes=0.1)
+    return RunConfig(FISH, space, smoke(), 0, Path(out), hours=1.0, checkpoint_minutes=0.1)
 
 
-def endless(out: str) -> Plan:
+def endless(out: str) -> RunConfig:
     """In the repaired twin the smoke stage is passed after 1,600 updates; here no verdict comes."""
-    plan = smoking(out)
-    return replace(plan, recipe=replace(plan.recipe, window=100_000))
+    run = smoking(out)
+    return replace(run, recipe=replace(run.recipe, window=100_000))
 
 
 def test_a_run_killed_and_resumed_goes_on_without_a_drop(tmp_path):
@@ -513,8 +513,8 @@ def test_a_run_killed_and_resumed_goes_on_without_a_drop(tmp_path):
         if row["updates"] >= 3100:
             os.kill(os.getpid(), signal.SIGINT)
 
-    course = train(endless(str(out)), True, report)
-    after = [row["success"] for row in course.history[len(before) :]]
+    progress = train(endless(str(out)), True, report)
+    after = [row["success"] for row in progress.history[len(before) :]]
     assert kept["updates"] > 600 and rows[0]["updates"] >= kept["updates"]
     assert len(before) > 1  # the first row's share is of a handful
     assert min(after) > before[-1] - 0.2  # no drop; 0.06 is the window's own scatter
@@ -526,10 +526,10 @@ def test_the_smoke_recipe_learns_in_a_minute(tmp_path):
     four seeds counts."""
     best = 0.0
     for seed in range(4):
-        plan = replace(smoking(str(tmp_path / str(seed))), seed=seed, hours=1 / 60)
-        train(plan, False, lambda row: None)
-        greedy = partial(decide, load_policy(plan.out / "policy.onnx"))
-        world = partial(World, FISH, plan.settings(0))
+        run = replace(smoking(str(tmp_path / str(seed))), seed=seed, hours=1 / 60)
+        train(run, False, lambda row: None)
+        greedy = partial(decide, load_policy(run.out / "policy.onnx"))
+        world = partial(World, FISH, run.settings(0))
         best = max(best, float(assess(greedy, world, 60, 1).reached.mean()))
     assert best > 0.2
     still = assess(lambda seen: np.zeros((len(seen), 6), np.float32), world, 60, 1)
@@ -544,20 +544,20 @@ def test_ctrl_c_leaves_a_checkpoint_and_a_policy(tmp_path):
     assert process.wait(60) == 0
     assert load_policy(out / "policy.onnx").contract.training["recipe"] == "smoke"
     assert quick().stages == STAGES
-    assert planned.ACTIONS == ("generator", "direct", "filtered")
+    assert config.ACTIONS == ("generator", "direct", "filtered")
 
 
 def test_networks_that_leave_the_finite_end_the_run_and_keep_the_checkpoint(run):
-    from tailbeat.train.callback import Coach, Course
+    from tailbeat.train.callback import Progress, TrainingCallback
     from tailbeat.train.train import environment, learner
 
-    plan = planned_for(run)
-    env = environment(plan)
-    model = learner(plan, env)
-    coach = Coach(plan, Course(), env, print)
-    coach.init_callback(model)
-    coach._check_finite()
+    run = planned_for(run)
+    env = environment(run)
+    model = learner(run, env)
+    callback = TrainingCallback(run, Progress(), env, print)
+    callback.init_callback(model)
+    callback._check_finite()
     with torch.no_grad():
         next(model.policy.parameters())[0] = float("nan")
     with pytest.raises(BadInput, match="diverged before update 0"):
-        coach._check_finite()
+        callback._check_finite()

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tailbeat.emulators.bench import own_bench
+from tailbeat.emulators.own_devices import own_devices
 from tailbeat.link.status import State
 from tailbeat.processes import temporary
 from tailbeat.robot.log import read_rows
@@ -29,7 +29,7 @@ def pace(
 
     with temporary() as folder:
         log = Path(folder) / "pace.mcap"
-        with own_bench(fish, seed) as (ports, key):
+        with own_devices(fish, seed) as (ports, key):
             told = drive(policy, ports, key, None, MINUTE * minutes, log, say, each=each)
         rows = read_rows(log)
     late = 1e3 * np.array([row["late_s"] for row in rows])

@@ -14,7 +14,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.logger import configure
 
 from tailbeat.fish.store import load_fish
-from tailbeat.train.config import Plan, action_space
+from tailbeat.train.config import RunConfig, action_space
 from tailbeat.train.recipes import Recipe, paper, quick
 from tailbeat.train.sac import rounds
 from tailbeat.train.train import environment, learner
@@ -58,8 +58,8 @@ def _filled(recipe: Recipe) -> SAC:
     fish = load_fish(FISH)
     steps = STEPS * recipe.fish
     small = replace(recipe, buffer=2 * steps, starts=2 * steps)
-    plan = Plan(fish, action_space("generator", fish), small, 0, Path(), 1.0)
-    model = learner(plan, environment(plan))
+    run = RunConfig(fish, action_space("generator", fish), small, 0, Path(), 1.0)
+    model = learner(run, environment(run))
     model.set_logger(configure(None, []))
     return model.learn(steps, log_interval=steps)
 

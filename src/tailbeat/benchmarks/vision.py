@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from tailbeat.control.observation import wrapped
 from tailbeat.emulators.camera import Conditions, Renderer, Scene, board_views
-from tailbeat.emulators.course import MARGIN, Course, fish_line, placed, three
 from tailbeat.emulators.film import CameraProcess, Filming, start_camera
 from tailbeat.emulators.optics import Optics, project
+from tailbeat.emulators.scripted import MARGIN, ScriptedSwim, fish_line, placed, three
 from tailbeat.link.places import LENGTH, WIDTH
 from tailbeat.vision.calibration import Calibration
 from tailbeat.vision.survey import Surveyed, fit_lens, hang
@@ -120,9 +120,9 @@ def scattered(count: int, line: Array | None, seed: int = 0) -> list[Scene]:
 def vision_bench(places: int = PLACES, frames: int = FRAMES) -> list[dict[str, Any]]:
     """One row per condition: errors over the pool, and what pictures and poses of a swim cost."""
     cv2.setNumThreads(1)
-    optics, line, course = Optics(), fish_line(), Course()
+    optics, line, scripted = Optics(), fish_line(), ScriptedSwim()
     calibration = calibrated(optics)
-    swim = [course.scene(number / RATE, line) for number in range(frames)]
+    swim = [scripted.scene(number / RATE, line) for number in range(frames)]
     rows = []
     for name, made in CONDITIONS.items():
         apart = watch(Renderer(optics, made(), FISH), Tracker(calibration),
@@ -145,13 +145,13 @@ def _speeds(told: Told) -> dict[str, float]:
 def live_bench(seconds: float = 5.0) -> dict[str, Any]:
     """Camera and tracker as processes beside: frames per second, the delay from the middle of an
     exposure to the pose in this process, and how long nothing is seen once its tracker dies."""
-    line, course, filming = fish_line(), Course(), Filming()
+    line, scripted, filming = fish_line(), ScriptedSwim(), Filming()
     calibration = calibrated(filming.optics)
     with tempfile.TemporaryDirectory(prefix="tailbeat-") as folder:
         camera = start_camera(Path(folder) / "camera", filming)
         tracker = start_tracker(camera.where, calibration)
         try:
-            ages = _follow(camera, tracker, course, line, seconds)
+            ages = _follow(camera, tracker, scripted, line, seconds)
             back = _revived(tracker)
         finally:
             tracker.close()
@@ -166,13 +166,17 @@ def live_bench(seconds: float = 5.0) -> dict[str, Any]:
 
 
 def _follow(
-    camera: CameraProcess, tracker: TrackerProcess, course: Course, line: Array, seconds: float
+    camera: CameraProcess,
+    tracker: TrackerProcess,
+    scripted: ScriptedSwim,
+    line: Array,
+    seconds: float,
 ) -> list[float]:
     """Ages [s] of poses as they arrive, once the first has."""
     ages: list[float] = []
     stamp, end = -1, time.monotonic() + 60.0
     while time.monotonic() < end:
-        camera.show(course.scene(time.monotonic() % course.seconds, line))
+        camera.show(scripted.scene(time.monotonic() % scripted.seconds, line))
         sighting = tracker.after(stamp, 0.01)
         if sighting is None:
             continue

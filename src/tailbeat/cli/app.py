@@ -44,7 +44,7 @@ for verb in (
     swim.laptop,
     check.faults,
     check.pace,
-    check.let_go,
+    check.torque_off,
     check.doctor,
     check.unit,
     describe.new_fish,

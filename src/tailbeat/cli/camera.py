@@ -112,10 +112,10 @@ def camera(
     if (socket is None) == (pictures is None):
         raise BadInput("camera: give --socket or --pictures, one of them.")
     need_camera()
-    from tailbeat.emulators import course, lab
+    from tailbeat.emulators import lab, scripted
 
     if pictures is not None:
         lab.pictures(pictures, count, seed)
         output.say(f"wrote {pictures}: views/, pool.png, survey.csv")
     if socket is not None:
-        course.film(socket, fish, seconds, seed, lambda line: print(line, flush=True))
+        scripted.film(socket, fish, seconds, seed, lambda line: print(line, flush=True))

@@ -49,8 +49,8 @@ def faults(
             beside.write_text(markdown(done["faults"]), encoding="utf-8")
     if json is not None:
         write_json(json, done)
-    let_go = all(row["off_s"] < SAFE_AFTER_KILL for row in done["killed"])  # False for NaN
-    if not (let_go and all(row["ok"] for row in done["faults"])):
+    torque_off = all(row["off_s"] < SAFE_AFTER_KILL for row in done["killed"])  # False for NaN
+    if not (torque_off and all(row["ok"] for row in done["faults"])):
         raise typer.Exit(1)
 
 
@@ -79,7 +79,7 @@ def pace(
         raise typer.Exit(1)
 
 
-def let_go(
+def torque_off(
     servo: ServoPort,
     ident: Annotated[int, typer.Option("--id", help="The servo's id.")] = 1,
     baud: Annotated[int, typer.Option(help="Its baud rate.")] = 1_000_000,
@@ -120,7 +120,7 @@ def doctor(
             "doctor: give --servo, --imu, --listen with --laptop, --key, --camera, or --rig."
         )
     need_robot()
-    from tailbeat.emulators.bench import own_bench
+    from tailbeat.emulators.own_devices import own_devices
     from tailbeat.link.addresses import address
     from tailbeat.robot.examine import Parts, examine, of_camera
 
@@ -134,7 +134,7 @@ def doctor(
     with ExitStack() as stack:
         parts = Parts(servo, imu, ends[0], ends[1], key)
         if emulated:
-            parts = Parts.of(*stack.enter_context(own_bench(fish, seed)))
+            parts = Parts.of(*stack.enter_context(own_devices(fish, seed)))
         found = examine(policy, fish, parts, logs, cameras)
     rows = [vars(finding) for finding in found]
     output.tables({"doctor": rows})

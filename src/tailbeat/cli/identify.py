@@ -49,11 +49,11 @@ def identify_fluid(
     from tailbeat.report.figures import measured_against_twin
 
     with output.search_progress() as progress:
-        plan = stages.fluid_plan(
+        config = stages.fluid_config(
             zones, seeds, seed, generations, start_weight, added_inertia, law == "whole"
         )
         done = stages.fluid(
-            fish, fit, validate or [], out, plan, json, progress, measured_against_twin
+            fish, fit, validate or [], out, config, json, progress, measured_against_twin
         )
     results.identified(done.report)
     output.say(f"wrote {', '.join(map(str, done.files))}")
@@ -101,7 +101,7 @@ def identify_motor(
     from tailbeat.identify import stages
     from tailbeat.report import bench_figures
 
-    plan = stages.motor_plan(seeds, seed, gears, gain)
+    config = stages.motor_config(seeds, seed, gears, gain)
     with output.search_progress() as progress:
         done = stages.motor(
             fish,
@@ -109,7 +109,7 @@ def identify_motor(
             validate or [],
             out,
             load,
-            plan,
+            config,
             cross_validate,
             json,
             progress,
@@ -136,9 +136,11 @@ def identify_all(
     from tailbeat.identify import chain, stages
     from tailbeat.report.identified import DRAWINGS
 
-    plan = stages.fluid_plan(zones, seeds, seed, generations, None, added_inertia, law == "whole")
+    config = stages.fluid_config(
+        zones, seeds, seed, generations, None, added_inertia, law == "whole"
+    )
     with output.search_progress() as progress:
-        report = chain.identify_all(fish, folder, out, plan, json, progress, DRAWINGS)
+        report = chain.identify_all(fish, folder, out, config, json, progress, DRAWINGS)
     output.tables({"summary": [report["summary"]]})
     output.say(f"wrote {out} and, beside it, {out.with_suffix('.md').name}")
 
@@ -200,12 +202,12 @@ def flutter(
     json: JsonOption = None,
 ) -> None:
     """Speed of twin and virtual pool over frequency and stroke, in and far beyond the band."""
-    from tailbeat.evaluate.flutter import flutter_of
+    from tailbeat.evaluate.speed_map import speed_map_of
     from tailbeat.report.figures import speed_map
 
     for path in filter(None, (out, json)):
         refuse_existing(path)
-    report = flutter_of(fish, servo or [])
+    report = speed_map_of(fish, servo or [])
     speed_map(report, out)
     if json is not None:
         write_json(json, report)

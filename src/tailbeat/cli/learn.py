@@ -39,17 +39,17 @@ def train(
         refuse_existing(json)
     need_training()
     from tailbeat.report.learning_figures import courses
-    from tailbeat.train.config import plan_of
+    from tailbeat.train.config import run_config
     from tailbeat.train.train import result
-    from tailbeat.train.train import train as run
+    from tailbeat.train.train import train as learn
 
     with output.training() as report:
-        plan = plan_of(fish, out, actions, recipe, seed, hours, device, servo, binds, floor)
-        room = plan.recipe.buffer_bytes / 1e6
+        run = run_config(fish, out, actions, recipe, seed, hours, device, servo, binds, floor)
+        room = run.recipe.buffer_bytes / 1e6
         output.say(f"replay buffer: {room:.0f} MB of memory and of every checkpoint")
-        course = run(plan, resume, report, stage)
-        courses({f"{actions}, seed {seed}": vars(course)}, out / "curve.png")
-    done = result(plan, course)
+        progress = learn(run, resume, report, stage)
+        courses({f"{actions}, seed {seed}": vars(progress)}, out / "curve.png")
+    done = result(run, progress)
     results.trained(done)
     if json is not None:
         write_json(json, done)

@@ -17,7 +17,7 @@ from tailbeat.cli.options import (
     SeedOption,
     TwinOption,
 )
-from tailbeat.emulators.bench import own_bench
+from tailbeat.emulators.own_devices import own_devices
 from tailbeat.files import BadInput, refuse_existing, write_json
 from tailbeat.link.addresses import address
 from tailbeat.link.places import TARGET, place
@@ -166,7 +166,7 @@ def drive(
     if not seconds > 0:
         raise BadInput(f"--seconds {seconds:g}: give a time above 0.")
     if emulated:
-        bench: AbstractContextManager[tuple[Ports, Path]] = own_bench(
+        bench: AbstractContextManager[tuple[Ports, Path]] = own_devices(
             fish, seed, target or TARGET, console_at, output.say
         )
         aim = None if stay else aim  # the tag floats there; the operator may drag it

@@ -29,7 +29,7 @@ class Readings:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class RunnerState:
     """Between two decisions: the action space's state and the last commands (1, 3, 2)."""
 
     state: ActionState
@@ -45,14 +45,16 @@ class Decision:
     setpoint: float
 
 
-def begin(policy: Policy) -> Course:
+def begin(policy: Policy) -> RunnerState:
     """A straight tail, still."""
     space = policy.contract.actions
     state = act.reset(space, 1)
-    return Course(state, np.repeat(act.command(space, state)[:, None], COMMANDS, axis=1))
+    return RunnerState(state, np.repeat(act.command(space, state)[:, None], COMMANDS, axis=1))
 
 
-def steer(policy: Policy, course: Course, readings: Readings) -> tuple[Course, Decision]:
+def steer(
+    policy: Policy, runner_state: RunnerState, readings: Readings
+) -> tuple[RunnerState, Decision]:
     """The next setpoint, and the course to go on from. A network's number that is not finite goes
     through: the loop must see it and hold."""
     space = policy.contract.actions
@@ -60,16 +62,16 @@ def steer(policy: Policy, course: Course, readings: Readings) -> tuple[Course, D
         np.array([readings.motor_angle]),
         np.array([readings.motor_velocity]),
         np.array([readings.yaw_rate]),
-        course.state.phase,
-        course.commands,
+        runner_state.state.phase,
+        runner_state.commands,
         readings.frames[None],
     )
     seen = observe(samples)
     action = decide(policy, seen)
     if not np.isfinite(action).all():
-        return course, Decision(seen[0], action[0], float("nan"))
-    state = act.step(space, course.state, np.asarray(action, float), policy.contract.period)
+        return runner_state, Decision(seen[0], action[0], float("nan"))
+    state = act.step(space, runner_state.state, np.asarray(action, float), policy.contract.period)
     newest = act.command(space, state)[:, None]
-    commands = np.concatenate([newest, course.commands[:, :-1]], axis=1)
+    commands = np.concatenate([newest, runner_state.commands[:, :-1]], axis=1)
     setpoint = float(act.setpoint(space, state)[0])
-    return Course(state, commands), Decision(seen[0], action[0], setpoint)
+    return RunnerState(state, commands), Decision(seen[0], action[0], setpoint)

@@ -13,7 +13,7 @@ from tailbeat.fish.store import load_fish
 from tailbeat.link.addresses import address
 from tailbeat.link.datagrams import read_key
 from tailbeat.link.places import place
-from tailbeat.operator.page import announce, open_console, turn
+from tailbeat.operator.client import announce, open_console, turn
 from tailbeat.processes import told_to_end
 from tailbeat.robot import timing
 
@@ -24,25 +24,25 @@ def rig(fish: str, key: Path, robot: str, target: str, console: str, seed: int, 
     """Serve an emulated bench until told to stop; says where it is as one line of JSON."""
     there, aim = address(robot, "--robot"), place(target)
     described, secret = load_fish(fish), read_key(key)
-    desk = open_console(console)
+    client = open_console(console)
     made = bench.open_rig(described, secret, there, aim, seed)
     ended = told_to_end()
     _hurry(made)
     host, port = made.laptop.socket.getsockname()
     ports = {"servo": made.ports[0], "imu": made.ports[1], "laptop": f"{host}:{port}"}
-    say(json.dumps({**ports, "console": announce(desk) if desk else []}))
+    say(json.dumps({**ports, "console": announce(client) if client else []}))
 
     def over() -> bool:
-        if desk is not None:
-            turn(desk, made.laptop.sender, described, time.monotonic())
+        if client is not None:
+            turn(client, made.laptop.sender, described, time.monotonic())
         return bool(ended)
 
     try:
         bench.serve(made, over)
     finally:
         bench.close_rig(made)
-        if desk is not None:
-            desk.close()
+        if client is not None:
+            client.close()
 
 
 def filmed_rig(fish: str, camera: Path, target: str, seed: int, say: Say) -> None:

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-class Body(Protocol):
+class Simulator(Protocol):
     """n fish in some water."""
 
     qpos: Array
@@ -46,7 +46,7 @@ class Body(Protocol):
         left the finite (n,)."""
 
 
-class TwinBody:
+class TwinSimulator:
     """The twin's batch: per-fish model fields, all cores, no interpreter lock while it steps."""
 
     def __init__(self, fish: Fish, count: int, threads: int = 0) -> None:

@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD
-from tailbeat.env import view
+from tailbeat.env import rendering
 from tailbeat.env.world import TERMS, Flags, Outcome, Settings, World, seeds_from
 from tailbeat.fish.description import Fish
 
@@ -130,8 +130,8 @@ class FishEnv(gymnasium.Env):
         if self.render_mode is None:
             return None
         if self.view == "beside":
-            return view.from_beside(self.world, 0)
-        return view.from_above(self.world, 0, np.array(self.path))
+            return rendering.from_beside(self.world, 0)
+        return rendering.from_above(self.world, 0, np.array(self.path))
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,4 +237,4 @@ class FishVecEnv(VecEnv):
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """The first fish from above."""
-        return [view.from_above(self.world, 0, self.world.pose[:1])]
+        return [rendering.from_above(self.world, 0, self.world.pose[:1])]

@@ -17,7 +17,7 @@ from tailbeat.control.observation import COMMANDS, Samples, observe
 from tailbeat.env import randomize, sensors
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel
-from tailbeat.env.simulator import Body, Flags, TwinBody
+from tailbeat.env.simulator import Flags, Simulator, TwinSimulator
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.runs import tracked_pose
@@ -159,14 +159,14 @@ class World:
         settings: Settings,
         seeds: list[int],
         threads: int = 0,
-        body: Body | None = None,
+        simulator: Simulator | None = None,
         scene: Scene | None = None,
     ) -> None:
         self.fish, self.settings, self.scene = fish, settings, scene
         self.space = check_settings(fish, settings)
         self.count, self.task = len(seeds), settings.task
         self.steps_per_episode = round(settings.task.seconds / PERIOD)
-        self.body: Any = body or TwinBody(fish, self.count, threads)
+        self.simulator: Any = simulator or TwinSimulator(fish, self.count, threads)
         self.rngs = [np.random.default_rng(seed) for seed in seeds]
         self.seen = sensors.empty(self.count, self.steps_per_episode)
         self.pushes = np.zeros((self.count, self.steps_per_episode, 2), dtype=np.float32)
@@ -201,25 +201,25 @@ class World:
         """Begin new episodes for the fish in `which` (all by default); observation (n, 24)."""
         chosen = np.flatnonzero(np.ones(self.count, bool) if which is None else which)
         if chosen.size:
-            self.body.rest(chosen)
+            self.simulator.rest(chosen)
             self.age[chosen] = self.along[chosen] = 0
             for fish in chosen:
                 self._begin(int(fish), self.rngs[fish])
-            self.body.ready(chosen)
+            self.simulator.ready(chosen)
             self._clear(chosen)
         return self._observe(self._first_readings())
 
     def _begin(self, fish: int, rng: np.random.Generator) -> None:
         """Draw one fish's episode: physics, target, pushes, sensor noise."""
         settings = self.settings
-        self.body.draw(fish, settings.physics, rng)
+        self.simulator.draw(fish, settings.physics, rng)
         start = np.zeros(3) if self.scene is None else self.scene.start[fish]
         self.pose[fish] = tracked_pose(self.fish, start)
         self.target[fish] = self._draw_target(rng)
         if self.scene is not None:
             self.target[fish] = self.scene.target[fish, 0]
-            self.body.qpos[fish, :3] = start
-            self.body.qvel[fish, :3] = self.scene.velocity[fish]
+            self.simulator.qpos[fish, :3] = start
+            self.simulator.qvel[fish, :3] = self.scene.velocity[fish]
         self._draw_motion(fish, rng)
         self.pushes[fish] = _pulses(settings.physics, self.steps_per_episode, rng)
         sensors.begin(settings.sensors, self.seen, fish, self.pose[fish], self.target[fish], rng)
@@ -255,10 +255,10 @@ class World:
 
     def _first_readings(self) -> sensors.Readings:
         """Readings without a step: the motor as it is, the frames that have arrived."""
-        body = self.body
-        motor = body.qpos[:, body.motor].copy(), body.qvel[:, body.motor].copy()
+        simulator = self.simulator
+        motor = simulator.qpos[:, simulator.motor].copy(), simulator.qvel[:, simulator.motor].copy()
         frames = sensors.newest(self.seen, np.asarray(self.age * PERIOD, dtype=np.float64))
-        return sensors.Readings(*motor, body.qvel[:, 2].copy(), frames)
+        return sensors.Readings(*motor, simulator.qvel[:, 2].copy(), frames)
 
     # ---- stepping -------------------------------------------------------------------------------
 
@@ -266,16 +266,16 @@ class World:
         """One control step of every fish under actions (n, size). Ended fish want a `reset`."""
         before, action = self.pose, np.asarray(action, float)
         self.state = act.step(self.space, self.state, action, PERIOD)
-        age, body = np.minimum(self.age, self.steps_per_episode - 1), self.body
-        lost = body.advance(act.setpoint(self.space, self.state), self.pushes[self.every, age])
-        self.pose = tracked_pose(self.fish, body.qpos[:, :3])
+        age, simulator = np.minimum(self.age, self.steps_per_episode - 1), self.simulator
+        lost = simulator.advance(act.setpoint(self.space, self.state), self.pushes[self.every, age])
+        self.pose = tracked_pose(self.fish, simulator.qpos[:, :3])
         self._move_targets()
         self.commands[:, 1:] = self.commands[:, :-1]
         self.commands[:, 0] = act.command(self.space, self.state)
-        motor = body.motor
+        motor = simulator.motor
         readings = sensors.sense(
             self.settings.sensors, self.seen, age, PERIOD, before, self.pose, self.target,
-            body.qpos[:, motor], body.qvel[:, motor], body.qvel[:, 2],
+            simulator.qpos[:, motor], simulator.qvel[:, motor], simulator.qvel[:, 2],
         )  # fmt: skip
         self.age = self.age + 1
         return self._judge(action, self._observe(readings), lost)

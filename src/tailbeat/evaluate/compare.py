@@ -14,7 +14,7 @@ import numpy as np
 
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import Policy, decide, load_policy
-from tailbeat.env.simulator import TwinBody
+from tailbeat.env.simulator import TwinSimulator
 from tailbeat.env.world import seeds_from
 from tailbeat.evaluate import runs as store
 from tailbeat.evaluate.evaluation import ENSEMBLE_SEED, POOLS, provenance, read_json
@@ -181,17 +181,17 @@ def path_speed(pose: Any) -> float:
 
 def replayed(found: Runs, twin: Fish) -> float:
     """Mean speed [m/s] of the twin, undrawn, under the very setpoints of these swims."""
-    body = TwinBody(twin, found.count)
-    body.rest(np.arange(found.count))
-    body.ready(np.arange(found.count))
+    simulator = TwinSimulator(twin, found.count)
+    simulator.rest(np.arange(found.count))
+    simulator.ready(np.arange(found.count))
     pose = np.full_like(found.pose, np.nan)
     pose[:, 0], none = tracked_pose(twin, np.zeros(3)), np.zeros((found.count, 2))
     for step in range(found.setpoint.shape[1]):
         command = found.setpoint[:, step].astype(float)
         going = np.isfinite(command)
-        lost = body.advance(np.where(going, command, 0.0), none)
+        lost = simulator.advance(np.where(going, command, 0.0), none)
         going &= ~lost
-        pose[going, step + 1] = tracked_pose(twin, body.qpos[:, :3])[going]
+        pose[going, step + 1] = tracked_pose(twin, simulator.qpos[:, :3])[going]
     return path_speed(pose)
 
 

@@ -13,11 +13,11 @@ from typing import Any
 
 from tailbeat import __version__
 from tailbeat.control.policy import Policy, as_text, decide
-from tailbeat.evaluate import bench_day, disturb, reach, runs, spectrum, track
+from tailbeat.evaluate import disturb, fresh_recordings, reach, runs, spectrum, track
 from tailbeat.evaluate import out_of_distribution as beyond
-from tailbeat.evaluate.flutter import flutter
 from tailbeat.evaluate.names import NAMES, TRIALS
 from tailbeat.evaluate.runs import Runs
+from tailbeat.evaluate.speed_map import speed_map
 from tailbeat.evaluate.trial import CHUNK, Arm, Pool, Progress, swim_all
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import digest, load_fish
@@ -83,9 +83,9 @@ def evaluate(
     runs.begin(out, plan_of(policy, pool))
     swim_all(partial(decide, policy), arms, out, pool.seed, progress)
     if "twin" in tasks:
-        bench_day.record(pool.fish, out / "twin", pool.seed)
-        found = bench_day.numbers(out / "twin", pool.twin)
-        found["speeds"] = flutter(pool.fish, [pool.twin.servo], pool.twin)
+        fresh_recordings.record(pool.fish, out / "twin", pool.seed)
+        found = fresh_recordings.numbers(out / "twin", pool.twin)
+        found["speeds"] = speed_map(pool.fish, [pool.twin.servo], pool.twin)
         write_json(out / "twin" / "twin.json", found, overwrite=True)
     if "spectrum" in tasks:
         own = spectrum.identification(pool.fish, policy.contract.band, pool.seed)

@@ -77,7 +77,7 @@ CASES = (
     Case("loop hangs", "loop", "hang", "gone"),
     Case("an exception in the loop", "loop", "exception", "gone"),
     Case("disk full", "loop", "disk full", "hold", "log cannot be written"),
-    Case("warden killed with -9", "loop", "no warden", "hold", "warden is gone"),
+    Case("watchdog killed with -9", "loop", "no watchdog", "hold", "watchdog process is gone"),
     Case("killed with -9", "signal", "SIGKILL", "gone"),
     Case("stopped with Ctrl-Z", "signal", "SIGSTOP", "gone"),
     Case("SIGTERM", "signal", "SIGTERM", "stop", "stop asked by"),
@@ -114,7 +114,7 @@ def _no_numbers(own: Any) -> None:
     own.policy = replace(own.policy, session=NoNumbers(size))
 
 
-def _kill_warden(own: Any) -> None:
+def _kill_watchdog(own: Any) -> None:
     os.kill(own.alive.watcher.process.pid, signal.SIGKILL)
 
 
@@ -123,7 +123,7 @@ LOOP_FAULTS: dict[str, Callable[[Any], None]] = {
     "hang": lambda own: time.sleep(30),
     "exception": _raise,
     "disk full": _fill_disk,
-    "no warden": _kill_warden,
+    "no watchdog": _kill_watchdog,
 }
 
 

@@ -19,7 +19,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest, load_fish
 from tailbeat.pool.plant import Surroundings
-from tailbeat.pool.simulator import PoolBody
+from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water, ensemble
 
 Z95 = 1.96
@@ -39,7 +39,7 @@ def in_pool(fish: Fish, settings: Settings, waters: Sequence[Water]) -> Build:
 
     def build(seeds: list[int]) -> World:
         each = [waters[i % len(waters)] for i in range(len(seeds))]
-        return World(fish, settings, seeds, body=PoolBody(fish, each))
+        return World(fish, settings, seeds, simulator=PoolSimulator(fish, each))
 
     return build
 

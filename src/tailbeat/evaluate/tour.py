@@ -14,7 +14,7 @@ from tailbeat.evaluate.trial import Progress
 from tailbeat.fish.description import Fish
 from tailbeat.link.places import LENGTH, WIDTH
 from tailbeat.pool.plant import Surroundings
-from tailbeat.pool.simulator import PoolBody
+from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water
 
 Array = NDArray[np.float64]
@@ -57,8 +57,8 @@ def tour(
     """Swim to each target until it is within 5 cm or its time is over; from the pool's middle."""
     total = PATIENCE * len(targets)
     settings = Settings(policy.contract.actions, Task(seconds=total))
-    body = PoolBody(fish, [water], [Surroundings(walls=WALLS)])
-    world, choose = World(fish, settings, [seed], body=body), partial(decide, policy)
+    simulator = PoolSimulator(fish, [water], [Surroundings(walls=WALLS)])
+    world, choose = World(fish, settings, [seed], simulator=simulator), partial(decide, policy)
     shape, pose, goal, ends = [], [], [], []
     world.reset()
     world.drift[:], world.seen.frames[..., 3:5] = 0.0, targets[0]
@@ -68,7 +68,7 @@ def tour(
         for _ in range(round(PATIENCE / PERIOD)):
             done = world.step(np.asarray(choose(seen), dtype=np.float64))
             seen = done.observation
-            shape.append(world.body.qpos[0].copy())
+            shape.append(world.simulator.qpos[0].copy())
             pose.append(world.pose[0].copy())
             goal.append(number)
             nearest = min(nearest, float(np.hypot(*(place - world.pose[0, :2]))))

@@ -21,7 +21,7 @@ LEAD, HASTE = 0.5, 0.5  # m, m/s: a hand that leads the fish keeps so far ahead,
 
 
 @dataclass(frozen=True)
-class Course:
+class TargetPath:
     """A path, the time of one round [s], and `lead` as a scene has it."""
 
     name: str
@@ -30,19 +30,21 @@ class Course:
     lead: float = np.inf
 
 
-def _courses() -> tuple[Course, ...]:
+def _target_paths() -> tuple[TargetPath, ...]:
     lengths = {path: lap_length(way) for path, way in PATHS.items()}
-    timed = [Course(EIGHT, "eight", 73.0), Course("eight 50 s", "eight", 50.0)]
+    timed = [TargetPath(EIGHT, "eight", 73.0), TargetPath("eight 50 s", "eight", 50.0)]
     timed += [
-        Course(f"{path} {speed:g} m/s", path, lengths[path] / speed)
+        TargetPath(f"{path} {speed:g} m/s", path, lengths[path] / speed)
         for path in ("circle", "square")
         for speed in (0.06, 0.12, 0.18)
     ]
-    led = [Course(f"{path}, led", path, length / HASTE, LEAD) for path, length in lengths.items()]
+    led = [
+        TargetPath(f"{path}, led", path, length / HASTE, LEAD) for path, length in lengths.items()
+    ]
     return (*timed, *led)
 
 
-COURSES = _courses()
+COURSES = _target_paths()
 SETTLING = 5.0  # s that are not judged
 KEPT = 0.6  # m: a fish farther than this from its target has lost it
 CROSSING, ALIGNED = 0.15, np.radians(45)  # m, rad: a clean pass through the eight's middle
@@ -74,7 +76,7 @@ def _check_room(walls: tuple[float, float]) -> None:
             )
 
 
-def by_course(runs: Runs) -> dict[str, Runs]:
+def by_path(runs: Runs) -> dict[str, Runs]:
     """The arm's swims by course."""
     parts = {one.name: slice(SWIMS * i, SWIMS * (i + 1)) for i, one in enumerate(COURSES)}
     return {name: runs.part(own) for name, own in parts.items()}
@@ -83,7 +85,7 @@ def by_course(runs: Runs) -> dict[str, Runs]:
 def numbers(by_arm: dict[str, Runs]) -> list[dict[str, Any]]:
     """Per course: speed of the target [m/s], distance to it and to its path [m], how many swims
     kept it, and of those of the eight how many crossed cleanly twice."""
-    swims = by_course(by_arm[ARM])
+    swims = by_path(by_arm[ARM])
     return [_row(one.name, swims[one.name], one.path) for one in COURSES]
 
 

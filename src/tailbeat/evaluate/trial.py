@@ -23,7 +23,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
 from tailbeat.link.places import LENGTH, WIDTH
 from tailbeat.pool.plant import Surroundings
-from tailbeat.pool.simulator import PoolBody
+from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water
 
 CHUNK = 125  # swims in one batch, and in one file
@@ -122,18 +122,18 @@ def swim(decide: Decide, arm: Arm, seeds: list[int]) -> Runs:
         if not still.any():
             break
         if arm.water is not None and still.sum() < going.sum():
-            world.body.keep(still)
+            world.simulator.keep(still)
         going = still
     return log.runs(world, arm)
 
 
 def _world(arm: Arm, seeds: list[int]) -> World:
-    body: Any = None
+    simulator: Any = None
     if arm.water is not None:
-        body = PoolBody(arm.fish, arm.water, arm.around, arm.servo)
+        simulator = PoolSimulator(arm.fish, arm.water, arm.around, arm.servo)
     task = Task(seconds=arm.seconds, limit=LIMIT)
     settings = Settings(arm.actions, task, sensors=arm.sensors, physics=arm.physics)
-    return World(arm.fish, settings, seeds, body=body, scene=arm.scene)
+    return World(arm.fish, settings, seeds, simulator=simulator, scene=arm.scene)
 
 
 class _Log:
@@ -144,21 +144,23 @@ class _Log:
         self.pose = np.full((*shape, 3), np.nan, np.float32)
         self.target = np.full((*shape, 2), np.nan, np.float32)
         self.motor, self.setpoint = (np.full(shape, np.nan, np.float32) for _ in range(2))
-        self.body = np.full((min(n, SHOWN), steps + 1, world.body.qpos.shape[1]), np.nan, "f4")
+        self.shape = np.full(
+            (min(n, SHOWN), steps + 1, world.simulator.qpos.shape[1]), np.nan, "f4"
+        )
         self.steps, self.energy = np.zeros(n, np.int64), np.full(n, np.nan, np.float32)
         self.reached, self.lost = np.zeros(n, bool), np.zeros(n, bool)
         self.last = 0
 
     def note(self, world: World, going: Any, step: int) -> None:
         """The state after a control step, of the fish still going."""
-        body, shown = world.body, going[: len(self.body)]
+        simulator, shown = world.simulator, going[: len(self.shape)]
         self.pose[going, step], self.target[going, step] = world.pose[going], world.target[going]
-        self.motor[going, step] = body.qpos[going, body.motor]
+        self.motor[going, step] = simulator.qpos[going, simulator.motor]
         self.setpoint[going, step] = act.setpoint(world.space, world.state)[going]
-        self.body[shown, step] = body.qpos[: len(self.body)][shown]
+        self.shape[shown, step] = simulator.qpos[: len(self.shape)][shown]
         self.steps[going] = self.last = step
-        if hasattr(body, "energy"):
-            self.energy[going] = body.energy[going]
+        if hasattr(simulator, "energy"):
+            self.energy[going] = simulator.energy[going]
 
     def away(self, world: World) -> Any:
         """Who is out of range of its own start."""
@@ -171,7 +173,7 @@ class _Log:
         water = np.array([kinds.index(one) for one in arm.water or ()] or [-1] * world.count)
         return Runs(
             self.pose[:, :end], self.target[:, :end], self.motor[:, :end], self.setpoint[:, 1:end],
-            self.steps, self.reached, self.lost, self.energy, self.body[:, :end], water,
+            self.steps, self.reached, self.lost, self.energy, self.shape[:, :end], water,
         )  # fmt: skip
 
 

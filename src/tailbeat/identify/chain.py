@@ -69,7 +69,7 @@ def identify_all(
     fish: str,
     folder: Path,
     out: Path,
-    plan: job.Plan,
+    config: job.FluidConfig,
     json: Path | None,
     progress: Progress,
     drawings: Drawings,
@@ -81,12 +81,12 @@ def identify_all(
     described = load_fish(fish)
     targets = _targets(out, json)
     data = read_folder(folder)
-    work = out.parent / f".{out.stem}.chain" / _key(fish, data, plan)
+    work = out.parent / f".{out.stem}.chain" / _key(fish, data, config)
     places = {name: work / f"{name}.toml" for name in ("tail", "motor", "fluid")}
     reports: dict[str, Any] = {}
     _stage(places["tail"], lambda path: _tail(fish, data, path, drawings))
-    _stage(places["motor"], lambda path: _motor(places, data, path, plan, progress, drawings))
-    _stage(places["fluid"], lambda path: _fluid(places, data, path, plan, progress, drawings))
+    _stage(places["motor"], lambda path: _motor(places, data, path, config, progress, drawings))
+    _stage(places["fluid"], lambda path: _fluid(places, data, path, config, progress, drawings))
     for name, path in places.items():
         reports[name] = _read_json(path.with_suffix(".json"))
     report = {"fish": described.name, "source": str(fish_path(fish)), "stages": reports}
@@ -110,9 +110,9 @@ def _targets(out: Path, json: Path | None) -> dict[str, Path]:
     return targets
 
 
-def _key(fish: str, data: Folder, plan: job.Plan) -> str:
+def _key(fish: str, data: Folder, config: job.FluidConfig) -> str:
     """Names the work by what it is made of: other work is never resumed by mistake."""
-    digest = hashlib.sha256(fish_path(fish).read_bytes() + repr(plan).encode())
+    digest = hashlib.sha256(fish_path(fish).read_bytes() + repr(config).encode())
     singles = [path for path in (data.static, data.release) if path is not None]
     for path in [*data.sweeps, *singles, *data.motor_fit, *data.motor_validate, *data.fluid_fit]:
         digest.update(path.read_bytes())
@@ -138,7 +138,7 @@ def _motor(
     places: dict[str, Path],
     data: Folder,
     out: Path,
-    plan: job.Plan,
+    config: job.FluidConfig,
     progress: Progress,
     drawings: Drawings,
 ) -> None:
@@ -148,7 +148,7 @@ def _motor(
         data.motor_validate,
         out,
         None,
-        stages.motor_plan(plan.seeds, plan.first_seed, True, None),
+        stages.motor_config(config.seeds, config.first_seed, True, None),
         False,
         None,
         progress,
@@ -160,13 +160,13 @@ def _fluid(
     places: dict[str, Path],
     data: Folder,
     out: Path,
-    plan: job.Plan,
+    config: job.FluidConfig,
     progress: Progress,
     drawings: Drawings,
 ) -> None:
     fish = str(places["motor"])
     stages.fluid(
-        fish, data.fluid_fit, data.fluid_validate, out, plan, None, progress, drawings.fluid
+        fish, data.fluid_fit, data.fluid_validate, out, config, None, progress, drawings.fluid
     )
 
 

@@ -38,7 +38,7 @@ Progress = Callable[[int, str, float, float], None]  # seed, stage, share done, 
 
 
 @dataclass(frozen=True)
-class Plan:
+class FluidConfig:
     """What to fit: zones (1 shared set, 3 one per zone), seeds from the first on, effort, the
     weighting of the start of replayed runs (None: when a run starts from rest), and how the
     description is changed first: its `added_inertia` (None: as described), or the `whole` law
@@ -75,7 +75,7 @@ def identify_fluid(
     fish: Fish,
     fit: Sequence[Run],
     validate: Sequence[Run],
-    plan: Plan,
+    config: FluidConfig,
     scratch: Path,
     progress: Progress = lambda seed, stage, share, best: None,
 ) -> Identified:
@@ -83,30 +83,30 @@ def identify_fluid(
     began = time.monotonic()
     if not fit:
         raise BadInput("--fit is empty; give at least one recording to fit.")
-    space, idle = _sensitive_space(fish, fit, plan)
-    residuals = residual_function(fish, fit, space, plan.start_weight)
-    key = _key(fish, fit, plan)
+    space, idle = _sensitive_space(fish, fit, config)
+    residuals = residual_function(fish, fit, space, config.start_weight)
+    key = _key(fish, fit, config)
     fits = [
-        search_once(residuals, space, seed, plan.effort, scratch / key, progress)
-        for seed in range(plan.first_seed, plan.first_seed + plan.seeds)
+        search_once(residuals, space, seed, config.effort, scratch / key, progress)
+        for seed in range(config.first_seed, config.first_seed + config.seeds)
     ]
     fits.sort(key=lambda found: found.cost)
     return _conclude(fish, fit, validate, space, idle, fits, time.monotonic() - began)
 
 
 def _sensitive_space(
-    fish: Fish, fit: Sequence[Run], plan: Plan
+    fish: Fish, fit: Sequence[Run], config: FluidConfig
 ) -> tuple[tuple[Parameter, ...], tuple[str, ...]]:
     """The free numbers that move the result, and the names of those that do not (left alone)."""
-    space = fluid_space(fish, plan.zones)
-    idle = insensitive(residual_function(fish, fit, space, plan.start_weight), space)
+    space = fluid_space(fish, config.zones)
+    idle = insensitive(residual_function(fish, fit, space, config.start_weight), space)
     return tuple(p for p in space if p.path not in idle), tuple(idle)
 
 
-def _key(fish: Fish, fit: Sequence[Run], plan: Plan) -> str:
+def _key(fish: Fish, fit: Sequence[Run], config: FluidConfig) -> str:
     """Names the scratch folder by what is fitted: other work is never resumed by mistake."""
     digest = hashlib.sha256(fish.model_dump_json().encode())
-    digest.update(repr((plan.zones, plan.effort, plan.start_weight)).encode())
+    digest.update(repr((config.zones, config.effort, config.start_weight)).encode())
     digest.update((mujoco.__version__ + version("tailbeat")).encode())
     for run in fit:
         digest.update(run.track.time.tobytes() + run.track.pose.tobytes())
@@ -193,7 +193,7 @@ def parameter_rows(found: Identified) -> dict[str, dict[str, Any]]:
     }
 
 
-def as_report(found: Identified, plan: Plan) -> dict[str, Any]:
+def as_report(found: Identified, config: FluidConfig) -> dict[str, Any]:
     """The JSON report."""
     rows = parameter_rows(found)
     return {
@@ -204,7 +204,7 @@ def as_report(found: Identified, plan: Plan) -> dict[str, Any]:
             {"parameters": [a, b], "correlation": r}
             for a, b, r in trade_offs(found.space, found.fits[0])
         ],
-        "zones": plan.zones,
+        "zones": config.zones,
         "added_inertia": found.fish.added_inertia,
         "seeds": list(found.spread),
         "fit": [row(p) for p in found.fitted],
@@ -252,14 +252,14 @@ def _assumed(fish: Fish) -> dict[str, Any]:
     return {**written, "simulation.integrator": fish.simulation.integrator}
 
 
-def heading(found: Identified, plan: Plan) -> str:
+def heading(found: Identified, config: FluidConfig) -> str:
     """The lines that head an identified fish: what was fitted, how well, with which engine."""
-    report = as_report(found, plan)
+    report = as_report(found, config)
     held_out = report["validate_speed_mae"]
     lines = [
         "Identified by `tailbeat identify fluid`; the report beside this file has the details.",
         f"Fitted on {', '.join(p.run.name for p in found.fitted)}, cost {found.fits[0].cost:.3g},"
-        f" best of {len(found.fits)} seeds, {plan.zones} zone(s).",
+        f" best of {len(found.fits)} seeds, {config.zones} zone(s).",
         f"Mean absolute speed error {report['fit_speed_mae']:.4f} m/s fitted"
         + ("." if held_out is None else f", {held_out:.4f} m/s held out."),
         f"{report['engine']}, tailbeat {report['tailbeat']}.",

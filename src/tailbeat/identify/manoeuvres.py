@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tailbeat.fish.description import Fish
 from tailbeat.identify.launch import KEY
-from tailbeat.identify.protocol import RATE, Limits, largest
+from tailbeat.identify.protocol import RATE, ServoLimits, largest
 from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]
@@ -33,7 +33,9 @@ class Beat:
     centre: float = 0.0
 
 
-def manoeuvres(fish: Fish, limit: Limits, first: int = 13, wander: int = 9) -> dict[str, Recording]:
+def manoeuvres(
+    fish: Fish, limit: ServoLimits, first: int = 13, wander: int = 9
+) -> dict[str, Recording]:
     """Named commands, numbered from `first` in the order of their kinds."""
     low, high = fish.band
     middle = float(np.sqrt(low * high))
@@ -83,11 +85,11 @@ def _turns(low: float, middle: float, high: float) -> list[tuple[float, float, f
     return [(0.75 * middle, 0.6, 0.8), (1.25 * middle, 0.6, -0.8), (low, 0.5, -0.6)]
 
 
-def _launched(limit: Limits, surge: float, beat: Beat) -> tuple[Array, float]:
+def _launched(limit: ServoLimits, surge: float, beat: Beat) -> tuple[Array, float]:
     return _played(limit, [beat])[0], surge
 
 
-def _played(limit: Limits, beats: list[Beat]) -> tuple[Array, float]:
+def _played(limit: ServoLimits, beats: list[Beat]) -> tuple[Array, float]:
     """The beats one after the other; strokes and centres follow with `LAG`."""
     rows = [
         [b.frequency, b.stroke * _largest(limit, b), b.centre]
@@ -97,20 +99,20 @@ def _played(limit: Limits, beats: list[Beat]) -> tuple[Array, float]:
     return _swung(np.array(rows)), 0.0
 
 
-def _largest(limit: Limits, beat: Beat) -> float:
+def _largest(limit: ServoLimits, beat: Beat) -> float:
     """Largest stroke [rad] within speed and, beside the centre, within angle."""
     room = limit.angle - abs(beat.centre)
     return min(largest(limit, beat.frequency), room) if beat.frequency else 0.0
 
 
-def _wandering(limit: Limits, high: float, seed: int) -> tuple[Array, float]:
+def _wandering(limit: ServoLimits, high: float, seed: int) -> tuple[Array, float]:
     """Frequency from 0 to the band's end, stroke and centre, drawn anew every 0.3 to 1.5 s."""
     rng = np.random.default_rng(seed)
     rows: list[list[float]] = []
     while len(rows) < 1.25 * SECONDS * RATE:
         frequency, centre = high * rng.uniform() ** 1.5, 0.8 * rng.uniform(-1, 1)
         beat = Beat(rng.uniform(0.3, 1.5), frequency, rng.uniform(0.1, 1.0), centre)
-        fast = Limits(limit.angle, limit.centre, FASTEST * limit.speed)
+        fast = ServoLimits(limit.angle, limit.centre, FASTEST * limit.speed)
         row = [frequency, beat.stroke * _largest(fast, beat), centre]
         rows += [row] * int(beat.seconds * RATE)
     return _swung(np.array(rows)), 0.0
@@ -127,7 +129,9 @@ def _swung(wanted: Array) -> Array:
     return command
 
 
-def _recording(name: str, command: Array, limit: Limits, launch: float, begin: str) -> Recording:
+def _recording(
+    name: str, command: Array, limit: ServoLimits, launch: float, begin: str
+) -> Recording:
     inside = np.clip(command, -limit.angle, limit.angle) + limit.centre
     meta = {"purpose": name.split("-", 2)[2], "rate_hz": f"{RATE:g}", BEGIN: begin}
     if launch:

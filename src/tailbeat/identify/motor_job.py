@@ -42,7 +42,7 @@ AT_LEAST = 0.002  # a gears' share below this is none
 
 
 @dataclass(frozen=True)
-class Plan:
+class MotorConfig:
     """Seeds, effort, and whether gear friction may be fitted beside the compiled servo."""
 
     seeds: int = 5
@@ -93,7 +93,7 @@ def identify_motor(
     fish: Fish,
     fit: Sequence[Bench],
     validate: Sequence[Bench],
-    plan: Plan,
+    config: MotorConfig,
     scratch: Path,
     progress: Progress = lambda seed, stage, share, best: None,
 ) -> ServoFit:
@@ -102,8 +102,8 @@ def identify_motor(
     if not fit:
         raise BadInput("--fit is empty; give at least one recording to fit.")
     middle = gain_reference([*fit, *validate])
-    gain = None if middle is None else plan.gain or gain_reference(fit)
-    space, fits = _searched(fit, plan, scratch / _key(fit, plan), progress)
+    gain = None if middle is None else config.gain or gain_reference(fit)
+    space, fits = _searched(fit, config, scratch / _key(fit, config), progress)
     baseline = fish.servos.get("idealised", IDEALISED)
     overlays = [
         *_replay(space, fits[0], described_servo(baseline), fit, "fit"),
@@ -117,37 +117,37 @@ def identify_motor(
 
 
 def _searched(
-    fit: Sequence[Bench], plan: Plan, scratch: Path, progress: Progress
+    fit: Sequence[Bench], config: MotorConfig, scratch: Path, progress: Progress
 ) -> tuple[tuple[Parameter, ...], list[Fit]]:
     """Best-first fits; without gear friction where it turns out to be none."""
-    space = servo_space(fit, plan.gears)
-    fits = _seeds(space, fit, plan, scratch / "gears", progress)
+    space = servo_space(fit, config.gears)
+    fits = _seeds(space, fit, config, scratch / "gears", progress)
     found = values(space, fits[0].z)
-    if plan.gears and max(found[name] for name in GEARS) < AT_LEAST:
+    if config.gears and max(found[name] for name in GEARS) < AT_LEAST:
         space = servo_space(fit, gears=False)
-        fits = _seeds(space, fit, plan, scratch / "plain", progress)
+        fits = _seeds(space, fit, config, scratch / "plain", progress)
     return space, fits
 
 
 def _seeds(
     space: tuple[Parameter, ...],
     fit: Sequence[Bench],
-    plan: Plan,
+    config: MotorConfig,
     scratch: Path,
     progress: Progress,
 ) -> list[Fit]:
     residuals = residual_function(fit, space)
-    seeds = range(plan.first_seed, plan.first_seed + plan.seeds)
-    fits = [search_once(residuals, space, s, plan.effort, scratch, progress) for s in seeds]
+    seeds = range(config.first_seed, config.first_seed + config.seeds)
+    fits = [search_once(residuals, space, s, config.effort, scratch, progress) for s in seeds]
     fits.sort(key=lambda found: found.cost)
     best = with_honest_intervals(fits[0], residuals, blocks(fit))
     doubt = load_doubt(space, best.z, fit)
     return [replace(best, covariance=best.covariance + doubt), *fits[1:]]
 
 
-def _key(fit: Sequence[Bench], plan: Plan) -> str:
+def _key(fit: Sequence[Bench], config: MotorConfig) -> str:
     """Names the scratch folder by what is fitted: other work is never resumed by mistake."""
-    digest = hashlib.sha256(repr((plan.effort, plan.gears, version("tailbeat"))).encode())
+    digest = hashlib.sha256(repr((config.effort, config.gears, version("tailbeat"))).encode())
     for bench in fit:
         digest.update(repr((bench.load, bench.gain)).encode())
         for signal in (bench.time, bench.command, bench.angle, bench.enabled):

@@ -11,7 +11,7 @@ import numpy as np
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.motor import load_doubt
-from tailbeat.identify.motor_job import Overlay, Plan, Progress, ServoFit, identify_motor
+from tailbeat.identify.motor_job import MotorConfig, Overlay, Progress, ServoFit, identify_motor
 from tailbeat.identify.search import Fit, Parameter, intervals, told_apart, trade_offs, values
 from tailbeat.identify.shaft import Bench
 
@@ -143,7 +143,7 @@ def heading(report: dict[str, Any]) -> str:
 
 
 def cross_validate(
-    fish: Fish, benches: Sequence[Bench], plan: Plan, scratch: Path, progress: Progress
+    fish: Fish, benches: Sequence[Bench], config: MotorConfig, scratch: Path, progress: Progress
 ) -> list[dict[str, Any]]:
     """Leave out each gain in turn (each recording where there is one gain): what is predicted?"""
     groups = sorted({_group(bench, benches) for bench in benches})
@@ -153,7 +153,7 @@ def cross_validate(
     for group in groups:
         kept = [b for b in benches if _group(b, benches) != group]
         out = [b for b in benches if _group(b, benches) == group]
-        found = identify_motor(fish, kept, out, plan, scratch, progress)
+        found = identify_motor(fish, kept, out, config, scratch, progress)
         runs = [run_row(overlay) for overlay in found.overlays]
         held = [run for run in runs if run["role"] == "validate"]
         rmse = float(np.sqrt(np.mean([run["rmse_deg"] ** 2 for run in held])))

@@ -21,7 +21,7 @@ EVERY = 3  # of the swims, every third is held out of an identification
 
 
 @dataclass(frozen=True)
-class Limits:
+class ServoLimits:
     """What the servo may be asked: largest angle about `centre` [rad] and shaft speed [rad/s]."""
 
     angle: float
@@ -29,7 +29,7 @@ class Limits:
     speed: float
 
 
-def limits(fish: Fish, speed: float = 4.0) -> Limits:
+def limits(fish: Fish, speed: float = 4.0) -> ServoLimits:
     """The fish's limits. `speed` 4 rad/s: an X430's no-load speed at 12 V is 5.5 rad/s.
 
     Raises BadInput for a crank, which turns for ever and has no place to swing about.
@@ -42,16 +42,20 @@ def limits(fish: Fish, speed: float = 4.0) -> Limits:
     if not speed > 0:
         raise BadInput(f"--speed {speed:g}: give a shaft speed above 0 [rad/s].")
     low, high = fish.motor.range
-    return Limits(SHARE * (high - low) / 2, (high + low) / 2, speed)
+    return ServoLimits(SHARE * (high - low) / 2, (high + low) / 2, speed)
 
 
-def largest(limit: Limits, frequency: float) -> float:
+def largest(limit: ServoLimits, frequency: float) -> float:
     """Largest stroke [rad] of a sine that respects both limits."""
     return min(limit.angle, limit.speed / (2 * np.pi * frequency))
 
 
 def tail_sweep(
-    fish: Fish, limit: Limits, frequencies: Sequence[float] = (), strokes: int = 4, beats: int = 10
+    fish: Fish,
+    limit: ServoLimits,
+    frequencies: Sequence[float] = (),
+    strokes: int = 4,
+    beats: int = 10,
 ) -> Recording:
     """Sines at four frequencies over the fish's band, each at several strokes, with rests between.
 
@@ -67,7 +71,7 @@ def tail_sweep(
     return _joined("tail-sweep", parts, limit, "tail sweep: shaft driven, torque measured, in air")
 
 
-def tail_static(limit: Limits, period: float = 30.0, cycles: int = 3) -> Recording:
+def tail_static(limit: ServoLimits, period: float = 30.0, cycles: int = 3) -> Recording:
     """A slow triangle: the hysteresis loop, which is not the stiffness."""
     quarters = np.concatenate([[0.0], np.tile([1.0, -1.0], cycles), [0.0]])
     times = np.concatenate([[0.0], 0.25 + 0.5 * np.arange(2 * cycles), [float(cycles)]]) * period
@@ -75,7 +79,7 @@ def tail_static(limit: Limits, period: float = 30.0, cycles: int = 3) -> Recordi
     return _joined("tail-static", [("static", triangle)], limit, "slow pull, in air")
 
 
-def motor_commands(fish: Fish, limit: Limits) -> dict[str, Recording]:
+def motor_commands(fish: Fish, limit: ServoLimits) -> dict[str, Recording]:
     """Chirp, steps, a slow triangle and two hold-outs: each excites what another cannot.
 
     Steps reach the force limit; the chirp passes the servo's bandwidth (gain, armature, delay); the
@@ -103,7 +107,7 @@ def motor_commands(fish: Fish, limit: Limits) -> dict[str, Recording]:
     }
 
 
-def fluid_runs(fish: Fish, limit: Limits, seconds: float = 12.0) -> dict[str, Recording]:
+def fluid_runs(fish: Fish, limit: ServoLimits, seconds: float = 12.0) -> dict[str, Recording]:
     """Twelve open-loop swims over the band, from rest, at three strokes: nine straight, three
     turning (paper: twelve runs, 1-4 Hz)."""
     runs = {}
@@ -127,7 +131,7 @@ def _sine(frequency: float, stroke: float, beats: int) -> Array:
 
 
 def _joined(
-    name: str, parts: Sequence[tuple[str, Array]], limit: Limits, purpose: str
+    name: str, parts: Sequence[tuple[str, Array]], limit: ServoLimits, purpose: str
 ) -> Recording:
     command = np.concatenate([values for _, values in parts])
     labels = np.concatenate([np.full(len(values), label) for label, values in parts])

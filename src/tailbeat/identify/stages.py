@@ -21,8 +21,7 @@ from tailbeat.fish.water import whole
 from tailbeat.identify import job, motor_job, motor_report, tail_report
 from tailbeat.identify.decay import ring_down, static_loop
 from tailbeat.identify.motor import as_bench
-from tailbeat.identify.motor_job import Plan as MotorPlan
-from tailbeat.identify.motor_job import ServoFit
+from tailbeat.identify.motor_job import MotorConfig, ServoFit
 from tailbeat.identify.predict import Prediction
 from tailbeat.identify.runs import as_run
 from tailbeat.identify.search import Effort
@@ -61,13 +60,13 @@ def tail(
     return Done(report, files)
 
 
-def motor_plan(seeds: int, seed: int, gears: bool, gain: float | None) -> MotorPlan:
+def motor_config(seeds: int, seed: int, gears: bool, gain: float | None) -> MotorConfig:
     """Check the options of a servo identification."""
     if seeds < 1:
         raise BadInput(f"--seeds {seeds}: give 1 or more.")
     if gain is not None and not gain > 0:
         raise BadInput(f"--gain {gain:g}: give the gain register's value, above 0.")
-    return MotorPlan(seeds=seeds, first_seed=seed, gears=gears, gain=gain)
+    return MotorConfig(seeds=seeds, first_seed=seed, gears=gears, gain=gain)
 
 
 def motor(
@@ -76,7 +75,7 @@ def motor(
     validate: Sequence[Path],
     out: Path,
     load: str | None,
-    plan: MotorPlan,
+    config: MotorConfig,
     across: bool,
     json: Path | None,
     progress: Progress,
@@ -90,11 +89,11 @@ def motor(
         for paths in (fit, validate)
     )
     scratch = out.parent / f".{out.stem}.search"
-    found = motor_job.identify_motor(described, fitted, held_out, plan, scratch, progress)
+    found = motor_job.identify_motor(described, fitted, held_out, config, scratch, progress)
     report = {"fish": str(fish_path(fish)), **motor_report.as_report(found)}
     if across:
         report["cross_validation"] = motor_report.cross_validate(
-            described, fitted, plan, scratch, progress
+            described, fitted, config, scratch, progress
         )
     draw(found, files[2])
     write_json(files[1], report)
@@ -105,7 +104,7 @@ def motor(
     return Done(report, files)
 
 
-def fluid_plan(
+def fluid_config(
     zones: int,
     seeds: int,
     seed: int,
@@ -113,7 +112,7 @@ def fluid_plan(
     start_weight: bool | None,
     added_inertia: float | None = None,
     whole: bool = False,
-) -> job.Plan:
+) -> job.FluidConfig:
     """Check the options of an identification."""
     if zones not in (1, 3):
         raise BadInput(f"--zones {zones}: give 1 (one coefficient set) or 3 (one per zone).")
@@ -124,7 +123,7 @@ def fluid_plan(
     if added_inertia is not None and whole:
         raise BadInput("--added-inertia with --law whole, which sets it to 1; leave one out.")
     effort = Effort(generations=generations)
-    return job.Plan(zones, seeds, seed, effort, start_weight, added_inertia, whole)
+    return job.FluidConfig(zones, seeds, seed, effort, start_weight, added_inertia, whole)
 
 
 def fluid(
@@ -132,7 +131,7 @@ def fluid(
     fit: Sequence[Path],
     validate: Sequence[Path],
     out: Path,
-    plan: job.Plan,
+    config: job.FluidConfig,
     json: Path | None,
     progress: Progress,
     draw: DrawFluid,
@@ -140,23 +139,23 @@ def fluid(
     """Fit, then write fish, report and figure; nothing is written if anything fails."""
     files = new_fish_files(out, json)
     described = load_fish(fish)
-    if plan.added_inertia is not None:
-        described = with_values(described, {"added_inertia": plan.added_inertia})
-    if plan.whole:
+    if config.added_inertia is not None:
+        described = with_values(described, {"added_inertia": config.added_inertia})
+    if config.whole:
         described = whole(described)
     fitted, held_out = (
         [as_run(read_recording(path), described) for path in paths] for paths in (fit, validate)
     )
     scratch = out.parent / f".{out.stem}.search"
-    found = job.identify_fluid(described, fitted, held_out, plan, scratch, progress)
-    report = write_fluid(found, plan, fish, files, draw)
+    found = job.identify_fluid(described, fitted, held_out, config, scratch, progress)
+    report = write_fluid(found, config, fish, files, draw)
     job.clear(scratch)
     return Done(report, files)
 
 
 def write_fluid(
     found: job.Identified,
-    plan: job.Plan,
+    config: job.FluidConfig,
     fish: str,
     files: tuple[Path, Path, Path],
     draw: DrawFluid,
@@ -164,10 +163,10 @@ def write_fluid(
     """Write fish, report and figure; returns the report."""
     out, json, figure = files
     names = [p.run.name for p in found.fitted]
-    report = {"fish": str(fish_path(fish)), **job.as_report(found, plan)}
+    report = {"fish": str(fish_path(fish)), **job.as_report(found, config)}
     rows = [("fitted", found.fitted[0])] + [("held out", p) for p in found.validated[:1]]
     draw(rows, figure)
     write_json(json, report)
     values: dict[str, Any] = {"name": out.stem, **job.toml_values(found, names)}
-    write_identified(fish, out, values, job.heading(found, plan))
+    write_identified(fish, out, values, job.heading(found, config))
     return report

@@ -2,7 +2,7 @@
 
 Everyone who reaches it may watch and may STOP; whatever sets the fish in motion needs the token. A
 browser gets the next snapshot when it has drawn the last, so a slow one sees fewer, never older.
-Started by `desk`; it ends when the owner does.
+Started by `client`; it ends when the owner does.
 """
 
 import asyncio

@@ -15,7 +15,7 @@ from tailbeat.link.clock import SECOND
 from tailbeat.link.datagrams import Frame
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import Status
-from tailbeat.robot.safety import Limits
+from tailbeat.robot.safety import SafetyLimits
 
 Array = NDArray[np.float64]
 FIN = 0.005  # m, half of a fin's thickness as drawn
@@ -36,7 +36,7 @@ def snapshot(
         "note": note,
         "status": _status(status, now - sender.heard) if status else None,
         "loss_back": sender.loss.share(),
-        "limits": asdict(Limits()),
+        "limits": asdict(SafetyLimits()),
     }
 
 

@@ -15,7 +15,7 @@ from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import Order
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import State
-from tailbeat.operator.page import announce, open_console, turn
+from tailbeat.operator.client import announce, open_console, turn
 from tailbeat.operator.tour import Pose, Tour, draw_targets
 from tailbeat.processes import told_to_end
 
@@ -132,25 +132,25 @@ def work(
     order the fish to stop, for nobody watches it any more. Raises BadInput."""
     described, secret = load_fish(fish), link.read_key(key)
     made = link.bind(*listen)
-    desk = open_console(console)
-    for line in announce(desk) if desk else []:
+    client = open_console(console)
+    for line in announce(client) if client else []:
         say(line)
     ended = told_to_end(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     sender = Sender(secret, made, robot)
     over = lambda: bool(ended) or (leader is not None and leader.over())  # noqa: E731
     try:
-        _turns(sender, tracker, desk, described, over, say, leader)
+        _turns(sender, tracker, client, described, over, say, leader)
     finally:
         _farewell(sender, say)
         made.close()
-        if desk is not None:
-            desk.close()
+        if client is not None:
+            client.close()
 
 
 def _turns(
     sender: Any,
     tracker: Any,
-    desk: Any,
+    client: Any,
     fish: Any,
     over: Callable[[], bool],
     say: Say,
@@ -168,9 +168,9 @@ def _turns(
                 leader.lead(sender, sighting.frame.fish, now, say)
             sender.show(sighting.frame)
         sender.work(now)
-        if desk is not None:
+        if client is not None:
             note = tracker.fault if tracker else NO_CAMERA
-            turn(desk, sender, fish, now, note, b"" if note else tracker.picture())
+            turn(client, sender, fish, now, note, b"" if note else tracker.picture())
         if (line := _line(sender)) != told:
             told = line
             say(line)

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 STRAIGHT = (Surroundings(),)
 
 
-class PoolBody:
+class PoolSimulator:
     """n fish, each in a water of its own. `draw` and pushes are the twin's; here they do nothing:
     what varies is given by `water` and `around` (see `plant.build_plant`)."""
 

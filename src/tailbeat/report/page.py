@@ -16,7 +16,7 @@ from tailbeat.evaluate.trial import CHUNK
 from tailbeat.files import BadInput, new_file, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import load_fish
-from tailbeat.report import bench_day, figures, swim_figures
+from tailbeat.report import figures, fresh_recordings, swim_figures
 
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }
@@ -99,7 +99,7 @@ def evaluated(out: Path, data: dict[str, Any], fish: Fish, twin: Fish) -> list[S
             )
     if "track" in data:
         swims, _ = runs.load(out, track.ARM, 1)
-        drawn = swim_figures.following(track.by_course(swims), data["track"])
+        drawn = swim_figures.following(track.by_path(swims), data["track"])
         sections.append(("Following", [table(data["track"]), figure(drawn, out, "following")]))
     rows = data["spectrum"]
     if rows:
@@ -111,7 +111,7 @@ def evaluated(out: Path, data: dict[str, Any], fish: Fish, twin: Fish) -> list[S
     if "twin" in data:
         found = data["twin"]
         blocks = [table(found["tail"]), table(found["servo"]), table(_swims(found["swims"]))]
-        blocks += [image(path) for path in bench_day.draw(out / "twin", twin)]
+        blocks += [image(path) for path in fresh_recordings.draw(out / "twin", twin)]
         blocks += _speeds(found, out)
         sections.append(("The twin beside fresh recordings", blocks))
     return [*sections, ("Where this comes from", [_provenance(data)])]

@@ -22,13 +22,13 @@ from tailbeat.link.datagrams import Receiver
 from tailbeat.robot import imu as imus
 from tailbeat.robot import servo as servos
 from tailbeat.robot.imu import Imu, ImuFault
-from tailbeat.robot.safety import Limits
+from tailbeat.robot.safety import SafetyLimits
 from tailbeat.robot.servo import Servo, ServoFault
 
 OK, WARN, BAD = "ok", "warn", "bad"
 REVERSED, OVERLOAD = 0b1, 0b100000  # bits of drive mode and shutdown
 BAUDS = (57_600, 115_200, 2_000_000, 3_000_000, 4_000_000, 9_600)  # besides 1,000,000
-LIMITS = Limits()
+LIMITS = SafetyLimits()
 ROOM_WARN, ROOM_BAD = 2e9, 2e8  # bytes: a swim's log takes some 120 MB an hour
 FIRMWARE = 42  # older firmware of the X series was not looked at
 READS = 50
@@ -140,7 +140,7 @@ def find_servo(path: str, ident: int = 1, deadline: float = 0.05) -> tuple[Servo
     return None, finding(name, said, bad=True)
 
 
-def check_servo(servo: Servo, limits: Limits = LIMITS) -> list[Finding]:
+def check_servo(servo: Servo, limits: SafetyLimits = LIMITS) -> list[Finding]:
     """Firmware, supply, temperature, errors, mode, limits, delays, and how long a reading takes."""
     try:
         return [*_condition(servo, limits), *_settings(servo), _reading_time(servo)]
@@ -148,7 +148,7 @@ def check_servo(servo: Servo, limits: Limits = LIMITS) -> list[Finding]:
         return [finding("servo", str(fault), bad=True)]
 
 
-def _condition(servo: Servo, limits: Limits) -> list[Finding]:
+def _condition(servo: Servo, limits: SafetyLimits) -> list[Finding]:
     state, errors, version = servo.read(), servo.hardware_errors(), servo.get((6, 1))
     volts, heat = state.voltage, state.temperature
     sags = not limits.voltage_low <= volts <= limits.voltage_high
@@ -268,7 +268,7 @@ def check_link(
     laptop: tuple[str, int],
     receiver: Receiver,
     seconds: float = LISTEN,
-    limits: Limits = LIMITS,
+    limits: SafetyLimits = LIMITS,
 ) -> list[Finding]:
     """Clock offset, loss, age of the poses, and whether fish and target are seen."""
     heard = listen_to(made, laptop, receiver, seconds)
@@ -287,7 +287,7 @@ def check_link(
 
 
 def _poses(
-    heard: list[tuple[int, float]], frame: link.Frame, seconds: float, limits: Limits
+    heard: list[tuple[int, float]], frame: link.Frame, seconds: float, limits: SafetyLimits
 ) -> list[Finding]:
     ages = [age for _, age in heard if not math.isnan(age)]
     rate, age = len(heard) / seconds, statistics.median(ages) if ages else math.nan

@@ -2,7 +2,7 @@
 
 Deadlines are absolute, so the rate does not drift; a period that is missed is skipped and counted.
 Whatever ends the loop, an exception included, ends with the torque off. `safety` decides what may
-be done, `pilot` what the policy wants; here both meet the devices.
+be done, `runner` what the policy wants; here both meet the devices.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.control import runner as pilot
+from tailbeat.control import runner as runner
 from tailbeat.control.band import Monitor, Shares
 from tailbeat.control.policy import Policy
 from tailbeat.link import datagrams as link
@@ -28,7 +28,7 @@ from tailbeat.robot import plausible, safety
 from tailbeat.robot.imu import Imu, ImuFault, YawRate
 from tailbeat.robot.plausible import Bounds, Gate
 from tailbeat.robot.reporter import Reporter
-from tailbeat.robot.safety import Health, Limits, Stand
+from tailbeat.robot.safety import Health, SafetyLimits, SafetyStatus
 from tailbeat.robot.servo import Servo, ServoFault, ServoState
 from tailbeat.robot.timing import Pace, sleep_until
 
@@ -66,9 +66,9 @@ class Loop:
     policy: Policy
     devices: Devices
     put: Callable[[Row], None]
-    limits: Limits = field(default_factory=Limits)
+    limits: SafetyLimits = field(default_factory=SafetyLimits)
     logging: Callable[[], bool] = lambda: True
-    stand: Stand = field(default_factory=Stand)
+    safety_status: SafetyStatus = field(default_factory=SafetyStatus)
     target: tuple[float, float] | None = None
     stop_asked: str = ""
     bounds: Bounds = field(default_factory=Bounds)
@@ -78,7 +78,7 @@ class Loop:
     def __post_init__(self) -> None:
         space = self.policy.contract.actions
         self.period, self.low, self.high = self.policy.contract.period, space.low, space.high
-        self.course = pilot.begin(self.policy)
+        self.runner_state = runner.begin(self.policy)
         floor, edge = self.policy.contract.band
         self.monitor = Monitor(edge, floor=floor)
         self.servo: ServoState | None = None
@@ -109,16 +109,16 @@ class Loop:
         if self.torque:
             self._look_after()
         health = self.health(now)
-        before = self.stand
-        self.stand = safety.judge(self.stand, health, self.limits)
-        decision = self._decide() if self.stand.state is State.RUN else None
-        if self.stand.state is State.STOP and before.state is not State.STOP:
-            self._let_go()
-        elif self.stand.state in (State.ARMED, State.RUN, State.HOLD):
+        before = self.safety_status
+        self.safety_status = safety.judge(self.safety_status, health, self.limits)
+        decision = self._decide() if self.safety_status.state is State.RUN else None
+        if self.safety_status.state is State.STOP and before.state is not State.STOP:
+            self._torque_off()
+        elif self.safety_status.state in (State.ARMED, State.RUN, State.HOLD):
             self._send(decision)
         elif self.owing:
-            self._let_go(tries=1)
-        if self.stand.state is not State.RUN:
+            self._torque_off(tries=1)
+        if self.safety_status.state is not State.RUN:
             self._mend(now)
         row = self._row(now, health, decision)
         row["busy_s"], row["compute_s"] = time.monotonic() - began, time.thread_time() - worked
@@ -293,28 +293,28 @@ class Loop:
             rows.append([*(frame.fish or ()), *target, math.nan if age is None else age])
         return np.array(rows + [rows[-1]] * (FRAMES - len(rows)))
 
-    def _decide(self) -> pilot.Decision:
+    def _decide(self) -> runner.Decision:
         assert self.servo is not None
         self.decided_on = self.frames(time.monotonic_ns())
-        readings = pilot.Readings(
+        readings = runner.Readings(
             self.servo.angle, self.servo.velocity, self.yaw.rate, self.decided_on
         )
-        self.course, decision = pilot.steer(self.policy, self.course, readings)
+        self.runner_state, decision = runner.steer(self.policy, self.runner_state, readings)
         self.finite = math.isfinite(decision.setpoint)
         return decision
 
-    def _send(self, decision: pilot.Decision | None) -> None:
+    def _send(self, decision: runner.Decision | None) -> None:
         """The policy's setpoint; held while armed, straight and slowly on hold. A servo that its
         own watchdog stopped is, on hold, brought back from where it stands."""
         limits = self.limits
         if decision is not None:
             wanted, speed = decision.setpoint, limits.slew
         else:
-            wanted = 0.0 if self.stand.state is State.HOLD else self.sent
+            wanted = 0.0 if self.safety_status.state is State.HOLD else self.sent
             speed = limits.ramp
         angle = safety.shaped(wanted, self.sent, self.low, self.high, speed, self.period)
         try:
-            if self.watchdog and self.stand.state is State.HOLD:
+            if self.watchdog and self.safety_status.state is State.HOLD:
                 self.sent = self.devices.servo.release()
                 self.watchdog = False
                 return
@@ -337,38 +337,38 @@ class Loop:
             self.disarm()
         elif order is Order.SWIM:
             self.swim()
-        elif self.stand.state in (State.DISARMED, State.HOLD):
+        elif self.safety_status.state in (State.DISARMED, State.HOLD):
             self.arm(now)
 
-    def arm(self, now: float) -> Stand:
+    def arm(self, now: float) -> SafetyStatus:
         """Torque on where the tail stands, if nothing speaks against it."""
         self.finite, self.stop_asked, self.clock_step, self.hardware = True, "", 0.0, ""
-        self.stand = safety.arm(self.stand, self.health(now), self.limits)
-        if self.stand.state is State.ARMED:
+        self.safety_status = safety.arm(self.safety_status, self.health(now), self.limits)
+        if self.safety_status.state is State.ARMED:
             try:
                 self.devices.servo.prepare(self.low, self.high)
-                self.alive(True)  # the warden knows before torque is on
+                self.alive(True)  # the watchdog knows before torque is on
                 self.sent = self.devices.servo.arm()
                 self.torque, self.watchdog, self.lost = True, False, False
                 self.travelled.clear()
-                self.course = pilot.begin(self.policy)
+                self.runner_state = runner.begin(self.policy)
             except ServoFault as fault:
-                self._let_go()
-                self.stand = Stand(State.DISARMED, f"arming failed: {fault}")
-        return self.stand
+                self._torque_off()
+                self.safety_status = SafetyStatus(State.DISARMED, f"arming failed: {fault}")
+        return self.safety_status
 
-    def swim(self) -> Stand:
+    def swim(self) -> SafetyStatus:
         """Let the policy have it, out of ARMED alone."""
-        self.stand = safety.run(self.stand)
-        return self.stand
+        self.safety_status = safety.run(self.safety_status)
+        return self.safety_status
 
-    def disarm(self) -> Stand:
+    def disarm(self) -> SafetyStatus:
         """Torque off, back to the beginning."""
-        self._let_go()
-        self.stop_asked, self.stand = "", safety.disarm(self.stand)
-        return self.stand
+        self._torque_off()
+        self.stop_asked, self.safety_status = "", safety.disarm(self.safety_status)
+        return self.safety_status
 
-    def _let_go(self, tries: int = 3) -> None:
+    def _torque_off(self, tries: int = 3) -> None:
         """Torque off; `owing` until the servo confirmed it, and tried again every period."""
         self.torque, self.owing = False, True
         for _ in range(tries):
@@ -387,10 +387,10 @@ class Loop:
         gc.freeze()
         gc.disable()  # a collection takes longer than a period may
         start = due = time.monotonic()
-        stood = self.stand
+        stood = self.safety_status
         try:
             while not over(due - start):
-                if self.stand is not stood:  # arming took time, and is no miss
+                if self.safety_status is not stood:  # arming took time, and is no miss
                     due += self.period * max((time.monotonic() - due) // self.period, 0.0)
                 self.late = time.monotonic() - due
                 self.pace.late.add(self.late)
@@ -403,13 +403,13 @@ class Loop:
                     self.missed.extend([due] * skipped)
                     self.pace.skipped += skipped
                     due += skipped * self.period
-                stood = self.stand
+                stood = self.safety_status
                 sleep_until(due)
         finally:
-            self._let_go()
+            self._torque_off()
             gc.enable()
 
-    def _row(self, now: float, health: Health, decision: pilot.Decision | None) -> Row:
+    def _row(self, now: float, health: Health, decision: runner.Decision | None) -> Row:
         """For the log; `tick` adds how long it took."""
         servo, frame = self.servo, self.seen[-1] if self.seen else None
         x, y, yaw = (frame.fish if frame and frame.fish else None) or (math.nan,) * 3
@@ -417,8 +417,8 @@ class Loop:
             self.shares = self.monitor.shares() or NOTHING_MOVES
         return {
             "time_s": now,
-            "state": self.stand.state.value,
-            "reason": self.stand.reason,
+            "state": self.safety_status.state.value,
+            "reason": self.safety_status.reason,
             "command_rad": self.sent,
             "motor_angle_rad": servo.angle if servo else math.nan,
             "motor_velocity_rad_s": servo.velocity if servo else math.nan,

@@ -8,7 +8,7 @@ from typing import Any
 from tailbeat.link.clock import SECOND
 from tailbeat.link.datagrams import Receiver
 from tailbeat.link.status import Numbers, State, Status, status_datagram
-from tailbeat.robot.safety import Limits
+from tailbeat.robot.safety import SafetyLimits
 
 EVERY = 0.095  # s: ten a second; a little short of five periods, so that rounding skips none
 
@@ -27,7 +27,7 @@ class Reporter:
         row: Mapping[str, Any],
         late: float,
         receiver: Receiver,
-        limits: Limits,
+        limits: SafetyLimits,
         target: tuple[float, float] | None,
     ) -> bytes | None:
         """A datagram where one is due; `late` [s] is how late the row's period began."""
@@ -43,7 +43,7 @@ class Reporter:
         self,
         row: Mapping[str, Any],
         receiver: Receiver,
-        limits: Limits,
+        limits: SafetyLimits,
         target: tuple[float, float] | None,
     ) -> Numbers:
         target_x, target_y = target or (math.nan, math.nan)

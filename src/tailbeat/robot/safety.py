@@ -11,7 +11,7 @@ from tailbeat.link.status import State
 
 
 @dataclass(frozen=True)
-class Limits:
+class SafetyLimits:
     """Beyond what the loop holds or stops; chosen where no source is named."""
 
     pose_hold: float = 0.3  # s: age of the newest pose
@@ -68,14 +68,14 @@ class Health:
 
 
 @dataclass(frozen=True)
-class Stand:
+class SafetyStatus:
     """The state, and why."""
 
     state: State = State.DISARMED
     reason: str = "not armed yet"
 
 
-def stops(health: Health, limits: Limits) -> str:
+def stops(health: Health, limits: SafetyLimits) -> str:
     """Why the torque must go, or "" if it need not."""
     found = {
         f"stop asked by {health.stop_asked}": bool(health.stop_asked),
@@ -94,7 +94,7 @@ def stops(health: Health, limits: Limits) -> str:
     return next((reason for reason, holds in found.items() if holds), "")
 
 
-def holds(health: Health, limits: Limits) -> str:
+def holds(health: Health, limits: SafetyLimits) -> str:
     """Why the fish must not swim on, or "" if it may. Bounds are taken so that NaN holds."""
     voltage = health.voltage
     found = {
@@ -119,38 +119,38 @@ def holds(health: Health, limits: Limits) -> str:
         f"{health.overruns} periods missed within a second": health.overruns
         >= limits.overruns_hold,
         "the log cannot be written": not health.logging,
-        "the warden is gone: nobody would let go if the loop died": not health.guarded,
+        "the watchdog process is gone: torque would stay on if the loop died": not health.guarded,
     }
     return next((reason for reason, holds in found.items() if holds), "")
 
 
-def judge(stand: Stand, health: Health, limits: Limits) -> Stand:
+def judge(before: SafetyStatus, health: Health, limits: SafetyLimits) -> SafetyStatus:
     """The stand after one period of an armed or running fish; DISARMED and STOP stay."""
-    if stand.state in (State.DISARMED, State.STOP):
-        return stand
+    if before.state in (State.DISARMED, State.STOP):
+        return before
     if reason := stops(health, limits):
-        return Stand(State.STOP, reason)
-    if stand.state is State.RUN and (reason := holds(health, limits)):
-        return Stand(State.HOLD, reason)
-    return stand
+        return SafetyStatus(State.STOP, reason)
+    if before.state is State.RUN and (reason := holds(health, limits)):
+        return SafetyStatus(State.HOLD, reason)
+    return before
 
 
-def arm(stand: Stand, health: Health, limits: Limits) -> Stand:
+def arm(before: SafetyStatus, health: Health, limits: SafetyLimits) -> SafetyStatus:
     """ARMED if nothing speaks against it, else as before with the reason; never out of STOP."""
-    if stand.state is State.STOP:
-        return replace(stand, reason=f"{stand.reason}; disarm first")
+    if before.state is State.STOP:
+        return replace(before, reason=f"{before.reason}; disarm first")
     reason = stops(health, limits) or holds(replace(health, watchdog=False), limits)
-    return replace(stand, reason=reason) if reason else Stand(State.ARMED, "armed")
+    return replace(before, reason=reason) if reason else SafetyStatus(State.ARMED, "armed")
 
 
-def run(stand: Stand) -> Stand:
+def run(before: SafetyStatus) -> SafetyStatus:
     """RUN out of ARMED, from nowhere else."""
-    return Stand(State.RUN, "swimming") if stand.state is State.ARMED else stand
+    return SafetyStatus(State.RUN, "swimming") if before.state is State.ARMED else before
 
 
-def disarm(stand: Stand) -> Stand:
+def disarm(before: SafetyStatus) -> SafetyStatus:
     """Back to the beginning."""
-    return Stand()
+    return SafetyStatus()
 
 
 def shaped(

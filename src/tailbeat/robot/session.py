@@ -18,7 +18,7 @@ from tailbeat.link.places import LENGTH, WIDTH
 from tailbeat.link.status import State
 from tailbeat.robot import imu, loop, servo, systemd, timing
 from tailbeat.robot import log as log_file
-from tailbeat.robot import watchdog as warden
+from tailbeat.robot import watchdog as watchdog
 from tailbeat.robot.ports import Ports
 
 Say = Callable[[str], None]
@@ -45,9 +45,9 @@ def drive(
     stay: bool = False,
 ) -> dict[str, Any]:
     """Arm (`by_itself`, or when ordered to), swim so long, disarm; every period in the log. A
-    fish that stopped ends the drive, unless it is to `stay` for orders. A warden beside lets go if
-    this process dies, and systemd hears that the loop turns. `each` is given the loop every
-    period."""
+    fish that stopped ends the drive, unless it is to `stay` for orders. A watchdog process
+    turns torque off if this process dies, and systemd hears that the loop turns. `each` is given
+    the loop every period."""
     for refused in timing.claim():
         say(f"        {refused}")
     loaded, secret = load_policy(policy), link.read_key(key)
@@ -66,7 +66,7 @@ def drive(
             own = loop.Loop(
                 loaded, devices, written.put, logging=lambda: not written.failed, target=target
             )
-            with warden.guard(ports.servo) as watcher:
+            with watchdog.guard(ports.servo) as watcher:
                 own.alive = Alive(own, watcher, systemd.from_environment())
                 try:
                     _swim(own, seconds, say, each, by_itself, stay)
@@ -85,8 +85,8 @@ def _outcome(own: Any, log: Path, by_itself: bool) -> dict[str, Any]:
     """A swim's numbers; of a service, whose log may hold days, how it ended alone."""
     rejected = dict(own.devices.receiver.rejected)
     if not by_itself:
-        return {"rejected_datagrams": rejected, "ended": own.stand.reason}
-    return summary(log_file.read_rows(log), own.stand.reason, rejected)
+        return {"rejected_datagrams": rejected, "ended": own.safety_status.reason}
+    return summary(log_file.read_rows(log), own.safety_status.reason, rejected)
 
 
 def _prepare(gyro: Any, path: str) -> None:
@@ -101,16 +101,16 @@ def _prepare(gyro: Any, path: str) -> None:
 
 @dataclass(frozen=True)
 class Alive:
-    """What the loop calls every period: the warden (`watcher`) and systemd hear that it turns."""
+    """What the loop calls every period: the watchdog (`watcher`) and systemd hear that it turns."""
 
     loop: Any
     watcher: Any
     notifier: Any
 
     def __call__(self, torque: bool) -> bool:
-        """Whether the warden listens."""
-        stand = self.loop.stand
-        self.notifier.beat(time.monotonic(), f"{stand.state.value}: {stand.reason}")
+        """Whether the watchdog listens."""
+        safety_status = self.loop.safety_status
+        self.notifier.beat(time.monotonic(), f"{safety_status.state.value}: {safety_status.reason}")
         return bool(self.watcher.beat(torque))
 
 
@@ -145,8 +145,8 @@ def _swim(
         if line != told[0]:
             told[0] = line
             say(f"{since:6.2f} s  {line}")
-        rests = own.stand.state in (State.DISARMED, State.STOP)
-        waited = own.stand.state is State.STOP or since > WAIT_TO_ARM
+        rests = own.safety_status.state in (State.DISARMED, State.STOP)
+        waited = own.safety_status.state is State.STOP or since > WAIT_TO_ARM
         return since >= seconds or (rests and (bool(ended) or (not stay and waited)))
 
     def end(number: int, _: Any) -> None:
@@ -164,9 +164,9 @@ def _swim(
 
 def _begin(own: Any, since: float) -> None:
     """Arm after a second, and swim."""
-    if own.stand.state is State.DISARMED and since > 1.0:
+    if own.safety_status.state is State.DISARMED and since > 1.0:
         own.arm(time.monotonic())
-    if own.stand.state is State.ARMED:
+    if own.safety_status.state is State.ARMED:
         own.swim()
 
 

@@ -73,7 +73,7 @@ def unit(python: str, user: str, servo: str, words: list[str]) -> str:
     template = (resources.files("tailbeat.robot") / "fish.service").read_text("utf-8")
     line = " ".join(_quoted(word) for word in [python, "-m", "tailbeat", "drive", *words])
     last = " ".join(_quoted(word) for word in [python, "-m", "tailbeat.robot.watchdog", servo])
-    return template.format(user=user, drive=line, let_go=f"{last} 1 1000000 now")
+    return template.format(user=user, drive=line, torque_off=f"{last} 1 1000000 now")
 
 
 def _quoted(word: str) -> str:

@@ -1,7 +1,7 @@
 """Lets go of the tail when the loop no longer can: a process beside it that waits for its end.
 
 The loop's every period is a byte in a pipe. When the pipe closes without a farewell, whatever
-killed the loop, or when it stays silent for a second while torque is on, the warden takes the
+killed the loop, or when it stays silent for a second while torque is on, the watchdog takes the
 torque away. It ignores what ends the loop (Ctrl-C, SIGTERM) and needs neither the network nor the
 policy. Where both die, `ExecStopPost` of the systemd unit does the same.
 """
@@ -28,15 +28,15 @@ from tailbeat.robot.wire import GONE
 HELD, FREE, FAREWELL = b"t", b".", b"q"
 SILENCE = 1.0  # s without a byte while torque is on: the loop hangs
 TRYING = 10.0  # s for the torque to go: a cable may come back
-START = 30.0  # s for the warden to be there
+START = 30.0  # s for the watchdog to be there
 
 
 # ---- the loop's end -----------------------------------------------------------------------------
 
 
 @dataclass(eq=False)
-class Warden:
-    """A running warden; `beat` every period, `farewell` once the torque is off."""
+class Watchdog:
+    """A running watchdog; `beat` every period, `farewell` once the torque is off."""
 
     process: subprocess.Popen[bytes]
 
@@ -60,8 +60,8 @@ class Warden:
 
 
 @contextmanager
-def guard(path: str, ident: int = 1, baud: int = 1_000_000) -> Iterator[Warden]:
-    """A warden for the servo on a port, there before anything moves. Raises BadInput."""
+def guard(path: str, ident: int = 1, baud: int = 1_000_000) -> Iterator[Watchdog]:
+    """A watchdog for the servo on a port, there before anything moves. Raises BadInput."""
     words = ["-m", "tailbeat.robot.watchdog", path, str(ident), str(baud)]
     process = start(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdin is not None and process.stdout is not None
@@ -69,10 +69,13 @@ def guard(path: str, ident: int = 1, baud: int = 1_000_000) -> Iterator[Warden]:
     if not ready or process.stdout.readline() != b"ready\n":
         process.kill()
         process.wait()
-        raise BadInput("the warden, who lets go if the loop dies, did not start.")
+        raise BadInput(
+            "the watchdog process did not start, so the robot will not arm; torque would stay on"
+            " if the loop died."
+        )
     os.set_blocking(process.stdin.fileno(), False)
     try:
-        yield Warden(process)
+        yield Watchdog(process)
     finally:
         process.stdin.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -80,7 +83,7 @@ def guard(path: str, ident: int = 1, baud: int = 1_000_000) -> Iterator[Warden]:
         process.stdout.close()
 
 
-# ---- the warden's end ---------------------------------------------------------------------------
+# ---- the watchdog's end ------------------------------------------------------------------------
 
 
 def watch(pipe: int, parent: int) -> bool:
@@ -99,7 +102,7 @@ def watch(pipe: int, parent: int) -> bool:
             return True
 
 
-def let_go(path: str, ident: int = 1, baud: int = 1_000_000, trying: float = TRYING) -> str:
+def try_torque_off(path: str, ident: int = 1, baud: int = 1_000_000, trying: float = TRYING) -> str:
     """Torque off, tried until it is confirmed; "" then, else what the last try said. The port need
     not be free, and what a dead process left half written on the bus is written over."""
     end, said = time.monotonic() + trying, "not tried"
@@ -117,7 +120,7 @@ def torque_off(servo: str, ident: int, baud: int) -> None:
     """Turn the torque off from outside; raises BadInput where the servo does not confirm it."""
     if not Path(servo).exists():
         raise BadInput(f"--servo {servo}: no such port; give the servo's, as /dev/ttyUSB0.")
-    said = let_go(servo, ident, baud, trying=3.0)
+    said = try_torque_off(servo, ident, baud, trying=3.0)
     if said:
         raise BadInput(f"{servo}: {said}; TORQUE MAY BE ON: cut the servo's power.")
 
@@ -147,7 +150,7 @@ def main() -> None:
         sys.stdout.flush()
         if not watch(sys.stdin.fileno(), parent):
             return
-    said = let_go(path, ident, baud)
+    said = try_torque_off(path, ident, baud)
     print(f"tailbeat: {said or 'the loop died; torque is off'}", file=sys.stderr, flush=True)
     sys.exit(1 if said else 0)
 

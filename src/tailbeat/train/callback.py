@@ -14,13 +14,13 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 
 from tailbeat.control.actions import PERIOD
-from tailbeat.env import curriculum, view
+from tailbeat.env import curriculum, rendering
 from tailbeat.env.assess import Swims, assess
 from tailbeat.env.vector_env import FishVecEnv
 from tailbeat.env.world import TERMS, World
 from tailbeat.files import BadInput
 from tailbeat.train import checkpoint
-from tailbeat.train.config import Plan
+from tailbeat.train.config import RunConfig
 from tailbeat.train.export import act, export
 from tailbeat.train.sac import QuickSAC
 
@@ -35,7 +35,7 @@ Report = Callable[[Row], None]
 
 
 @dataclass
-class Course:
+class Progress:
     """How far a training has come: what a checkpoint holds beside the networks."""
 
     stage: int = 0
@@ -65,51 +65,51 @@ class Course:
         return len({row["name"] for row in self.promotions})
 
 
-class Coach(BaseCallback):
+class TrainingCallback(BaseCallback):
     """SB3's callback; `course` is where it left off, setting `stop` ends the training cleanly."""
 
     model: SAC
 
-    def __init__(self, plan: Plan, course: Course, env: FishVecEnv, report: Report) -> None:
+    def __init__(self, run: RunConfig, progress: Progress, env: FishVecEnv, report: Report) -> None:
         super().__init__()
-        self.plan, self.course, self.env, self.report = plan, course, env, report
+        self.run, self.progress, self.env, self.report = run, progress, env, report
         self.stop = False
-        self.terms: deque[Row] = deque(maxlen=plan.recipe.window)
+        self.terms: deque[Row] = deque(maxlen=run.recipe.window)
         self.starts: list[int | None] = [None] * env.num_envs  # of episodes begun in this stage
 
     # ---- SB3 calls these ------------------------------------------------------------------------
 
     def _on_training_start(self) -> None:
         now = time.monotonic()
-        self.began, self.before = now, self.course.seconds
+        self.began, self.before = now, self.progress.seconds
         self.due = {
             "report": now + REPORT_SECONDS,
             "exam": now + EXAM_SECONDS,
-            "keep": now + 60 * self.plan.checkpoint_minutes,
+            "keep": now + 60 * self.run.checkpoint_minutes,
         }
-        self.last = now, self.course.control_steps, self.model._n_updates
+        self.last = now, self.progress.control_steps, self.model._n_updates
         self._enter()
 
     def _on_step(self) -> bool:
-        self.course.control_steps += self.env.num_envs
+        self.progress.control_steps += self.env.num_envs
         for fish, info in enumerate(self.locals["infos"]):
             if "episode" in info:
                 self._count(fish, info)
-        self.course.seconds = self.before + time.monotonic() - self.began
+        self.progress.seconds = self.before + time.monotonic() - self.began
         if self.locals["dones"].any():
             self._judge_stage()
         for name, work in (("report", self._tell), ("exam", self._examine), ("keep", self.keep)):
             if time.monotonic() >= self.due[name]:
                 work()
-        over = time.monotonic() - self.began > 3600 * self.plan.hours
-        return not (self.stop or over or self.course.finished or self.course.stalled)
+        over = time.monotonic() - self.began > 3600 * self.run.hours
+        return not (self.stop or over or self.progress.finished or self.progress.stalled)
 
     # ---- stages ---------------------------------------------------------------------------------
 
     def _enter(self) -> None:
         """Put the world and the learning rate into the course's stage."""
-        recipe, stage = self.plan.recipe, self.course.stage
-        self.env.world.change(self.plan.settings(stage))
+        recipe, stage = self.run.recipe, self.progress.stage
+        self.env.world.change(self.run.settings(stage))
         if isinstance(self.model, QuickSAC):  # memory finds competence; later it costs targets
             self.model.memory = recipe.memory if stage == 0 else 0.0
         rate = curriculum.learning_rate(recipe.stages, stage, recipe.rates)
@@ -120,51 +120,51 @@ class Coach(BaseCallback):
     def _set_pace(self, judged: list[bool]) -> None:
         """Steps between updates: a verdict takes thirty seconds of swimming and more, and most
         stages turn out to need no learning at all."""
-        recipe = self.plan.recipe
+        recipe = self.run.recipe
         waiting = recipe.waiting if len(judged) < recipe.window else 1
         pace = TrainFreq(waiting, TrainFrequencyUnit.STEP)
         self.model.train_freq = pace  # type: ignore[assignment]  # SB3 makes one of what it is given
 
     def _count(self, fish: int, info: Row) -> None:
-        self.course.episodes += 1
+        self.progress.episodes += 1
         begun = self.starts[fish]
         if begun is not None:
-            self.course.recent.append((begun, bool(info["reached"])))
-            del self.course.recent[: -KEPT * self.plan.recipe.window]
+            self.progress.recent.append((begun, bool(info["reached"])))
+            del self.progress.recent[: -KEPT * self.run.recipe.window]
             self.terms.append({**info["reward_terms"], "seconds": PERIOD * info["episode"]["l"]})
-        self.starts[fish] = self.course.clock(self.env.num_envs)
+        self.starts[fish] = self.progress.clock(self.env.num_envs)
 
     def _judged(self) -> list[bool]:
         """Arrivals of the last episodes whose time is over, by their beginnings. An arrival ends
         an episode early, so the latest to end are mostly arrivals: those tell nothing yet."""
-        known = self.course.over(self.env.num_envs, self.env.world.steps_per_episode)
+        known = self.progress.over(self.env.num_envs, self.env.world.steps_per_episode)
         order = sorted(known, key=lambda row: row[0])
-        return [arrived for _, arrived in order[-self.plan.recipe.window :]]
+        return [arrived for _, arrived in order[-self.run.recipe.window :]]
 
     def _judge_stage(self) -> None:
         judged = self._judged()
-        if len(judged) == self.plan.recipe.window and _share(judged) > curriculum.PROMOTED:
+        if len(judged) == self.run.recipe.window and _share(judged) > curriculum.PROMOTED:
             self._promote()
             return
-        if self.course.seconds - self.course.stage_began > 3600 * self.plan.recipe.budget_hours:
-            self.course.stalled = True
+        if self.progress.seconds - self.progress.stage_began > 3600 * self.run.recipe.budget_hours:
+            self.progress.stalled = True
         self._set_pace(judged)
 
     def _promote(self) -> None:
         """Examine, write the policy and a film, then go on to the next stage."""
-        course, stages = self.course, self.plan.recipe.stages
+        progress, stages = self.progress, self.run.recipe.stages
         row = self._tell() | {"greedy": self._examine().summary()}
-        course.promotions.append(row)
+        progress.promotions.append(row)
         self.write_policy()
-        kept = self.plan.out / f"stage-{course.stage + 1:02d}"
-        shutil.copyfile(self.plan.out / "policy.onnx", kept.with_suffix(".onnx"))
-        settings = self.plan.settings(course.stage)
-        view.film(self._decide, self.plan.fish, settings, kept.with_suffix(".mp4"))
-        if all(stage.by_hand for stage in stages[course.stage + 1 :]):
-            course.finished = True
+        kept = self.run.out / f"stage-{progress.stage + 1:02d}"
+        shutil.copyfile(self.run.out / "policy.onnx", kept.with_suffix(".onnx"))
+        settings = self.run.settings(progress.stage)
+        rendering.film(self._decide, self.run.fish, settings, kept.with_suffix(".mp4"))
+        if all(stage.by_hand for stage in stages[progress.stage + 1 :]):
+            progress.finished = True
             return
-        course.stage, course.stage_began = course.stage + 1, course.seconds
-        course.recent.clear()
+        progress.stage, progress.stage_began = progress.stage + 1, progress.seconds
+        progress.recent.clear()
         self._enter()
         self.keep()
 
@@ -175,7 +175,7 @@ class Coach(BaseCallback):
 
     def _examine(self) -> Swims:
         """Greedy swims to fixed targets of this stage."""
-        fish, settings = self.plan.fish, self.plan.settings(self.course.stage)
+        fish, settings = self.run.fish, self.run.settings(self.progress.stage)
         swims = assess(self._decide, lambda seeds: World(fish, settings, seeds), EXAM, EXAM_SEED)
         self.seen = swims.seen
         self.logger.record("greedy/reached", float(swims.reached.mean()))
@@ -186,50 +186,50 @@ class Coach(BaseCallback):
         """`policy.onnx` in the run's folder, as the networks are now."""
         if not hasattr(self, "seen"):
             self._examine()
-        stage = self.plan.recipe.stages[self.course.stage]
+        stage = self.run.recipe.stages[self.progress.stage]
         training = {
             "stage": stage.name,
-            "stages_passed": self.course.passed(),
-            "seed": self.plan.seed,
-            "recipe": self.plan.recipe.name,
+            "stages_passed": self.progress.passed(),
+            "seed": self.run.seed,
+            "recipe": self.run.recipe.name,
             "updates": self.model._n_updates,
-            "control_steps": self.course.control_steps,
-            "hours": round(self.course.seconds / 3600, 3),
+            "control_steps": self.progress.control_steps,
+            "hours": round(self.progress.seconds / 3600, 3),
             "rounded": isinstance(self.model, QuickSAC) and self.model.rounded,
         }
-        plan = self.plan
-        export(self.model, plan.fish, plan.actions, self.seen, training, plan.out / "policy.onnx")
+        run = self.run
+        export(self.model, run.fish, run.actions, self.seen, training, run.out / "policy.onnx")
 
     def keep(self) -> None:
         """A checkpoint, now."""
-        state = asdict(self.course) | {
+        state = asdict(self.progress) | {
             "decisions": self.model.num_timesteps,
             "updates": self.model._n_updates,
         }
-        checkpoint.save(self.plan.out, self.model, self.env.world, state)
-        self.due["keep"] = time.monotonic() + 60 * self.plan.checkpoint_minutes
+        checkpoint.save(self.run.out, self.model, self.env.world, state)
+        self.due["keep"] = time.monotonic() + 60 * self.run.checkpoint_minutes
 
     def _tell(self) -> Row:
         """One row of the history: reported, logged, kept."""
         self._check_finite()
-        now, steps, updates = time.monotonic(), self.course.control_steps, self.model._n_updates
+        now, steps, updates = time.monotonic(), self.progress.control_steps, self.model._n_updates
         span = max(now - self.last[0], 1e-9)
         row: Row = {
-            "seconds": self.course.seconds,
-            "stage": self.course.stage + 1,
-            "name": self.plan.recipe.stages[self.course.stage].name,
+            "seconds": self.progress.seconds,
+            "stage": self.progress.stage + 1,
+            "name": self.run.recipe.stages[self.progress.stage].name,
             "success": _share(self._judged()),
-            "episodes": self.course.episodes,
+            "episodes": self.progress.episodes,
             "control_steps": steps,
             "updates": updates,
             "steps_per_s": (steps - self.last[1]) / span,
             "updates_per_s": (updates - self.last[2]) / span,
             **{name: _mean(self.terms, name) for name in TERMS},
             "episode_seconds": _mean(self.terms, "seconds"),
-            "lost": int(self.env.world.body.warned.sum()),
+            "lost": int(self.env.world.simulator.warned.sum()),
         }
         self.last = now, steps, updates
-        self.course.history.append(row)
+        self.progress.history.append(row)
         self.due["report"] = now + REPORT_SECONDS
         for name, value in row.items():
             if isinstance(value, float | int):
@@ -242,14 +242,14 @@ class Coach(BaseCallback):
         """End a run whose networks left the finite, before they reach a checkpoint."""
         if not all(torch.isfinite(p).all() for p in self.model.policy.parameters()):
             raise BadInput(
-                f"{self.plan.out}: the training diverged before update {self.model._n_updates}: a"
+                f"{self.run.out}: the training diverged before update {self.model._n_updates}: a"
                 f" network is not finite; the last checkpoint is whole: go on with --resume."
             )
 
     def _promotion_in(self) -> float | None:
         """Seconds until the rolling share passes the mark, by the slope of late; None if it does
         not rise."""
-        rows = [row for row in self.course.history if row["stage"] == self.course.stage + 1]
+        rows = [row for row in self.progress.history if row["stage"] == self.progress.stage + 1]
         if len(rows) < RECENT // 2:
             return None
         time_, share = np.array([[r["seconds"], r["success"]] for r in rows[-RECENT:]]).T

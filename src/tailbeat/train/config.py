@@ -21,7 +21,7 @@ WORKING_SET = 1.5e9  # bytes that torch, engine and 64 fish take beside the buff
 
 
 @dataclass(frozen=True)
-class Plan:
+class RunConfig:
     """One training run. `hours` is what this session may take."""
 
     fish: Fish
@@ -69,7 +69,7 @@ def action_space(
     return Generator(low, high, ceiling=fish.band[1], floor=floor)
 
 
-def plan_of(
+def run_config(
     fish: str,
     out: Path,
     actions: str,
@@ -80,33 +80,33 @@ def plan_of(
     servo: str | None = None,
     binds: str | None = None,
     floor: float = 0.0,
-) -> Plan:
+) -> RunConfig:
     """A run from a fish's, an action space's and a recipe's name. `binds` is the recipe's by
     default."""
     described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe)
     space = action_space(actions, described, binds or chosen.binds, floor)
-    return Plan(described, space, chosen, seed, out, hours, device)
+    return RunConfig(described, space, chosen, seed, out, hours, device)
 
 
-def check(plan: Plan, resume: bool) -> None:
+def check(run: RunConfig, resume: bool) -> None:
     """Raises BadInput for a folder, a fish, a device or a memory that will not do."""
-    if not plan.hours > 0:
-        raise BadInput(f"--hours {plan.hours:g}: give a time above 0.")
-    if plan.device not in ("cpu", "cuda") or (plan.device == "cuda" and not cuda.is_available()):
-        raise BadInput(f"--device {plan.device}: allowed are cpu, and cuda where there is one.")
-    check_settings(plan.fish, plan.settings(0))
-    _check_memory(plan.recipe)
+    if not run.hours > 0:
+        raise BadInput(f"--hours {run.hours:g}: give a time above 0.")
+    if run.device not in ("cpu", "cuda") or (run.device == "cuda" and not cuda.is_available()):
+        raise BadInput(f"--device {run.device}: allowed are cpu, and cuda where there is one.")
+    check_settings(run.fish, run.settings(0))
+    _check_memory(run.recipe)
     if resume:
-        _check_same(plan)
-    elif plan.out.exists() and any(plan.out.iterdir()):
+        _check_same(run)
+    elif run.out.exists() and any(run.out.iterdir()):
         raise BadInput(
-            f"{plan.out}: holds another run; go on with --resume, or choose a new folder."
+            f"{run.out}: holds another run; go on with --resume, or choose a new folder."
         )
 
 
-def check_stage(plan: Plan, stage: str) -> None:
+def check_stage(run: RunConfig, stage: str) -> None:
     """Raises BadInput for a stage that the recipe does not have."""
-    names = [one.name for one in plan.recipe.stages]
+    names = [one.name for one in run.recipe.stages]
     if stage not in names:
         raise BadInput(f"--stage {stage!r}: allowed are {', '.join(names)}.")
 
@@ -121,12 +121,12 @@ def _check_memory(recipe: Recipe) -> None:
         )
 
 
-def _check_same(plan: Plan) -> None:
+def _check_same(run: RunConfig) -> None:
     """The run in the folder must have been asked for the same; names each difference."""
-    path = plan.out / "run.json"
+    path = run.out / "run.json"
     if not path.is_file():
         raise BadInput(
-            f"{plan.out}: no run to resume (run.json is missing); start without --resume."
+            f"{run.out}: no run to resume (run.json is missing); start without --resume."
         )
     try:
         held = leaves("", json.loads(path.read_text(encoding="utf-8")))
@@ -134,16 +134,16 @@ def _check_same(plan: Plan) -> None:
         raise BadInput(f"{path}: not readable JSON; the run cannot be resumed.") from None
     if held.get("actions.kind") == "generator":
         held.setdefault("actions.floor", 0.0)  # runs begun before the floor have none
-    asked = leaves("", json.loads(json.dumps(plan.record())))
+    asked = leaves("", json.loads(json.dumps(run.record())))
     wrong = [
         f"{name} was {held.get(name)}, now {asked.get(name)}"
         for name in sorted(set(held) | set(asked))
         if held.get(name) != asked.get(name)
     ]
     if wrong:
-        raise BadInput(f"{plan.out}: another run: {'; '.join(wrong)}. Give what it was begun with.")
+        raise BadInput(f"{run.out}: another run: {'; '.join(wrong)}. Give what it was begun with.")
 
 
-def begin(plan: Plan) -> None:
+def begin(run: RunConfig) -> None:
     """Make the folder and note what was asked for."""
-    write_json(plan.out / "run.json", plan.record(), overwrite=True)
+    write_json(run.out / "run.json", run.record(), overwrite=True)

@@ -19,7 +19,7 @@ from tailbeat.control.policy import KEY, VERSION, Contract, Policy, as_text, loa
 from tailbeat.files import new_file
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest
-from tailbeat.train.features import CloseUp
+from tailbeat.train.features import TargetFeatures
 
 Single = NDArray[np.float32]
 GOLDEN = 16  # pairs
@@ -66,8 +66,8 @@ def act(model: SAC, seen: Single) -> Single:
 
 
 def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
-    """Layers of the actor's mean, ReLU between them, tanh at the end; before them the close-up,
-    where the networks have one."""
+    """Layers of the actor's mean, ReLU between them, tanh at the end; before them the
+    target features, where the networks have them."""
     actor = model.actor
     layers: list[Any] = [m for m in actor.latent_pi if isinstance(m, torch.nn.Linear)] + [actor.mu]
     nodes, weights, name = _close_up(actor.features_extractor)
@@ -85,7 +85,7 @@ def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
 
 def _close_up(extractor: Any) -> tuple[list[Any], list[Any], str]:
     """Nodes, weights and the name of what the first layer sees."""
-    if not isinstance(extractor, CloseUp):
+    if not isinstance(extractor, TargetFeatures):
         return [], [], "observation"
     held = extractor.named_buffers()
     weights = [numpy_helper.from_array(matrix.cpu().numpy(), name) for name, matrix in held]

@@ -38,7 +38,7 @@ def _column(name: str) -> int:
     return [entry.name for entry in TABLE].index(NEWEST + name)
 
 
-class CloseUp(BaseFeaturesExtractor):
+class TargetFeatures(BaseFeaturesExtractor):
     """Observations (n, 24) to (n, 27), for SB3's `features_extractor_class`; nothing is learnt."""
 
     above: torch.Tensor

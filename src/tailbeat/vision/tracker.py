@@ -26,7 +26,7 @@ SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True)
-class Limits:
+class TrackerLimits:
     """What is believed; chosen. Speeds bound steps between two sightings, with `step` and `turn`
     on top for noise; they are forgotten after `memory`."""
 
@@ -75,7 +75,7 @@ class Tracker:
 
     calibration: Calibration
     ids: tuple[int, int] = (FISH, TARGET)
-    limits: Limits = field(default_factory=Limits)
+    limits: TrackerLimits = field(default_factory=TrackerLimits)
     detector: Detector = field(default_factory=open_detector)
     rejected: Counter[str] = field(default_factory=Counter)
     counts: Counter[int] = field(default_factory=Counter)  # believed, by id
@@ -212,7 +212,7 @@ def planar_pose(corners: Array) -> Pose:
     return float(x), float(y), float(np.arctan2(ahead[1], ahead[0]))
 
 
-def misshapen(corners: Array, side: float, limits: Limits) -> str:
+def misshapen(corners: Array, side: float, limits: TrackerLimits) -> str:
     """Why four places (4, 2) [m] are not the corners of a tag with black sides of `side` [m] seen
     from above, or ""."""
     if not np.isfinite(corners).all():

@@ -20,7 +20,7 @@ from tailbeat.processes import start
 from tailbeat.vision.calibration import Calibration
 from tailbeat.vision.camera import CameraFault, open_camera
 from tailbeat.vision.tags import FISH, TARGET
-from tailbeat.vision.tracker import Limits, Picture, Sighting, Tracker
+from tailbeat.vision.tracker import Picture, Sighting, Tracker, TrackerLimits
 
 PREVIEW = 0.1  # s between two pictures for the console
 PREVIEW_SIZE = (640, 360)
@@ -38,7 +38,7 @@ class Watching:
     camera: str
     calibration: Calibration
     ids: tuple[int, int] = (FISH, TARGET)
-    limits: Limits = field(default_factory=Limits)
+    limits: TrackerLimits = field(default_factory=TrackerLimits)
     exposure: float = 0.002
     latency: float = 0.0
     rate: float = 60.0

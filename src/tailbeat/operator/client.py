@@ -32,7 +32,7 @@ COMMANDS = 20  # read at once
 
 
 @dataclass(eq=False)
-class Desk:
+class OperatorClient:
     """An open console; see `open_desk`. `url` holds the token."""
 
     listening: socket.socket
@@ -98,15 +98,15 @@ class Desk:
         self.process.stdin.flush()
 
 
-def open_console(console: str) -> Desk | None:
+def open_console(console: str) -> OperatorClient | None:
     """The operator's page at `host:port`, or None where that is empty."""
     if not console:
         return None
     need("the console", "robot", "fastapi", "uvicorn", "websockets")
-    return open_desk(address(console, "--console"), (LENGTH, WIDTH))
+    return open_client(address(console, "--console"), (LENGTH, WIDTH))
 
 
-def open_desk(at: tuple[str, int], room: tuple[float, float]) -> Desk:
+def open_client(at: tuple[str, int], room: tuple[float, float]) -> OperatorClient:
     """Open the console at host and port (0: any free one) for a pool of this size [m]. Raises
     BadInput where the address cannot be had. Returns when the page can be seen."""
     if at[0] in ("", "0.0.0.0"):
@@ -127,12 +127,14 @@ def open_desk(at: tuple[str, int], room: tuple[float, float]) -> Desk:
         one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4 * LARGEST)
     token = secrets.token_urlsafe(12)
     host, port = listening.getsockname()
-    desk = Desk(listening, room, token, f"http://{host}:{port}/#token={token}", ours, theirs)
-    desk._keep(time.monotonic())
-    if not desk.commands(READY):
-        desk.close()
+    client = OperatorClient(
+        listening, room, token, f"http://{host}:{port}/#token={token}", ours, theirs
+    )
+    client._keep(time.monotonic())
+    if not client.commands(READY):
+        client.close()
         raise BadInput("the console's server did not start; see what it said above.")
-    return desk
+    return client
 
 
 def is_local(host: str) -> bool:
@@ -140,10 +142,10 @@ def is_local(host: str) -> bool:
     return ip_address(host).is_loopback
 
 
-def announce(desk: Desk) -> list[str]:
+def announce(client: OperatorClient) -> list[str]:
     """What the operator must know: where it is, and whether others can reach it."""
-    lines = [f"console: {desk.url}"]
-    if not is_local(desk.listening.getsockname()[0]):
+    lines = [f"console: {client.url}"]
+    if not is_local(client.listening.getsockname()[0]):
         lines.append(
             "warning: the console is open to this network, unencrypted: everyone on it can watch"
             " and STOP, and who listens along can read the token. Use a network of your own."
@@ -152,16 +154,21 @@ def announce(desk: Desk) -> list[str]:
 
 
 def turn(
-    desk: Desk, sender: Sender, fish: Fish, now: float, note: str = "", picture: bytes = b""
+    client: OperatorClient,
+    sender: Sender,
+    fish: Fish,
+    now: float,
+    note: str = "",
+    picture: bytes = b"",
 ) -> None:
     """Do what the operators ask, and show them what is, where that is due at `now` [s]. `note` is
     about the camera, `picture` its newest JPEG."""
-    for command in desk.commands():
+    for command in client.commands():
         _attend(sender, command, now)
-    if now >= desk.due:
-        desk.due = now + EVERY
-        desk._keep(now)
-        desk.show(snapshot(sender, fish, desk.room, now, note), picture)
+    if now >= client.due:
+        client.due = now + EVERY
+        client._keep(now)
+        client.show(snapshot(sender, fish, client.room, now, note), picture)
 
 
 def _attend(sender: Sender, command: dict[str, Any], now: float) -> None:

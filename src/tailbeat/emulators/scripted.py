@@ -23,7 +23,7 @@ MARGIN = 0.15  # m that a tag's middle keeps from a wall
 
 
 @dataclass(frozen=True)
-class Course:
+class ScriptedSwim:
     """A swim over the whole pool: a Lissajous figure with a beating head, and a target that is
     moved by hand. Places in metres, times in seconds."""
 
@@ -71,12 +71,12 @@ def fish_line(name: str = "pulley-fish") -> Array:
 
 def film(socket: Path, fish: str, seconds: float, seed: int, say: Say) -> None:
     """A virtual camera at a socket over a fish that swims round and round, until told to stop."""
-    course, drawn = Course(), fish_line(fish)
+    scripted, drawn = ScriptedSwim(), fish_line(fish)
     camera = start_camera(socket, Filming(seed=seed))
     ended = told_to_end()
     say(f"filming at {camera.where}")
     began = time.monotonic()
     while not ended and not (seconds and time.monotonic() - began >= seconds):
-        camera.show(course.scene(time.monotonic() - began, drawn))
+        camera.show(scripted.scene(time.monotonic() - began, drawn))
         time.sleep(0.004)
     camera.close()

@@ -15,9 +15,18 @@ from tailbeat.env.world import Settings, World
 from tailbeat.fish.store import load_fish
 from tailbeat.link.status import State
 from tailbeat.robot import safety
-from tailbeat.robot.safety import Health, Limits, Stand, arm, disarm, judge, run, shaped
+from tailbeat.robot.safety import (
+    Health,
+    SafetyLimits,
+    SafetyStatus,
+    arm,
+    disarm,
+    judge,
+    run,
+    shaped,
+)
 
-FISH, LIMITS = load_fish("pulley-fish-pool"), Limits()
+FISH, LIMITS = load_fish("pulley-fish-pool"), SafetyLimits()
 WELL = Health(
     pose_age=0.04, imu_age=0.01, servo_age=0.01, clock_doubt=0.003, target=True
 )  # fmt: skip
@@ -39,7 +48,7 @@ def test_a_swim_recorded_in_the_environment_is_replayed_to_the_bit(name, monkeyp
     for _ in range(500):
         done = world.step(np.asarray(decide(policy, seen), float))
         seen = done.observation
-        sent.append(float(world.body.ctrl[0, 0]))
+        sent.append(float(world.simulator.ctrl[0, 0]))
     course = begin(policy)
     for readings, setpoint in zip(kept, sent, strict=False):
         own = Readings(
@@ -65,12 +74,12 @@ def test_a_reading_that_is_no_number_gives_no_number_and_no_further_state():
 
 
 def test_the_way_to_swim_leads_through_arming():
-    stand = Stand()
-    assert run(stand).state is State.DISARMED
-    stand = arm(stand, WELL, LIMITS)
-    assert stand.state is State.ARMED
-    stand = run(stand)
-    assert judge(stand, WELL, LIMITS) == stand and stand.state is State.RUN
+    safety_status = SafetyStatus()
+    assert run(safety_status).state is State.DISARMED
+    safety_status = arm(safety_status, WELL, LIMITS)
+    assert safety_status.state is State.ARMED
+    safety_status = run(safety_status)
+    assert judge(safety_status, WELL, LIMITS) == safety_status and safety_status.state is State.RUN
 
 
 HOLDS: dict[str, dict[str, Any]] = {
@@ -89,7 +98,7 @@ HOLDS: dict[str, dict[str, Any]] = {
     "from 4000 ms ahead": {"pose_age": -4.0},
     "7 poses in a row": {"jumps": 7},
     "numbers stand still": {"imu_frozen": True},
-    "warden is gone": {"guarded": False},
+    "watchdog process is gone": {"guarded": False},
 }
 STOPS: dict[str, dict[str, Any]] = {
     "asked by the console": {"stop_asked": "the console"},
@@ -106,24 +115,24 @@ STOPS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize(("reason", "changed"), HOLDS.items())
 def test_what_makes_it_hold_latches_with_its_reason(reason, changed):
-    running = Stand(State.RUN, "swimming")
+    running = SafetyStatus(State.RUN, "swimming")
     held = judge(running, replace(WELL, **changed), LIMITS)
     assert held.state is State.HOLD and reason in held.reason
     assert judge(held, WELL, LIMITS) == held  # well again is not enough
     assert run(held) == held
     assert run(arm(held, WELL, LIMITS)).state is State.RUN
     if "watchdog" not in changed:  # arming clears the watchdog
-        assert arm(Stand(), replace(WELL, **changed), LIMITS).state is State.DISARMED
+        assert arm(SafetyStatus(), replace(WELL, **changed), LIMITS).state is State.DISARMED
 
 
 @pytest.mark.parametrize(("reason", "changed"), STOPS.items())
 def test_what_makes_it_stop_stays_until_disarmed(reason, changed):
     for before in (State.ARMED, State.RUN, State.HOLD):
-        stand = judge(Stand(before, ""), replace(WELL, **changed), LIMITS)
-        assert stand.state is State.STOP and reason in stand.reason
-        assert arm(stand, WELL, LIMITS).state is State.STOP
-        assert run(stand).state is State.STOP
-    assert arm(disarm(stand), WELL, LIMITS).state is State.ARMED
+        safety_status = judge(SafetyStatus(before, ""), replace(WELL, **changed), LIMITS)
+        assert safety_status.state is State.STOP and reason in safety_status.reason
+        assert arm(safety_status, WELL, LIMITS).state is State.STOP
+        assert run(safety_status).state is State.STOP
+    assert arm(disarm(safety_status), WELL, LIMITS).state is State.ARMED
 
 
 def test_every_field_of_health_can_stop_or_hold():
@@ -135,7 +144,7 @@ def test_what_is_not_a_number_holds():
     for name in ("pose_age", "imu_age", "servo_age", "clock_doubt", "temperature", "voltage"):
         nan: dict[str, Any] = {name: float("nan")}
         broken = replace(WELL, **nan)
-        assert judge(Stand(State.RUN, ""), broken, LIMITS).state is State.HOLD, name
+        assert judge(SafetyStatus(State.RUN, ""), broken, LIMITS).state is State.HOLD, name
     assert safety.holds(WELL, LIMITS) == "" == safety.stops(WELL, LIMITS)
 
 

@@ -15,7 +15,7 @@ from tailbeat.robot.ports import Ports
 
 
 @contextmanager
-def own_bench(
+def own_devices(
     fish: str,
     seed: int,
     target: str = TARGET,

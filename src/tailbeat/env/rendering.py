@@ -28,8 +28,8 @@ def from_above(world: World, fish: int, path: Array, pixels: int = 480) -> NDArr
     figure = Figure(figsize=(4, 4), dpi=pixels / 4, layout="constrained")
     canvas, axes = FigureCanvasAgg(figure), figure.subplots()
     axes.plot(path[:, 0], path[:, 1], color="0.7", lw=1)
-    body = outline(world.fish, world.body.qpos[fish])
-    axes.plot(body[:, 0], body[:, 1], color="tab:blue", lw=2.5, solid_capstyle="round")
+    simulator = outline(world.fish, world.simulator.qpos[fish])
+    axes.plot(simulator[:, 0], simulator[:, 1], color="tab:blue", lw=2.5, solid_capstyle="round")
     place = world.target[fish]
     axes.add_patch(Circle((place[0], place[1]), world.task.arrival, color="tab:orange"))
     reach = world.task.farthest + 0.5
@@ -43,7 +43,7 @@ def from_above(world: World, fish: int, path: Array, pixels: int = 480) -> NDArr
 def from_beside(world: World, fish: int) -> NDArray[np.uint8]:
     """One fish as the engine renders it, looks and all, by a camera that follows it."""
     twin = compile_twin(world.fish, Options(looks=True))
-    images, _ = frames(twin, world.body.qpos[fish : fish + 1].copy())
+    images, _ = frames(twin, world.simulator.qpos[fish : fish + 1].copy())
     return next(images)
 
 

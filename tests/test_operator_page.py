@@ -38,16 +38,23 @@ from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.link import datagrams as link
 from tailbeat.link.status import State
-from tailbeat.operator.page import Desk, announce, is_local, open_console, open_desk, turn
+from tailbeat.operator.client import (
+    OperatorClient,
+    announce,
+    is_local,
+    open_client,
+    open_console,
+    turn,
+)
 from tailbeat.operator.snapshot import body
 from tailbeat.robot.imu import connect as connect_imu
 from tailbeat.robot.loop import Devices, Loop
-from tailbeat.robot.safety import Limits
+from tailbeat.robot.safety import SafetyLimits
 from tailbeat.robot.servo import connect as connect_servo
 
 KEY, ROOM, TAG = bytes(32), (5.5, 2.7), (1.5, 0.5)
 FISH, POLICY = load_fish("pulley-fish"), load_policy("pulley-fish-pool-generator")
-WIDE = Limits(pose_hold=4.0, pose_stop=8.0, imu_hold=4.0, servo_hold=4.0, servo_stop=6.0,
+WIDE = SafetyLimits(pose_hold=4.0, pose_stop=8.0, imu_hold=4.0, servo_hold=4.0, servo_stop=6.0,
               clock_doubt=2.0, overruns_hold=10**6)  # fmt: skip
 PATIENT = 1.0
 SOON = 40.0  # s: what takes a tenth of a second may take that on a busy machine
@@ -69,7 +76,7 @@ class Lab:
 
     loop: Loop
     rig: bench.Rig
-    desk: Desk
+    client: OperatorClient
     picture: bytes = b""
 
     @property
@@ -84,12 +91,12 @@ class Lab:
 
     @property
     def page(self) -> str:
-        return self.desk.url.partition("#")[0]
+        return self.client.url.partition("#")[0]
 
     def order(self, **words: Any) -> None:
         """As a page with the token does."""
         with ws.connect(f"{self.page.replace('http', 'ws')}live") as page:
-            page.send(json.dumps({"token": self.desk.token, **words}))
+            page.send(json.dumps({"token": self.client.token, **words}))
             json.loads(page.recv())
 
     def rest(self) -> None:
@@ -105,7 +112,7 @@ class Lab:
             self.stands(state)
 
     def stands(self, state: State) -> None:
-        until(lambda: self.loop.stand.state is state, what=lambda: self.loop.stand)
+        until(lambda: self.loop.safety_status.state is state, what=lambda: self.loop.safety_status)
 
 
 def until(holds: Callable[[], Any], what: Callable[[], Any] = lambda: "") -> None:
@@ -120,11 +127,11 @@ def lab() -> Iterator[Lab]:
     heard = link.bind("127.0.0.1", 0)
     rig = bench.open_rig(FISH, KEY, heard.getsockname(), TAG)
     rig.shaft.advance(0.0, 0.01)
-    desk, ended = open_desk(("127.0.0.1", 0), ROOM), threading.Event()
-    made = Lab(None, rig, desk)  # type: ignore[arg-type]
+    client, ended = open_client(("127.0.0.1", 0), ROOM), threading.Event()
+    made = Lab(None, rig, client)  # type: ignore[arg-type]
 
     def over() -> bool:
-        turn(desk, rig.laptop.sender, FISH, time.monotonic(), picture=made.picture)
+        turn(client, rig.laptop.sender, FISH, time.monotonic(), picture=made.picture)
         return ended.is_set()
 
     def tick() -> None:
@@ -153,7 +160,7 @@ def lab() -> Iterator[Lab]:
         thread.join(10)
     servo.close()
     imu.close()
-    desk.close()
+    client.close()
     bench.close_rig(rig)
     heard.close()
 
@@ -180,7 +187,7 @@ def chromium() -> Iterator[webdriver.Chrome]:
 def page(lab: Lab, chromium: webdriver.Chrome) -> Iterator[webdriver.Chrome]:
     """The page with the token, at a swimming fish; in the end the browser has nothing to say."""
     lab.swim()
-    visit(chromium, lab.desk.url)
+    visit(chromium, lab.client.url)
     shows(chromium, State.RUN)
     until(lambda: not chromium.find_element(By.ID, "key").is_displayed())  # the token was taken
     yield chromium
@@ -238,7 +245,7 @@ def test_a_target_dragged_by_mouse_is_where_the_fish_swims_to(lab, page):
     drag.release().perform()
     x, y = TAG[0] - 4 * round(0.5 * metre) / metre, TAG[1] - 4 * round(0.25 * metre) / metre
     until(lambda: near(lab, x, y))
-    assert lab.loop.stand.state is State.RUN and "by hand" in shown(page, "where")
+    assert lab.loop.safety_status.state is State.RUN and "by hand" in shown(page, "where")
     until(lambda: abs(lab.loop.decided_on[0, 3] - x) < 0.03)  # the policy's input
     page.find_element(By.ID, "tag").click()
     until(lambda: near(lab, *TAG))
@@ -278,7 +285,7 @@ def test_the_buttons_arm_swim_and_disarm(lab, page):
         until(button.is_enabled)
         button.click()
         lab.stands(state)
-        until(lambda: lab.torque == (lab.loop.stand.state is not State.DISARMED))
+        until(lambda: lab.torque == (lab.loop.safety_status.state is not State.DISARMED))
         shows(page, state)
 
 
@@ -296,7 +303,7 @@ def test_stop_takes_the_torque_off_even_from_a_page_that_may_only_watch(lab, chr
         (keys.click(field_) if field_ else keys).send_keys(" ").perform()
     lab.stands(State.STOP)
     until(lambda: lab.torque == 0)
-    assert lab.loop.stand.reason == "stop asked by the console"
+    assert lab.loop.safety_status.reason == "stop asked by the console"
     shows(chromium, State.STOP)
     assert "asked by the console" in shown(chromium, "reason")
     assert chromium.get_log("browser") == []
@@ -315,9 +322,9 @@ def test_a_wrong_token_is_refused_said_and_moves_nothing(lab, chromium):
     typed = chromium.find_element(By.ID, "token")
     typed.send_keys("also-wrong", Keys.ENTER)
     time.sleep(0.3)
-    assert lab.loop.stand.state is State.DISARMED and near(lab, *TAG)
+    assert lab.loop.safety_status.state is State.DISARMED and near(lab, *TAG)
     typed.clear()
-    typed.send_keys(lab.desk.token, Keys.ENTER)
+    typed.send_keys(lab.client.token, Keys.ENTER)
     until(lambda: "token accepted" in shown(chromium, "said"))
     until(lambda: chromium.find_element(By.ID, "arm").is_enabled())
 
@@ -337,10 +344,10 @@ def test_the_camera_s_newest_picture_is_shown_and_nothing_comes_from_elsewhere(l
 
 
 def test_a_server_that_dies_is_started_again_and_the_page_comes_back(lab, page):
-    until(lambda: time.monotonic() > lab.desk.again)
-    process = lab.desk.process
+    until(lambda: time.monotonic() > lab.client.again)
+    process = lab.client.process
     process.kill()
-    until(lambda: lab.desk.process is not process)
+    until(lambda: lab.client.process is not process)
     until(lambda: shown(page, "state").lower() == "run" and "waiting" not in shown(page, "reason"))
     before = lab.loop.devices.receiver.accepted
     until(lambda: lab.loop.devices.receiver.accepted > before)
@@ -367,7 +374,7 @@ def ask(page: ws.ClientConnection, **words: Any) -> str:
 
 
 def test_commands_that_cannot_be_are_refused_with_the_reason(lab):
-    token = lab.desk.token
+    token = lab.client.token
     with ws.connect(live(lab)) as page:
         for words, complaint in (
             ({"do": "arm"}, "wrong token"),
@@ -408,13 +415,13 @@ def test_a_browser_that_does_not_draw_gets_the_newest_when_it_does(lab):
 
 def test_where_a_console_cannot_be_is_one_sentence_and_an_open_one_is_warned_of(lab, monkeypatch):
     with pytest.raises(BadInput, match="choose another address or port"):
-        open_desk(lab.desk.listening.getsockname(), ROOM)
+        open_client(lab.client.listening.getsockname(), ROOM)
     with pytest.raises(BadInput, match="not all of them"):
-        open_desk(("0.0.0.0", 0), ROOM)
-    assert len(announce(lab.desk)) == 1 and lab.desk.token in announce(lab.desk)[0]
+        open_client(("0.0.0.0", 0), ROOM)
+    assert len(announce(lab.client)) == 1 and lab.client.token in announce(lab.client)[0]
     assert not is_local("192.168.4.1") and is_local("127.0.0.1")
-    monkeypatch.setattr("tailbeat.operator.page.is_local", lambda host: False)
-    assert "open to this network" in announce(lab.desk)[1]
+    monkeypatch.setattr("tailbeat.operator.client.is_local", lambda host: False)
+    assert "open to this network" in announce(lab.client)[1]
 
 
 def test_the_fish_is_drawn_where_its_tag_is_and_bends_to_the_motor_s_side():

@@ -1,4 +1,5 @@
-"""The warden: who lets go when the loop is killed, hangs, or leaves half a packet on the bus."""
+"""The watchdog process turns torque off when the loop is killed or hangs, and
+where half a packet was left on the bus."""
 
 import os
 import signal
@@ -13,16 +14,16 @@ pytest.importorskip("serial", reason="the robot extra is not installed")
 
 from lines import PATIENT, Bench, servo_bench
 from tailbeat.files import BadInput
-from tailbeat.robot import watchdog as warden
+from tailbeat.robot import watchdog as watchdog
 from tailbeat.robot.packet import WRITE, Packet, encode
 from tailbeat.robot.servo import connect
 
-# A loop in miniature: it arms, keeps the servo's watchdog at bay, and tells the warden.
+# A loop in miniature: it arms, keeps the servo's watchdog at bay, and tells the watchdog.
 LOOP = """
 import sys, time
-from tailbeat.robot import servo, watchdog as warden
+from tailbeat.robot import servo, watchdog
 motor = servo.connect(sys.argv[1], deadline=0.25)
-with warden.guard(sys.argv[1]) as watcher:
+with watchdog.guard(sys.argv[1]) as watcher:
     motor.prepare(-1.4, 1.4)
     watcher.beat(True)
     motor.arm(2.5)
@@ -49,7 +50,7 @@ def loop(bench) -> Iterator[subprocess.Popen]:
     yield process
     if process.poll() is None:
         process.kill()
-    process.communicate(timeout=30)  # until its warden is done too, else it meets the next test
+    process.communicate(timeout=30)  # until its watchdog is done too, else it meets the next test
 
 
 def off_within(bench: Bench, seconds: float) -> float:
@@ -80,7 +81,7 @@ def test_half_a_packet_of_the_dead_is_written_over(bench):
         time.sleep(0.1)  # replies to the last let-go that are still under way
         bench.device.put(64, 1)
         bench.device.stream[:] = whole[:cut]
-        assert warden.let_go(bench.path, trying=5.0) == "" and not bench.on, cut
+        assert watchdog.try_torque_off(bench.path, trying=5.0) == "" and not bench.on, cut
 
 
 def test_a_late_reply_to_the_dead_loops_write_is_no_farewell(bench):
@@ -89,7 +90,7 @@ def test_a_late_reply_to_the_dead_loops_write_is_no_farewell(bench):
     end, bench.device.faults.late = os.open(bench.path, os.O_RDWR | os.O_NOCTTY), 0.03
     os.write(end, goal + goal[:13])  # one is answered late; half a one will swallow what comes next
     time.sleep(0.01)
-    assert warden.let_go(bench.path, trying=5.0) == "" and not bench.on
+    assert watchdog.try_torque_off(bench.path, trying=5.0) == "" and not bench.on
     os.close(end)
 
 
@@ -97,22 +98,22 @@ def test_a_latched_watchdog_and_replies_that_are_lost_do_not_keep_the_torque_on(
     bench.armed()
     bench.device.trip()
     bench.device.faults.mute = 2
-    assert warden.let_go(bench.path, trying=5.0) == ""
+    assert watchdog.try_torque_off(bench.path, trying=5.0) == ""
     assert not bench.on and bench.device.get(98) == 0
 
 
 def test_a_loop_that_says_farewell_is_left_alone_and_one_that_does_not_is_not(bench):
     for said, torque in ((True, True), (False, False)):
         bench.armed()
-        with warden.guard(bench.path) as watcher:
+        with watchdog.guard(bench.path) as watcher:
             assert watcher.beat(True)
             if said:
                 watcher.farewell()
         assert bench.on is torque
 
 
-def test_a_warden_that_is_gone_is_noticed(bench):
-    with warden.guard(bench.path) as watcher:
+def test_a_watchdog_that_is_gone_is_noticed(bench):
+    with watchdog.guard(bench.path) as watcher:
         assert watcher.beat(False)
         watcher.process.kill()
         watcher.process.wait()
@@ -122,15 +123,15 @@ def test_a_warden_that_is_gone_is_noticed(bench):
 def test_what_cannot_be_told_is_said(bench, tmp_path):
     bench.armed()
     bench.pull()
-    assert "could not open" in warden.let_go(str(tmp_path / "nothing"), trying=0.1)
-    words = [sys.executable, "-m", "tailbeat", "let-go", "--servo", str(tmp_path / "nothing")]
+    assert "could not open" in watchdog.try_torque_off(str(tmp_path / "nothing"), trying=0.1)
+    words = [sys.executable, "-m", "tailbeat", "torque-off", "--servo", str(tmp_path / "nothing")]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2 and "no such port" in done.stderr
 
 
 def test_the_verb_lets_go(bench):
     bench.armed()
-    words = [sys.executable, "-m", "tailbeat", "let-go", "--servo", bench.path]
+    words = [sys.executable, "-m", "tailbeat", "torque-off", "--servo", bench.path]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0 and "torque is off" in done.stdout and not bench.on
 
@@ -148,7 +149,7 @@ def test_a_release_goes_on_from_where_the_servo_stopped_itself(bench):
     servo.close()
 
 
-def test_a_warden_that_cannot_start_is_refused(monkeypatch):
-    monkeypatch.setattr(warden.sys, "executable", "/bin/false")
-    with pytest.raises(BadInput, match="did not start"), warden.guard("/dev/null"):
+def test_a_watchdog_that_cannot_start_is_refused(monkeypatch):
+    monkeypatch.setattr(watchdog.sys, "executable", "/bin/false")
+    with pytest.raises(BadInput, match="did not start"), watchdog.guard("/dev/null"):
         pass

@@ -23,7 +23,7 @@ SHAFT_SPEEDS = (3.0, 6.0, 9.0)  # rad/s, commanded: stroke times angular frequen
 SECONDS, JUDGED = 12.0, 4.0
 
 
-def flutter(
+def speed_map(
     fish: Fish, servos: Sequence[str] = ("identified",), twin: Fish | None = None
 ) -> dict[str, Any]:
     """Speed [m/s] of `twin` (the fish's own without one) and plant for every beat; negative is
@@ -49,11 +49,11 @@ def flutter(
     return {"fish": fish.name, "water": fingerprint([Water()]), "rows": rows}
 
 
-def flutter_of(fish: str, servos: Sequence[str] = ()) -> dict[str, Any]:
+def speed_map_of(fish: str, servos: Sequence[str] = ()) -> dict[str, Any]:
     """Speeds of a fish with some of its servos, by default the one described."""
     described = load_fish(fish)
     chosen = [with_servo(described, name).servo for name in servos or [described.servo]]
-    return flutter(described, chosen)
+    return speed_map(described, chosen)
 
 
 def _command(frequency: float, stroke: float, step: float) -> Array:

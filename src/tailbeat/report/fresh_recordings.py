@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from tailbeat.evaluate.bench_day import overlays, read
+from tailbeat.evaluate.fresh_recordings import overlays, read
 from tailbeat.fish.description import Fish
 from tailbeat.identify import tail_report
 from tailbeat.identify.decay import static_loop

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("cv2", reason="the robot extra is not installed")
 pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 
-from sights import FISH, TARGET, true_calibration
+from camera_views import FISH, TARGET, true_calibration
 from tailbeat.emulators.camera import Scene
 from tailbeat.emulators.film import Filming, start_camera
 from tailbeat.robot.doctor import Finding
