@@ -201,7 +201,7 @@ def test_draws_stay_in_their_bands_after_many_resets():
     """Twenty episodes of twenty fish: had draws accumulated, they would have left the bands."""
     ranges = Randomisation()
     physics = drawn(ranges, range(20))
-    head = physics.twin.model.simulator("head").id
+    head = physics.twin.model.body("head").id
     for name, part, width in (
         ("body_mass", head, ranges.head_mass),
         ("jnt_stiffness", slice(4, None), ranges.tail_stiffness),

@@ -78,7 +78,7 @@ def test_half_a_packet_of_the_dead_is_written_over(bench):
     bench.armed()
     whole = encode(Packet(1, WRITE, bytes.fromhex("740000080000")))
     for cut in range(1, len(whole)):
-        time.sleep(0.1)  # replies to the last let-go that are still under way
+        time.sleep(0.1)  # replies to the last torque-off that are still under way
         bench.device.put(64, 1)
         bench.device.stream[:] = whole[:cut]
         assert watchdog.try_torque_off(bench.path, trying=5.0) == "" and not bench.on, cut

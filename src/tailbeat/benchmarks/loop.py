@@ -24,7 +24,7 @@ def pace(
     holds = [0]
 
     def each(own: Any) -> None:
-        if own.stand.state is State.HOLD:
+        if own.safety_status.state is State.HOLD:
             holds[0] += own.arm(time.monotonic()).state is State.ARMED
 
     with temporary() as folder:

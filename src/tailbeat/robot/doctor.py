@@ -40,7 +40,7 @@ ADVICE = {
     "servo supply": "charge or replace the battery; 12 V is meant",
     "servo temperature": "let it cool; is the tail jammed?",
     "servo hardware error": "find the reason, then switch the servo off and on",
-    "servo torque": "tailbeat let-go --servo PORT",
+    "servo torque": "tailbeat torque-off --servo PORT",
     "servo stopped itself": "nothing: arming clears it",
     "servo mode": "nothing: arming sets it to 3, position",
     "servo return delay": "nothing: arming sets it to 0",

@@ -141,7 +141,7 @@ def _swim(
             own.stop_asked = OPERATOR  # an order to arm in the same period does not undo it
         if by_itself and not (ended or own.ordered):
             _begin(own, since)
-        line = f"{own.stand.state.value}: {own.stand.reason}"
+        line = f"{own.safety_status.state.value}: {own.safety_status.reason}"
         if line != told[0]:
             told[0] = line
             say(f"{since:6.2f} s  {line}")
