@@ -49,5 +49,5 @@ clean:  ## remove caches and builds; runs/ and .venv stay
 
 $(READY): pyproject.toml constraints.txt
 	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/pip install -q -c constraints.txt -e '.[dev,train,robot]'
+	$(VENV)/bin/pip install -q -c constraints.txt -e '.[all,dev]'
 	@touch $@

@@ -17,7 +17,8 @@ from mcap.reader import make_reader
 from tailbeat.files import BadInput
 from tailbeat.recording import read_recording, write_recording
 from tailbeat.robot import log as logs
-from tailbeat.robot.log import COLUMNS, as_recording, read_rows, start
+from tailbeat.robot.log import COLUMNS, read_rows, start
+from tailbeat.robot.log_export import as_recording
 
 
 def row(k: int) -> dict:

@@ -11,6 +11,17 @@ from typing import Any
 
 import numpy as np
 
+# The extra that brings a package, by the name under which it is imported.
+EXTRA_OF = {
+    **dict.fromkeys(("imageio", "matplotlib", "mujoco", "numba", "polars", "scipy"), "sim"),
+    "cma": "identify",
+    **dict.fromkeys(("gymnasium", "onnx", "psutil", "stable_baselines3"), "train"),
+    **dict.fromkeys(("tensorboard", "torch"), "train"),
+    **dict.fromkeys(("mcap", "serial"), "robot"),
+    **dict.fromkeys(("cv2", "pyapriltags", "fastapi", "starlette", "uvicorn"), "station"),
+    "websockets": "station",
+}
+
 
 class BadInput(ValueError):
     """Something the user gave cannot be used.
@@ -86,8 +97,14 @@ def leaves(name: str, value: Any) -> dict[str, Any]:
     return {name: value}
 
 
-def need(what: str, extra: str, *modules: str) -> None:
+def need(what: str, *modules: str) -> None:
     """Raises BadInput where one of the packages that `what` takes from an extra is missing."""
     for module in modules:
         if find_spec(module) is None:
-            raise BadInput(f"{what} needs {module}: pip install 'tailbeat[{extra}]'.")
+            raise BadInput(f"{what} needs {missing(module)}")
+
+
+def missing(module: str) -> str:
+    """How to install a package that is not there: the end of a sentence. Raises KeyError for a
+    package that no extra brings."""
+    return f"the package {module}: pip install 'tailbeat[{EXTRA_OF[module]}]'."

@@ -15,7 +15,7 @@ from tailbeat.cli import (
     output,
     swim,
 )
-from tailbeat.files import BadInput
+from tailbeat.files import EXTRA_OF, BadInput, missing
 
 app = typer.Typer(
     name="tailbeat",
@@ -83,6 +83,11 @@ def main() -> None:
         app(args=spread_lists(sys.argv[1:]), standalone_mode=True)
     except BadInput as error:
         output.complain(str(error))
+        sys.exit(2)
+    except ModuleNotFoundError as error:
+        if error.name not in EXTRA_OF:
+            raise
+        output.complain(f"this verb needs {missing(error.name)}")
         sys.exit(2)
     except KeyboardInterrupt:
         resumes = sys.argv[1:2] == ["identify"]

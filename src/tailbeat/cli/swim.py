@@ -229,7 +229,6 @@ def laptop(
     ] = None,
 ) -> None:
     """Stand above the pool: find the fish, send its pose, and show the operator's page."""
-    need_robot()
     from tailbeat.operator import station
 
     if json is not None:
@@ -255,7 +254,6 @@ def laptop(
 
 def key(path: Annotated[Path, typer.Argument(help="The key file to write.")]) -> None:
     """Write a key that laptop and fish share; copy it to both, readable by its owner alone."""
-    need_robot()
     from tailbeat.link.datagrams import make_key
 
     make_key(path)
@@ -267,8 +265,7 @@ def export(
     out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
 ) -> None:
     """A drive's log as a recording that identification reads; also of a log that was cut off."""
-    need_robot()
-    from tailbeat.robot import log as logs
+    from tailbeat.robot.log_export import export as export_log
 
-    recording = logs.export(log, out)
+    recording = export_log(log, out)
     output.say(f"wrote {out}: {recording.time.size} rows")

@@ -102,7 +102,7 @@ def open_console(console: str) -> OperatorClient | None:
     """The operator's page at `host:port`, or None where that is empty."""
     if not console:
         return None
-    need("the console", "robot", "fastapi", "uvicorn", "websockets")
+    need("the console", "fastapi", "uvicorn", "websockets")
     return open_client(address(console, "--console"), (LENGTH, WIDTH))
 
 

@@ -11,7 +11,7 @@ import queue
 import struct
 import threading
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -22,7 +22,6 @@ from mcap.writer import CompressionType, Writer
 
 from tailbeat import __version__
 from tailbeat.files import BadInput, refuse_existing
-from tailbeat.recording import Recording, write_recording
 
 CHUNK = 4096  # bytes: about a seventh of a second of rows, so much may be lost
 WAITING = 500  # rows, ten seconds
@@ -30,7 +29,7 @@ TOPIC, NOTES = "/swim", "tailbeat"
 SECOND = 1_000_000_000
 ARRAYS = ("observation", "action", "decided_on")
 TEXTS = ("state", "reason")
-# What `rows` must have to be a recording that identification reads.
+# What `rows` must have to be a recording that identification reads; see `log_export`.
 COLUMNS = ("command_rad", "motor_angle_rad", "yaw_rate_rad_s", "x_m", "y_m", "yaw_rad")
 
 
@@ -144,21 +143,3 @@ def _messages(file: BinaryIO) -> Iterator[bytes]:
                 yield message.data
     except (McapError, EOFError, ValueError, struct.error):
         return
-
-
-def as_recording(path: Path) -> Recording:
-    """A log as a recording that `identify` reads: rows that have every one of `COLUMNS`."""
-    whole = [row for row in read_rows(path) if all(row.get(c) is not None for c in COLUMNS)]
-    if len(whole) < 2:
-        raise BadInput(f"{path}: {len(whole)} whole rows; a recording needs at least 2.")
-    time = np.array([row["time_s"] for row in whole])
-    columns = {name: np.array([row[name] for row in whole]) for name in COLUMNS}
-    return Recording(path.stem, time - time[0], columns, {"source": "tailbeat drive"})
-
-
-def export(log: Path, out: Path) -> Recording:
-    """A log as a recording, CSV or Parquet."""
-    refuse_existing(out)
-    recording = replace(as_recording(log), name=out.stem)
-    write_recording(recording, out)
-    return recording

@@ -1,0 +1,30 @@
+"""Turn a robot's log into a recording. This happens on the laptop: it needs polars, which the robot
+does not install.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tailbeat.files import BadInput, refuse_existing
+from tailbeat.recording import Recording, write_recording
+from tailbeat.robot.log import COLUMNS, read_rows
+
+
+def as_recording(path: Path) -> Recording:
+    """A log as a recording that `identify` reads: rows that have every one of `COLUMNS`."""
+    whole = [row for row in read_rows(path) if all(row.get(c) is not None for c in COLUMNS)]
+    if len(whole) < 2:
+        raise BadInput(f"{path}: {len(whole)} whole rows; a recording needs at least 2.")
+    time = np.array([row["time_s"] for row in whole])
+    columns = {name: np.array([row[name] for row in whole]) for name in COLUMNS}
+    return Recording(path.stem, time - time[0], columns, {"source": "tailbeat drive"})
+
+
+def export(log: Path, out: Path) -> Recording:
+    """A log as a recording, CSV or Parquet."""
+    refuse_existing(out)
+    recording = replace(as_recording(log), name=out.stem)
+    write_recording(recording, out)
+    return recording
