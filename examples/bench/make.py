@@ -1,8 +1,16 @@
 """Make the sample recordings of this folder again: `python examples/bench/make.py`."""
 
+import sys
 from pathlib import Path
 
-from tailbeat.evaluate.rehearsal import (
+from tailbeat.fish.store import load_fish
+from tailbeat.identify.protocol import limits, motor_commands
+from tailbeat.recording import Recording, write_recording
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parents[1] / "tests"))
+
+from synthetic_recordings import (  # noqa: E402  (lies beside the tests)
     Noise,
     TailTruth,
     release,
@@ -10,11 +18,6 @@ from tailbeat.evaluate.rehearsal import (
     slow_pull,
     tail_sweep,
 )
-from tailbeat.fish.store import load_fish
-from tailbeat.identify.protocol import limits, motor_commands
-from tailbeat.recording import Recording, write_recording
-
-HERE = Path(__file__).parent
 
 
 def write(name: str, recording: Recording) -> None:
