@@ -6,7 +6,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from tailbeat.emulators.servo import Dynamixel, close_line, open_line, serve
+from tailbeat.emulators.line import close_line, open_line
+from tailbeat.emulators.servo import Dynamixel, serve
 from tailbeat.robot.servo import connect
 
 PATIENT = 0.25  # s: the emulator is a thread of this process and waits for the interpreter

@@ -13,7 +13,7 @@ pytest.importorskip("cv2", reason="the robot extra is not installed")
 pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 
 from camera_views import FISH, TARGET, true_calibration
-from tailbeat.emulators.camera import Picture, board_views
+from tailbeat.emulators.board import Picture, board_views
 from tailbeat.emulators.optics import Optics, project
 from tailbeat.files import BadInput
 from tailbeat.vision.calibration import Calibration, Lens, read_calibration, write_calibration

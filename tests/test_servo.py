@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
 from lines import PATIENT, Bench, servo_bench
+from tailbeat.emulators import packet as emulated_packet
 from tailbeat.emulators import servo as emulated
 from tailbeat.files import BadInput
 from tailbeat.robot import servo as driver
@@ -60,12 +61,12 @@ def test_packets_are_the_maker_s(packet, text):
 
 @pytest.mark.parametrize(("packet", "text"), SENT)
 def test_the_emulator_reads_the_maker_s_packets(packet, text):
-    assert emulated.take(bytearray(raw(text))) == (1, packet.instruction, packet.parameters)
+    assert emulated_packet.take(bytearray(raw(text))) == (1, packet.instruction, packet.parameters)
 
 
 @pytest.mark.parametrize(("packet", "text"), HEARD)
 def test_the_emulator_writes_the_maker_s_replies(packet, text):
-    assert emulated.status(1, packet.parameters[0], packet.parameters[1:]) == raw(text)
+    assert emulated_packet.status(1, packet.parameters[0], packet.parameters[1:]) == raw(text)
 
 
 def test_the_two_codecs_agree_on_random_bodies_full_of_headers():
@@ -73,9 +74,9 @@ def test_the_two_codecs_agree_on_random_bodies_full_of_headers():
     for _ in range(300):
         body = bytes(rng.choice([0xFF, 0xFF, 0xFD, 0xFD, 0x00, 0x07], rng.integers(1, 40)).tolist())
         packet = Packet(1, STATUS, body)
-        assert encode(packet) == emulated.status(1, body[0], body[1:])
+        assert encode(packet) == emulated_packet.status(1, body[0], body[1:])
         assert Parser().feed(encode(packet)) == [packet]
-        assert emulated.take(bytearray(encode(Packet(1, WRITE, body)))) == (1, WRITE, body)
+        assert emulated_packet.take(bytearray(encode(Packet(1, WRITE, body)))) == (1, WRITE, body)
 
 
 def test_a_parser_finds_packets_in_garbage_in_pieces_and_counts_the_damaged():

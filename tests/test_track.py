@@ -16,7 +16,8 @@ import cv2
 
 from camera_views import FISH, TARGET, true_calibration
 from tailbeat.cli import camera
-from tailbeat.emulators.camera import Picture, Renderer, Scene
+from tailbeat.emulators.camera import Renderer, Scene
+from tailbeat.emulators.drawing import Picture
 from tailbeat.emulators.lab import pictures
 from tailbeat.emulators.optics import Optics
 from tailbeat.files import BadInput

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.observation import wrapped
-from tailbeat.emulators.camera import Conditions, Renderer, Scene, board_views
+from tailbeat.emulators.board import board_views
+from tailbeat.emulators.camera import Conditions, Renderer, Scene
 from tailbeat.emulators.film import CameraProcess, Filming, start_camera
 from tailbeat.emulators.optics import Optics, project
 from tailbeat.emulators.scripted import MARGIN, ScriptedSwim, fish_line, placed, three

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from tailbeat.emulators import rig as bench
+from tailbeat.emulators.line import close_line, open_line
 from tailbeat.emulators.rig import Rig
-from tailbeat.emulators.servo import close_line, open_line
 from tailbeat.fish.description import Fish
 from tailbeat.robot import timing
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tailbeat.emulators.servo import Line
+from tailbeat.emulators.line import Line
 
 COUNT = 16 * 180 / math.pi  # per rad/s
 NOISE = 0.3  # deg/s rms, in counts of 16

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import cv2
 
-from tailbeat.emulators.camera import Renderer, Scene, board_views
+from tailbeat.emulators.board import board_views
+from tailbeat.emulators.camera import Renderer, Scene
 from tailbeat.emulators.optics import Optics
 from tailbeat.files import new_file, refuse_existing
 from tailbeat.vision.tags import Board, Tag

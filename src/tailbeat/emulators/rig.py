@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from tailbeat.emulators.camera import Scene
 from tailbeat.emulators.film import CameraProcess
 from tailbeat.emulators.imu import Bno055
-from tailbeat.emulators.servo import Dynamixel, Line, Shaft, close_line, hears, open_line
+from tailbeat.emulators.line import Line, close_line, open_line
+from tailbeat.emulators.servo import Dynamixel, Shaft, hears
 from tailbeat.env.sensors import SensorModel
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import outline

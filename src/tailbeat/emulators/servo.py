@@ -1,8 +1,8 @@
 """An emulated XW430-T200 on a pseudo-terminal: control table, packets, faults, a turning shaft.
 
-Own encoder and parser, apart from the driver's, so that one cannot hide the other's mistakes; both
-are held to the maker's vectors and this one to the maker's library. What the manual leaves open was
-not checked on a real servo.
+Its packets have their own encoder and parser (`packet`): those and the driver's are held to the
+maker's vectors, and this one to the maker's library. What the manual leaves open was not checked on
+a real servo.
 """
 
 import os
@@ -10,9 +10,11 @@ import select
 import struct
 import termios
 import time
-import tty
 from collections.abc import Callable
 from dataclasses import dataclass, field
+
+from tailbeat.emulators.line import Line
+from tailbeat.emulators.packet import status, take
 
 MODEL, FIRMWARE = 1280, 45
 UNIT_V, UNIT_I = 0.02398, 2.69e-3  # rad/s, A
@@ -38,55 +40,6 @@ SPEEDS = {
 }  # fmt: skip
 FAIL, INSTRUCTION, RANGE, LIMIT, ACCESS = 1, 2, 4, 6, 7
 ALERT = 0x80
-
-
-# ---- packets, apart from the driver's -----------------------------------------------------------
-
-
-def checksum(data: bytes) -> bytes:
-    """CRC-16 of protocol 2.0, bit by bit."""
-    register = 0
-    for byte in data:
-        register ^= byte << 8
-        for _ in range(8):
-            carry = register & 0x8000
-            register = (register << 1) & 0xFFFF
-            if carry:
-                register ^= 0x8005
-    return struct.pack("<H", register)
-
-
-def status(ident: int, error: int, data: bytes) -> bytes:
-    """A status packet, stuffed."""
-    body, run = bytearray([0x55]), b""
-    for byte in bytes([error]) + data:
-        body.append(byte)
-        run = (run + bytes([byte]))[-3:]
-        if run == b"\xff\xff\xfd":
-            body.append(0xFD)
-            run = b""
-    head = b"\xff\xff\xfd\x00" + struct.pack("<BH", ident, len(body) + 2)
-    return head + bytes(body) + checksum(head + bytes(body))
-
-
-def take(stream: bytearray) -> tuple[int, int, bytes] | None:
-    """The next whole instruction (id, instruction, parameters); garbage before it is dropped."""
-    while len(stream) >= 10:
-        if stream[:4] != b"\xff\xff\xfd\x00":
-            del stream[0]
-            continue
-        end = 7 + struct.unpack_from("<H", stream, 5)[0]
-        if end > 300:
-            del stream[0]
-            continue
-        if len(stream) < end:
-            return None
-        whole = bytes(stream[:end])
-        del stream[:end]
-        if checksum(whole[:-2]) == whole[-2:]:
-            body = whole[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
-            return whole[4], body[0], body[1:]
-    return None
 
 
 # ---- the device ---------------------------------------------------------------------------------
@@ -285,30 +238,6 @@ def _fresh(table: bytearray, first: int) -> bytearray:
 
 
 # ---- the pseudo-terminal ------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Line:
-    """Both ends of a pseudo-terminal: `master` is ours, `path` what a driver opens. The slave end
-    is kept open: a driver that closes would else end the line."""
-
-    master: int
-    slave: int
-    path: str
-
-
-def open_line() -> Line:
-    """A raw line, no echo."""
-    master, slave = os.openpty()
-    tty.setraw(master)
-    tty.setraw(slave)
-    return Line(master, slave, os.ttyname(slave))
-
-
-def close_line(line: Line) -> None:
-    """As if the cable was pulled."""
-    for end in (line.slave, line.master):
-        os.close(end)
 
 
 def hears(device: Dynamixel, line: Line) -> bool:
