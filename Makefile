@@ -13,7 +13,7 @@ export TAILBEAT_DATA
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help swim bench test check format browser clean
+.PHONY: help swim benchmark test check format browser clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /\1\t/' | expand -t 10
@@ -21,7 +21,7 @@ help:  ## list the targets
 swim: $(READY)  ## the main job: open the printed address, drag the target
 	$(TAILBEAT) swim $(ARGS)
 
-bench: $(READY)  ## measure speed on this machine
+benchmark: $(READY)  ## measure speed on this machine
 	$(TAILBEAT) bench $(ARGS)
 
 test: check browser  ## check, then every test that is neither slow nor needs a GPU

@@ -9,6 +9,7 @@ import pytest
 
 from synthetic import record
 from tailbeat.cli.app import spread_lists
+from tailbeat.cli.renamed import refuse_old_names
 from tailbeat.fish.store import load_fish
 from tailbeat.recording import read_recording, write_recording
 
@@ -111,6 +112,28 @@ def test_bad_input_is_one_sentence_exit_two_and_nothing_written(tmp_path, swim):
     assert sorted(tmp_path.iterdir()) == before
 
 
+@pytest.mark.parametrize(
+    ("words", "answer"),
+    [
+        ("pace --minutes 1", "pace is now latency: tailbeat latency --minutes 1"),
+        ("flutter", "flutter is now speed-map"),
+        ("laptop", "laptop is now station"),
+        ("rig --help", "rig is now emulate"),
+        ("bench", "bench is now benchmark"),
+        ("identify motor --help", "identify motor is now identify servo"),
+        ("drive x --rig", "drive: --rig is now --emulated"),
+        ("doctor --laptop=a:1", "doctor: --laptop is now --station"),
+        ("swim --console a:1", "swim: --console is now --page"),
+    ],
+)
+def test_an_old_name_is_answered_with_the_new_one(words, answer):
+    assert answer in complaint(*words.split())
+
+
+def test_a_new_name_s_value_may_be_an_old_name():
+    refuse_old_names(["drive", "rig", "--log", "pace"])
+
+
 def test_no_engine_warning_is_left_behind(tmp_path, swim):
     """MuJoCo reports divergence in a log file in the working folder."""
     tailbeat("predict", "--fish", "pulley-fish", swim, cwd=tmp_path)
@@ -179,7 +202,7 @@ def test_the_worked_example_of_the_tail(tmp_path):
 def test_the_worked_example_of_the_servo(tmp_path):
     out = tmp_path / "fish.toml"
     done = tailbeat(
-        "identify", "motor", "--fish", "pulley-fish",
+        "identify", "servo", "--fish", "pulley-fish",
         "--fit", *(EXAMPLES / f"motor-{name}.csv" for name in ("chirp", "steps", "triangle")),
         "--validate", EXAMPLES / "motor-mixed.csv", EXAMPLES / "motor-beat.csv",
         "--out", out, "--seeds", 1, "--json", tmp_path / "r.json",
@@ -212,7 +235,7 @@ def test_protocols_and_bad_benches(tmp_path):
             "column torque_nm is missing",
         ),
         (
-            ("identify", "motor", "--fish", "pulley-fish", "--fit", EXAMPLES / "tail-static.csv",
+            ("identify", "servo", "--fish", "pulley-fish", "--fit", EXAMPLES / "tail-static.csv",
              "--out", tmp_path / "f.toml"),
             "column command_rad is missing",
         ),

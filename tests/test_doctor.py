@@ -241,7 +241,7 @@ def tailbeat(*words: object) -> subprocess.CompletedProcess:
 
 def test_the_emulated_bench_is_well_and_what_is_broken_is_exit_code_1(tmp_path):
     out = tmp_path / "found.json"
-    done = tailbeat("--rig", "--json", out)
+    done = tailbeat("--emulated", "--json", out)
     rows = json.loads(out.read_text())["findings"]
     busy = {"servo reading time", "pose age", "poses per second"}  # a busy machine's, not the rig's
     bad = [row for row in rows if row["verdict"] == BAD and row["name"] not in busy]
@@ -250,4 +250,4 @@ def test_the_emulated_bench_is_well_and_what_is_broken_is_exit_code_1(tmp_path):
     done = tailbeat("--servo", tmp_path / "none", "--key", tmp_path / "key")
     assert done.returncode == 1 and "not there" in done.stdout
     done = tailbeat()
-    assert done.returncode == 2 and "or --rig" in done.stderr
+    assert done.returncode == 2 and "or --emulated" in done.stderr

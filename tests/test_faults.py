@@ -74,7 +74,7 @@ def test_a_fault_that_is_none_is_refused():
 def test_the_loop_s_punctuality_is_measured_and_judged(tmp_path: Path):
     """What is measured depends on the machine; that it is judged does not."""
     out = tmp_path / "pace.json"
-    command = [sys.executable, "-m", "tailbeat", "pace", "--minutes", "0.05", "--allowed", "0",
+    command = [sys.executable, "-m", "tailbeat", "latency", "--minutes", "0.05", "--allowed", "0",
                "--json", str(out)]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 1, done.stderr

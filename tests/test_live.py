@@ -70,7 +70,7 @@ def verbs(of: Path) -> set[str]:
     for one in process_iter(["cmdline"]):
         words = one.info["cmdline"] or []
         if str(of) in " ".join(words):
-            found |= {"drive", "laptop", "swim"} & set(words)
+            found |= {"drive", "station", "swim"} & set(words)
     return found
 
 
@@ -84,7 +84,7 @@ def test_a_swim_that_is_ended_takes_its_processes_along(tmp_path, number):
     with subprocess.Popen([sys.executable, "-m", "tailbeat", *words]) as swim:
         until(lambda: "drive" in verbs(tmp_path) or swim.poll() is not None, 180)
         children = Process(swim.pid).children(recursive=True)
-        assert {"rig", "drive"} <= {word for one in children for word in one.cmdline()}
+        assert {"emulate", "drive"} <= {word for one in children for word in one.cmdline()}
         os.kill(swim.pid, number)
         swim.wait(60)
     until(lambda: not any(alive(one) for one in children), 60)

@@ -1,7 +1,7 @@
 """The robot's loop against the emulated bench: real bytes, real datagrams, and faults.
 
 The rig is a thread of this process here and shares its interpreter, so deadlines are wide and
-nothing is said of the rate; `drive --rig`, below, runs it beside.
+nothing is said of the rate; `drive --emulated`, below, runs it beside.
 """
 
 import json
@@ -212,8 +212,8 @@ def test_drive_swims_its_own_rig_and_its_log_is_a_recording(tmp_path: Path):
     out, found = tmp_path / "swim.csv", {}
     for attempt in range(4):
         log = tmp_path / f"swim{attempt}.mcap"
-        done = tailbeat("drive", "pulley-fish-pool-generator", "--rig", "--log", log, "--seconds",
-                        5, "--json", tmp_path / "d.json")  # fmt: skip
+        done = tailbeat("drive", "pulley-fish-pool-generator", "--emulated", "--log", log,
+                        "--seconds", 5, "--json", tmp_path / "d.json")  # fmt: skip
         assert done.returncode in (0, 1), done.stderr
         found = json.loads((tmp_path / "d.json").read_text())
         if found["swum_s"] > 0.5:
@@ -227,10 +227,10 @@ def test_drive_swims_its_own_rig_and_its_log_is_a_recording(tmp_path: Path):
 def test_what_a_drive_cannot_have_is_one_sentence_and_exit_code_2(tmp_path: Path):
     policy, log = "pulley-fish-pool-generator", tmp_path / "a.mcap"
     for words, complaint in {
-        (policy,): "give --servo, --imu, --listen, --laptop and --key, or --rig",
-        (policy, "--rig", "--target", "9,9"): "outside the pool",
-        (policy, "--rig", "--target", "left"): "give x,y in metres",
-        ("nobody", "--rig"): "no such file",
+        (policy,): "give --servo, --imu, --listen, --station and --key, or --emulated",
+        (policy, "--emulated", "--target", "9,9"): "outside the pool",
+        (policy, "--emulated", "--target", "left"): "give x,y in metres",
+        ("nobody", "--emulated"): "no such file",
     }.items():
         done = tailbeat("drive", *words, "--log", log)
         assert done.returncode == 2, done.stdout

@@ -445,7 +445,7 @@ def test_the_laptop_answers_orders_and_stops_the_fish_when_it_ends(tmp_path: Pat
     there = probe.getsockname()
     probe.close()
     robot, listen = (f"{host}:{port}" for host, port in (fish.getsockname(), there))
-    words = ["laptop", "--robot", robot, "--listen", listen, "--console", "127.0.0.1:0"]
+    words = ["station", "--robot", robot, "--listen", listen, "--page", "127.0.0.1:0"]
     command = [sys.executable, "-m", "tailbeat", *words, "--key", str(tmp_path / "fish.key")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
@@ -482,7 +482,7 @@ def test_the_laptop_answers_orders_and_stops_the_fish_when_it_ends(tmp_path: Pat
 
 def test_a_drive_waits_for_orders_and_ends_with_the_torque_off(tmp_path: Path):
     """All of it in processes of its own; a busy machine may refuse to arm, and says why."""
-    words = ["drive", "pulley-fish-pool-generator", "--rig", "--wait", "--console", "127.0.0.1:0",
+    words = ["drive", "pulley-fish-pool-generator", "--emulated", "--wait", "--page", "127.0.0.1:0",
              "--log", tmp_path / "a.mcap", "--json", tmp_path / "a.json"]  # fmt: skip
     command = [sys.executable, "-m", "tailbeat", *map(str, words)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -514,12 +514,12 @@ def test_what_a_console_cannot_have_is_one_sentence(tmp_path: Path):
         "servo": "a",
         "imu": "b",
         "listen": "127.0.0.1:1",
-        "laptop": "127.0.0.1:2",
+        "station": "127.0.0.1:2",
         "key": tmp_path,
     }
-    with pytest.raises(BadInput, match="the laptop shows it"):
-        swim.drive("p", tmp_path / "a", console_at="127.0.0.1:0", **words)  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="the station shows it"):
+        swim.drive("p", tmp_path / "a", page="127.0.0.1:0", **words)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="give its --calibration"):
-        swim.laptop("127.0.0.1:1", tmp_path, "127.0.0.1:2", camera="/dev/video0")
+        swim.station("127.0.0.1:1", tmp_path, "127.0.0.1:2", camera="/dev/video0")
     with pytest.raises(BadInput, match="give host:port"):
         open_console("8080")

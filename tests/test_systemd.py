@@ -91,8 +91,8 @@ def test_systemd_itself_takes_the_unit(tmp_path):
 
 
 def test_the_loop_itself_says_that_it_turns_and_stays_disarmed_until_ordered(manager, tmp_path):
-    command = [sys.executable, "-m", "tailbeat", "drive", "pulley-fish-pool-generator", "--rig",
-               "--wait", "--seconds", "inf", "--log", str(tmp_path)]  # fmt: skip
+    command = [sys.executable, "-m", "tailbeat", "drive", "pulley-fish-pool-generator",
+               "--emulated", "--wait", "--seconds", "inf", "--log", str(tmp_path)]  # fmt: skip
     service = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     manager.settimeout(60)
     assert manager.recv(999).startswith(b"READY=1")

@@ -16,7 +16,7 @@ from tailbeat.robot.session import drive
 MINUTE = 60.0
 
 
-def pace(
+def latency(
     policy: str, fish: str, minutes: float, seed: int, say: Callable[[str], None]
 ) -> dict[str, Any]:
     """The loop against the emulated bench for so long: how punctual it was, and whether it drifts.
@@ -28,7 +28,7 @@ def pace(
             holds[0] += own.arm(time.monotonic()).state is State.ARMED
 
     with temporary() as folder:
-        log = Path(folder) / "pace.mcap"
+        log = Path(folder) / "latency.mcap"
         with own_devices(fish, seed) as (ports, key):
             told = drive(policy, ports, key, None, MINUTE * minutes, log, say, each=each)
         rows = read_rows(log)

@@ -6,7 +6,7 @@ from typing import Any
 from tailbeat.benchmarks import step
 
 
-def bench(env: bool = True) -> dict[str, Any]:
+def benchmark(env: bool = True) -> dict[str, Any]:
     """Speed on this machine; with `env`, of environment and updates, where the train extra is; of
     the camera's side where the robot extra is."""
     result = step.bench()

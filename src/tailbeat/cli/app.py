@@ -15,6 +15,7 @@ from tailbeat.cli import (
     output,
     swim,
 )
+from tailbeat.cli.renamed import refuse_old_names
 from tailbeat.files import EXTRA_OF, BadInput, missing
 
 app = typer.Typer(
@@ -34,16 +35,16 @@ for verb in (
     evaluate.compare,
     evaluate.report,
     swim.key,
-    swim.rig,
+    swim.emulate,
     swim.drive,
     swim.export,
     camera.tags,
     camera.calibrate,
     camera.track,
     camera.camera,
-    swim.laptop,
+    swim.station,
     check.faults,
-    check.pace,
+    check.latency,
     check.torque_off,
     check.doctor,
     check.unit,
@@ -51,16 +52,16 @@ for verb in (
     describe.show,
     measure.protocol,
     measure.record,
-    identify.flutter,
+    identify.speed_map,
     identify.predict,
     identify.coverage,
-    evaluate.bench,
+    evaluate.benchmark,
 ):
     app.command(verb.__name__.replace("_", "-"))(verb)
 
 # options that take any number of values; a servo's port, elsewhere, is one
 LISTS = {"--fit": "identify", "--validate": "identify", "--commands": "record"}
-LISTS |= {"--servo": "flutter", "--tasks": "evaluate", "--only": "faults"}
+LISTS |= {"--servo": "speed-map", "--tasks": "evaluate", "--only": "faults"}
 LISTS |= {"--against": "coverage", "--fitted-on": "predict"}
 
 
@@ -80,6 +81,7 @@ def spread_lists(arguments: list[str]) -> list[str]:
 def main() -> None:
     """Entry point: bad input is one sentence and exit code 2."""
     try:
+        refuse_old_names(sys.argv[1:])
         app(args=spread_lists(sys.argv[1:]), standalone_mode=True)
     except BadInput as error:
         output.complain(str(error))

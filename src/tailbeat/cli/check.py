@@ -54,7 +54,7 @@ def faults(
         raise typer.Exit(1)
 
 
-def pace(
+def latency(
     policy: PolicyOption = SHIPPED,
     fish: PoolFish = "pulley-fish",
     minutes: Annotated[float, typer.Option(help="How long.")] = 10.0,
@@ -71,8 +71,8 @@ def pace(
     need_robot()
     from tailbeat.benchmarks import loop
 
-    done = loop.pace(policy, fish, minutes, seed, output.say)
-    output.tables({"pace": [done]})
+    done = loop.latency(policy, fish, minutes, seed, output.say)
+    output.tables({"latency": [done]})
     if json is not None:
         write_json(json, done)
     if not done["late_p99.9_ms"] <= allowed:
@@ -94,16 +94,16 @@ def torque_off(
 
 def doctor(
     emulated: Annotated[
-        bool, typer.Option("--rig", help="Look at an emulated bench, started for this.")
+        bool, typer.Option("--emulated", help="Look at an emulated bench, started for this.")
     ] = False,
     policy: PolicyOption = SHIPPED,
     fish: PoolFish = "pulley-fish",
     servo: Annotated[str, typer.Option("--servo", help="The servo's serial port.")] = "",
     imu: Annotated[str, typer.Option("--imu", help="The IMU's serial port.")] = "",
     listen: Annotated[str, typer.Option(help="host:port to listen on for poses.")] = "",
-    laptop: Annotated[str, typer.Option(help="host:port of the laptop.")] = "",
+    station: Annotated[str, typer.Option(help="host:port of the station.")] = "",
     key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
-    camera: Annotated[str, typer.Option(help="The laptop's camera: /dev/video0, unix:/path.")] = "",
+    camera: Annotated[str, typer.Option(help="Its camera: /dev/video0, unix:/path.")] = "",
     calibration: Annotated[
         Path | None, typer.Option(help="Its calibration, made by `tailbeat calibrate`.")
     ] = None,
@@ -117,7 +117,7 @@ def doctor(
         refuse_existing(json)
     if not emulated and not any((servo, imu, listen, key, camera)):
         raise BadInput(
-            "doctor: give --servo, --imu, --listen with --laptop, --key, --camera, or --rig."
+            "doctor: give --servo, --imu, --listen with --station, --key, --camera, or --emulated."
         )
     need_robot()
     from tailbeat.emulators.own_devices import own_devices
@@ -126,7 +126,7 @@ def doctor(
 
     ends = [
         address(text, option) if text else None
-        for text, option in ((listen, "--listen"), (laptop, "--laptop"))
+        for text, option in ((listen, "--listen"), (station, "--station"))
     ]
     if camera:
         need_camera()
@@ -150,7 +150,7 @@ def unit(
     servo: ServoPort,
     imu: Annotated[str, typer.Option("--imu", help="The IMU's serial port.")],
     listen: Annotated[str, typer.Option(help="host:port to listen on for poses.")],
-    laptop: Annotated[str, typer.Option(help="host:port of the laptop.")],
+    station: Annotated[str, typer.Option(help="host:port of the station.")],
     key: Annotated[Path, typer.Option("--key", help="The shared key.")],
     logs: Annotated[Path, typer.Option(help="Folder for the logs, one for each start.")],
     user: Annotated[str, typer.Option(help="Whom it runs as, not root.")] = "fish",
@@ -163,7 +163,7 @@ def unit(
         str(held.resolve()) if held.is_file() else policy,
         *("--wait", "--seconds", "inf", "--servo", servo, "--imu", imu),
     ]
-    words += ["--listen", listen, "--laptop", laptop, "--key", str(key.resolve())]
+    words += ["--listen", listen, "--station", station, "--key", str(key.resolve())]
     words += ["--log", str(logs.resolve())]
     write_unit(out, user, servo, words)
     output.say(f"wrote {out}; copy it to /etc/systemd/system, then systemctl daemon-reload")

@@ -93,14 +93,14 @@ def _page(out: Path, fish: str, twin: str | None, done: dict[str, Any], json: Pa
         write_json(json, done)
 
 
-def bench(
+def benchmark(
     env: Annotated[bool, typer.Option(help="Also environment and updates, against SB3's.")] = True,
     json: JsonOption = None,
 ) -> None:
     """Measure the step against a bare engine loop on this machine, pool and environment too."""
     from tailbeat.benchmarks import suite
 
-    result = suite.bench(env)
+    result = suite.benchmark(env)
     results.benched(result)
     if json is not None:
         write_json(json, result)

@@ -77,8 +77,8 @@ def identify_tail(
     output.say(f"wrote {', '.join(map(str, done.files))}")
 
 
-@identify.command("motor")
-def identify_motor(
+@identify.command("servo")
+def identify_servo(
     fish: FishOption,
     fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit; repeat.")],
     out: OutFish,
@@ -195,7 +195,7 @@ def coverage(
         raise typer.Exit(1)
 
 
-def flutter(
+def speed_map(
     fish: FishOption,
     out: Annotated[Path, typer.Option("--out", help="The figure to write, .png.")],
     servo: Annotated[list[str] | None, typer.Option(help="Servo variants; repeat.")] = None,
@@ -203,12 +203,12 @@ def flutter(
 ) -> None:
     """Speed of twin and virtual pool over frequency and stroke, in and far beyond the band."""
     from tailbeat.evaluate.speed_map import speed_map_of
-    from tailbeat.report.figures import speed_map
+    from tailbeat.report import figures
 
     for path in filter(None, (out, json)):
         refuse_existing(path)
     report = speed_map_of(fish, servo or [])
-    speed_map(report, out)
+    figures.speed_map(report, out)
     if json is not None:
         write_json(json, report)
     output.tables({f"speed [m/s], water {report['water']}": report["rows"]})

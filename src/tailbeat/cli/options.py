@@ -16,6 +16,6 @@ TwinOption = Annotated[
 PolicyFile = Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")]
 PolicyOption = Annotated[str, typer.Option("--policy", help="A policy, .onnx, or a shipped name.")]
 ServoPort = Annotated[str, typer.Option("--servo", help="The servo's serial port.")]
-ConsoleOption = Annotated[
-    str, typer.Option("--console", help="host:port to show the operator's page at.")
+PageOption = Annotated[
+    str, typer.Option("--page", help="host:port to show the operator's page at.")
 ]

@@ -11,8 +11,8 @@ from tailbeat.cli import output, results
 from tailbeat.cli.extras import need_camera, need_robot
 from tailbeat.cli.options import (
     SHIPPED,
-    ConsoleOption,
     JsonOption,
+    PageOption,
     PoolFish,
     SeedOption,
     TwinOption,
@@ -39,8 +39,8 @@ def swim(
     direct: Annotated[
         bool, typer.Option("--direct", help="The same without bytes, faster than real time.")
     ] = False,
-    console_at: Annotated[
-        str, typer.Option("--console", help="host:port of the operator's page; a tour takes any.")
+    page: Annotated[
+        str, typer.Option("--page", help="host:port of the operator's page; a tour takes any.")
     ] = "127.0.0.1:8080",
     targets: Annotated[int, typer.Option(help="Of a tour: how many, one after the other.")] = 8,
     seed: SeedOption = 0,
@@ -61,7 +61,7 @@ def swim(
     elif not (headless or direct) and sys.stdout.isatty():
         if json is not None:
             raise BadInput("--json: a swim that you attend has no result; add --headless.")
-        _attend(policy, pool_fish, twin, seed, console_at, out)
+        _attend(policy, pool_fish, twin, seed, page, out)
         return
     else:
         done = _tour(policy, pool_fish, twin, targets, seed, out, direct)
@@ -71,15 +71,13 @@ def swim(
         raise typer.Exit(1)
 
 
-def _attend(
-    policy: str, fish: str, twin: str | None, seed: int, console_at: str, out: Path
-) -> None:
+def _attend(policy: str, fish: str, twin: str | None, seed: int, page: str, out: Path) -> None:
     """Swim after the target that the operator drags, until Ctrl-C."""
     need_robot()
     need_camera()
     from tailbeat.evaluate.swim import attended
 
-    log = attended(policy, fish, twin, seed, console_at, out, output.say)
+    log = attended(policy, fish, twin, seed, page, out, output.say)
     output.say(f"log: {log}; `tailbeat export {log} --out swim.csv` makes a recording of it")
 
 
@@ -102,7 +100,7 @@ def _tour(
     return done
 
 
-def rig(
+def emulate(
     key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
     robot: Annotated[str, typer.Option("--robot", help="host:port where the loop listens.")] = "",
     camera: Annotated[
@@ -110,13 +108,13 @@ def rig(
     ] = None,
     fish: PoolFish = "pulley-fish",
     target: TargetOption = TARGET,
-    console_at: ConsoleOption = "",
+    page: PageOption = "",
     seed: SeedOption = 0,
 ) -> None:
     """An emulated bench in real time: servo and IMU on pseudo-terminals; poses over the network, or
-    pictures in which `tailbeat laptop --camera` finds them."""
+    pictures in which `tailbeat station --camera` finds them."""
     if camera is None and (key is None or not robot):
-        raise BadInput("rig: give --key and --robot for poses, or --camera for pictures.")
+        raise BadInput("emulate: give --key and --robot for poses, or --camera for pictures.")
     need_robot()
     from tailbeat.emulators import serve
 
@@ -124,19 +122,19 @@ def rig(
     if camera is not None:
         serve.filmed_rig(fish, camera, target, seed, say)
     elif key is not None:
-        serve.rig(fish, key, robot, target, console_at, seed, say)
+        serve.rig(fish, key, robot, target, page, seed, say)
 
 
 def drive(
     policy: Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")],
     log: Annotated[Path, typer.Option("--log", help="The log to write, .mcap, or a folder.")],
     emulated: Annotated[
-        bool, typer.Option("--rig", help="Start an emulated bench and drive that.")
+        bool, typer.Option("--emulated", help="Start an emulated bench and drive that.")
     ] = False,
     servo: Annotated[str, typer.Option(help="The servo's serial port.")] = "",
     imu: Annotated[str, typer.Option(help="The IMU's serial port.")] = "",
     listen: Annotated[str, typer.Option(help="host:port to listen on for poses.")] = "",
-    laptop: Annotated[str, typer.Option(help="host:port of the laptop.")] = "",
+    station: Annotated[str, typer.Option(help="host:port of the station.")] = "",
     key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
     fish: PoolFish = "pulley-fish",
     target: Annotated[
@@ -148,7 +146,7 @@ def drive(
     wait: Annotated[
         bool, typer.Option("--wait", help="Stay disarmed until ordered; else arm and swim.")
     ] = False,
-    console_at: ConsoleOption = "",
+    page: PageOption = "",
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -160,18 +158,18 @@ def drive(
     for path in filter(None, (log, json)):
         refuse_existing(path)
     aim = None if target is None else place(target)
-    stay = wait or bool(console_at)
+    stay = wait or bool(page)
     if seconds is None:
         seconds = float("inf") if stay else 30.0
     if not seconds > 0:
         raise BadInput(f"--seconds {seconds:g}: give a time above 0.")
     if emulated:
         bench: AbstractContextManager[tuple[Ports, Path]] = own_devices(
-            fish, seed, target or TARGET, console_at, output.say
+            fish, seed, target or TARGET, page, output.say
         )
         aim = None if stay else aim  # the tag floats there; the operator may drag it
     else:
-        bench = _given(servo, imu, listen, laptop, key, console_at)
+        bench = _given(servo, imu, listen, station, key, page)
     with bench as (ports, secret):
         done = session.drive(
             policy, ports, secret, aim, seconds, log, output.say, by_itself=not wait, stay=stay
@@ -185,22 +183,22 @@ def drive(
 
 
 def _given(
-    servo: str, imu: str, listen: str, laptop: str, key: Path | None, console_at: str
+    servo: str, imu: str, listen: str, station: str, key: Path | None, page: str
 ) -> AbstractContextManager[tuple[Ports, Path]]:
     """The fish's own ports and key, as given."""
-    if not (servo and imu and listen and laptop and key):
-        raise BadInput("drive: give --servo, --imu, --listen, --laptop and --key, or --rig.")
-    if console_at:
-        raise BadInput("--console: the laptop shows it; see `tailbeat laptop --console`.")
-    ends = address(listen, "--listen"), address(laptop, "--laptop")
+    if not (servo and imu and listen and station and key):
+        raise BadInput("drive: give --servo, --imu, --listen, --station and --key, or --emulated.")
+    if page:
+        raise BadInput("--page: the station shows it; see `tailbeat station --page`.")
+    ends = address(listen, "--listen"), address(station, "--station")
     return nullcontext((Ports(servo, imu, *ends), key))
 
 
-def laptop(
+def station(
     robot: Annotated[str, typer.Option("--robot", help="host:port where the fish listens.")],
     key: Annotated[Path, typer.Option("--key", help="The shared key.")],
     listen: Annotated[str, typer.Option("--listen", help="host:port of ours, as the fish has it.")],
-    console_at: ConsoleOption = "127.0.0.1:8080",
+    page: PageOption = "127.0.0.1:8080",
     camera: Annotated[
         str, typer.Option("--camera", help="Where pictures come from: /dev/video0, unix:/path.")
     ] = "",
@@ -229,22 +227,22 @@ def laptop(
     ] = None,
 ) -> None:
     """Stand above the pool: find the fish, send its pose, and show the operator's page."""
-    from tailbeat.operator import station
+    from tailbeat.operator import station as work
 
     if json is not None:
         refuse_existing(json)
     there = address(robot, "--robot")
     ours = address(listen, "--listen")
     ids = fish_tag, target_tag
-    tour = station.drawn_tour(targets, seed)
+    tour = work.drawn_tour(targets, seed)
     if tour is not None and not camera:
         raise BadInput("--tour: needs the fish's poses; give --camera and its --calibration.")
     aim = None if begin is None else place(begin, "--begin")
-    leader = station.Leader(tour, aim) if tour or aim else None
+    leader = work.Leader(tour, aim) if tour or aim else None
     if camera:
         need_camera()
-    with station.open_tracker(camera, calibration, ids, exposure, latency) as tracker:
-        station.work(there, ours, key, console_at, tracker, fish, output.say, leader)
+    with work.open_tracker(camera, calibration, ids, exposure, latency) as tracker:
+        work.work(there, ours, key, page, tracker, fish, output.say, leader)
     if json is not None:
         rows = tour.rows if tour else []
         write_json(json, {"targets": rows, "armed_anew": leader.rearmed if leader else 0})

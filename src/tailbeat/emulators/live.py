@@ -1,7 +1,7 @@
 """Fish, camera, station and pool as processes of their own, in real time.
 
-They are the verbs that a lab runs: `rig` stands in for the bench, `laptop` finds the fish in the
-camera's pictures and shows the page, `drive` is the fish. Here they are started, told where the
+They are the verbs that a lab runs: `emulate` stands in for the devices, `station` finds the fish in
+the camera's pictures and shows the page, `drive` is the fish. Here they are started, told where the
 others are, and ended.
 """
 
@@ -81,8 +81,8 @@ def started(words: list[str], log: Path, heard: bool = False) -> Iterator[Part]:
 
 def bench(fish: str, folder: Path, seed: int, log: Path, stack: ExitStack) -> tuple[Part, Any]:
     """Start the emulated bench with its camera, and where its ports are."""
-    words = ["rig", "--fish", fish, "--camera", str(folder / "camera.sock"), "--seed", str(seed)]
-    words += [f"--target={ASIDE}"]
+    words = ["emulate", "--fish", fish, "--camera", str(folder / "camera.sock")]
+    words += ["--seed", str(seed), f"--target={ASIDE}"]
     part = stack.enter_context(started(words, log, heard=True))
     assert part.process.stdout is not None
     ready, _, _ = select.select([part.process.stdout], [], [], START)
@@ -112,22 +112,23 @@ def swim(
         key = folder / "fish.key"
         link.make_key(key)
         made = calibrate(folder, seed, say)
-        rig, ports = bench(fish, folder, seed, out / "rig.log", stack)
-        robot, laptop = ("{}:{}".format(*link.free_address()) for _ in range(2))
+        rig, ports = bench(fish, folder, seed, out / "emulate.log", stack)
+        robot, station = ("{}:{}".format(*link.free_address()) for _ in range(2))
         drive = ["drive", policy, "--servo", ports["servo"], "--imu", ports["imu"], "--fish", fish]
-        drive += ["--listen", robot, "--laptop", laptop, "--key", str(key), "--wait"]
+        drive += ["--listen", robot, "--station", station, "--key", str(key), "--wait"]
         drive += ["--log", str(out / "swim.mcap")]
-        watch = ["laptop", "--robot", robot, "--listen", laptop, "--key", str(key), "--fish", fish]
-        watch += ["--camera", ports["camera"], "--calibration", str(made), "--console", console]
+        watch = ["station", "--robot", robot, "--listen", station, "--key", str(key)]
+        watch += ["--fish", fish, "--camera", ports["camera"], "--calibration", str(made)]
+        watch += ["--page", console]
         tour = ["--tour", str(targets), "--seed", str(seed), "--json", str(out / "tour.json")]
         watch += tour if targets else [f"--begin={TARGET}"]
         own = stack.enter_context(started(drive, out / "drive.log"))
-        above = stack.enter_context(started(watch, out / "laptop.log", heard=True))
+        above = stack.enter_context(started(watch, out / "station.log", heard=True))
         _listen(above, (rig, own), say)
 
 
 def _listen(above: Part, others: tuple[Part, ...], say: Say) -> None:
-    """Say what the laptop says, until it ends or Ctrl-C; then it is asked to end."""
+    """Say what the station says, until it ends or Ctrl-C; then it is asked to end."""
     spoken = above.process.stdout
     assert spoken is not None
     os.set_blocking(spoken.fileno(), False)
@@ -146,4 +147,4 @@ def _listen(above: Part, others: tuple[Part, ...], say: Say) -> None:
     for line in iter(spoken.readline, ""):
         say(line.rstrip())
     if above.process.returncode not in (0, 1):  # 1: a tour that was not finished
-        raise BadInput(f"`laptop` ended ({above.process.returncode}): {above.last_words()}")
+        raise BadInput(f"`station` ended ({above.process.returncode}): {above.last_words()}")

@@ -27,8 +27,9 @@ def own_devices(
         key = Path(folder) / "rig.key"
         link.make_key(key)
         listen = link.free_address()
-        words = ["rig", "--fish", fish, "--key", str(key), "--robot", f"{listen[0]}:{listen[1]}"]
-        words += [f"--target={target}", "--seed", str(seed), "--console", console]
+        words = ["emulate", "--fish", fish, "--key", str(key)]
+        words += ["--robot", f"{listen[0]}:{listen[1]}"]
+        words += [f"--target={target}", "--seed", str(seed), "--page", console]
         process = start_verb(words, stdout=PIPE)
         assert process.stdout is not None
         try:

@@ -1,4 +1,4 @@
-"""`tailbeat identify motor`: several seeds, the best kept, everything said about it."""
+"""`tailbeat identify servo`: several seeds, the best kept, everything said about it."""
 
 import hashlib
 import time

@@ -129,7 +129,7 @@ def heading(report: dict[str, Any]) -> str:
     """The lines that head an identified fish."""
     held_out = report["validate_mae_deg"]
     lines = [
-        "Servo identified by `tailbeat identify motor`; the report beside this file has the rest.",
+        "Servo identified by `tailbeat identify servo`; the report beside this file has the rest.",
         f"Mean absolute angle error {report['fit_mae_deg']:.2f} deg fitted"
         + ("." if held_out is None else f", {held_out:.2f} deg held out."),
         f"tailbeat {report['tailbeat']}.",

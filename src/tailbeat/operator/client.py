@@ -102,15 +102,15 @@ def open_console(console: str) -> OperatorClient | None:
     """The operator's page at `host:port`, or None where that is empty."""
     if not console:
         return None
-    need("the console", "fastapi", "uvicorn", "websockets")
-    return open_client(address(console, "--console"), (LENGTH, WIDTH))
+    need("the operator page", "fastapi", "uvicorn", "websockets")
+    return open_client(address(console, "--page"), (LENGTH, WIDTH))
 
 
 def open_client(at: tuple[str, int], room: tuple[float, float]) -> OperatorClient:
     """Open the console at host and port (0: any free one) for a pool of this size [m]. Raises
     BadInput where the address cannot be had. Returns when the page can be seen."""
     if at[0] in ("", "0.0.0.0"):
-        raise BadInput("--console: give the address of one network, not all of them.")
+        raise BadInput("--page: give the address of one network, not all of them.")
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -118,7 +118,7 @@ def open_client(at: tuple[str, int], room: tuple[float, float]) -> OperatorClien
     except OSError as error:
         listening.close()
         raise BadInput(
-            f"--console {at[0]}:{at[1]}: {error.strerror}; choose another address or port."
+            f"--page {at[0]}:{at[1]}: {error.strerror}; choose another address or port."
         ) from None
     listening.listen()
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
