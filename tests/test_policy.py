@@ -16,6 +16,7 @@ import onnx
 import torch
 from stable_baselines3 import SAC
 
+from policies import POLICIES
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, Direct, Generator
 from tailbeat.control.observation import TABLE
@@ -27,6 +28,7 @@ from tailbeat.control.policy import (
     decide,
     differences,
     load_policy,
+    shipped,
 )
 from tailbeat.env.vector_env import FishEnv, FishVecEnv
 from tailbeat.env.world import Settings
@@ -172,6 +174,13 @@ def test_unknown_versions_and_strangers_are_refused(written, tmp_path):
         load_policy(tmp_path / "bare.onnx")
     with pytest.raises(BadInput, match="no such file"):
         load_policy(tmp_path / "none.onnx")
+    with pytest.raises(BadInput, match=r"examples/policies .* pulley-fish-pool-signal\.onnx"):
+        load_policy("pulley-fish-pool-signal")
+
+
+def test_one_policy_is_shipped_and_seven_are_kept_as_evidence():
+    assert list(shipped()) == ["pulley-fish-pool-generator"]
+    assert len(POLICIES) == 8
 
 
 def test_a_contract_from_before_the_floor_still_loads(written, tmp_path):

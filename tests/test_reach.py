@@ -5,8 +5,9 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
+from policies import POLICIES
 from tailbeat.control.actions import PERIOD
-from tailbeat.control.policy import check_fits, decide, load_policy, shipped
+from tailbeat.control.policy import check_fits, decide, load_policy
 from tailbeat.env.curriculum import Stage, settings_of
 from tailbeat.env.world import Scene, seeds_from
 from tailbeat.evaluate import trial
@@ -40,10 +41,10 @@ def test_sectors_take_both_sides_and_every_target_once():
     assert rows[-1]["p90_s"] is None  # one of two never came
 
 
-@pytest.mark.parametrize("name", list(shipped()))
-def test_shipped_policies_fit_the_shipped_twin(name):
+@pytest.mark.parametrize("name", POLICIES)
+def test_the_policies_fit_the_shipped_twin(name):
     """With the servo that their name says: the idealised one fits no other."""
-    contract = load_policy(name).contract
+    contract = load_policy(POLICIES[name]).contract
     servo = "idealised" if name.endswith("idealised") else "identified"
     twin = with_servo(TWIN, servo)
     check_fits(contract, twin.name, digest(twin), twin.band, PERIOD)

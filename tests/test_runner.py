@@ -9,7 +9,8 @@ import pytest
 
 pytest.importorskip("onnxruntime")
 
-from tailbeat.control.policy import decide, load_policy, shipped
+from policies import POLICIES
+from tailbeat.control.policy import decide, load_policy
 from tailbeat.control.runner import Readings, begin, steer
 from tailbeat.env.world import Settings, World
 from tailbeat.fish.store import load_fish
@@ -32,10 +33,10 @@ WELL = Health(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", list(shipped()))
+@pytest.mark.parametrize("name", POLICIES)
 def test_a_swim_recorded_in_the_environment_is_replayed_to_the_bit(name, monkeypatch):
     """Noise, drops and delays on: the readings of 500 steps give the same 500 setpoints."""
-    policy = load_policy(name)
+    policy = load_policy(POLICIES[name])
     world = World(FISH, Settings(policy.contract.actions), [5])
     kept, observe_ = [], world._observe
 

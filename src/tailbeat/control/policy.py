@@ -84,13 +84,24 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.onnx"))}
 
 
+def policy_path(name_or_path: str | Path) -> Path:
+    """Path of a shipped policy by its name, else of a file. Raises BadInput if there is neither."""
+    path = shipped().get(str(name_or_path), Path(name_or_path))
+    if path.is_file():
+        return path
+    others = ""
+    if path.name == str(name_or_path) and path.suffix != ".onnx":  # a name, not a file
+        others = f" Policies in examples/policies are not shipped: give {path}.onnx by its path."
+    raise BadInput(
+        f"{path}: no such file; give a policy, an .onnx file or one of {', '.join(shipped())}."
+        f"{others}"
+    )
+
+
 def load_policy(name_or_path: str | Path) -> Policy:
     """Read a policy, shipped or from a file, and hold it to its contract; raises BadInput that
     names what is wrong."""
-    path = shipped().get(str(name_or_path), Path(name_or_path))
-    if not path.is_file():
-        names = ", ".join(shipped())
-        raise BadInput(f"{path}: no such file; give a policy, an .onnx file or one of {names}.")
+    path = policy_path(name_or_path)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # what goes wrong is said below
