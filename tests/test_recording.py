@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tailbeat.files import BadInput
+from tailbeat.importers.fishsim import fill_gaps
 from tailbeat.recording import (
     Recording,
     crop,
-    fill_gaps,
     markers,
     read_recording,
     require,
@@ -48,6 +48,10 @@ BAD = {
     "empty": ("time_s,a_rad\n0,\n1,2\n", "column a_rad, row 1: the cell is empty"),
     "time back": ("time_s,a_rad\n0,1\n2,1\n1,1\n", "row 3: 1.0 does not come after 2.0"),
     "time twice": ("time_s,a_rad\n0,1\n0,1\n", "row 2: 0.0 does not come after 0.0"),
+    "time back in a condition": (
+        "time_s,condition\n0,a\n1,a\n0,b\n2,b\n1,b\n",
+        "row 5: 1.0 does not come after 2.0 within condition 'b'",
+    ),
     "unit": ("time_s,angle\n0,1\n1,1\n", "column 'angle' does not end in a unit"),
     "double": ("time_s,a_rad,a_rad\n0,1,1\n1,1,1\n", "column 'a_rad' appears twice"),
     "nothing": ("", "not a table"),
@@ -91,6 +95,20 @@ def test_a_uniform_recording_survives_its_own_rate(rate):
     for count in range(2, 400):
         recording = Recording("u", np.arange(count) / rate, {"a_rad": np.zeros(count)})
         assert uniform(recording, 1 / rate).time.size == count
+
+
+def test_time_may_start_anew_with_a_condition_but_not_in_one_stretch(tmp_path):
+    (tmp_path / "r.csv").write_text("time_s,a_rad,condition\n0,1,x\n1,2,x\n0,3,y\n1,4,y\n")
+    read = read_recording(tmp_path / "r.csv")
+    assert read.time.tolist() == [0.0, 1.0, 0.0, 1.0]
+    uses = (
+        lambda: require(read, ["a_rad"]),
+        lambda: crop(read, 0.0, 1.0),
+        lambda: uniform(read, 0.5),
+    )
+    for use in uses:
+        with pytest.raises(BadInput, match="row 3: time starts anew"):
+            use()
 
 
 def test_missing_column_names_what_there_is():

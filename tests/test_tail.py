@@ -12,8 +12,9 @@ from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.decay import ring_down, static_loop
 from tailbeat.identify.hinges import hinges_for, spread, tail_inertia, with_stiffness
-from tailbeat.identify.tail import identify_tail, line, measure, project
-from tailbeat.recording import Recording, crop, read_recording
+from tailbeat.identify.response import measure, project
+from tailbeat.identify.tail import identify_tail, line
+from tailbeat.recording import Recording, crop, read_recording, write_recording
 
 TRUTH = TailTruth()
 FREQUENCIES = (0.7, 1.3, 2.2, 3.6)
@@ -171,6 +172,27 @@ def test_the_shipped_sample_gives_its_documented_truth():
     fit = identify_tail([read_recording(folder / "tail-sweep.csv")])
     assert fit.k_eff.value == pytest.approx(TRUTH.k_eff, rel=0.01)
     assert fit.c_eff.value == pytest.approx(TRUTH.c_eff, rel=0.1)
+
+
+def restarted(sweep: Recording) -> Recording:
+    """The sweep as loggers write it that start their clock anew with each condition."""
+    label = sweep.labels["condition"]
+    first = np.flatnonzero(np.append(True, label[1:] != label[:-1]))
+    part = np.cumsum(np.append(0, label[1:] != label[:-1]))
+    return replace(sweep, time=sweep.time - sweep.time[first][part])
+
+
+def test_time_may_start_anew_with_each_condition(tmp_path):
+    sweep = tail_sweep(TRUTH, FREQUENCIES, (0.1, 0.2), 4.0, 0)
+    write_recording(restarted(sweep), tmp_path / "anew.csv")
+    anew = read_recording(tmp_path / "anew.csv")
+    assert (np.diff(anew.time) < 0).sum() == 7  # eight conditions
+    found, same = identify_tail([anew]), identify_tail([sweep])
+    assert len(found.conditions) == len(same.conditions) == 8
+    assert found.k_eff.value == pytest.approx(same.k_eff.value, rel=1e-6)
+    assert found.coulomb.interval == pytest.approx(same.coulomb.interval, rel=1e-4)
+    with pytest.raises(BadInput, match="time starts anew"):
+        static_loop(anew)
 
 
 def test_ninety_five_percent_intervals_of_a_line_hold_the_truth_that_often():

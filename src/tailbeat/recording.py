@@ -29,7 +29,8 @@ class Recording:
     """A named time series: `time` (n,) s, rising; `columns` name -> (n,), SI by suffix.
 
     NaN stands in marker columns alone, for a frame in which the marker was not seen. `labels` holds
-    text columns such as `condition`; `meta` is free text by key.
+    the text column `condition` where there is one; `meta` is free text by key. Time may start anew
+    where the condition changes; within a condition it rises.
     """
 
     name: str
@@ -60,7 +61,7 @@ def _checked(file: Path, frame: pl.DataFrame, meta: Mapping[str, str]) -> Record
     numbers = {name: _numbers(file, frame, name) for name in frame.columns if name != "condition"}
     labels = {name: _words(file, frame[name]) for name in frame.columns if name == "condition"}
     time = numbers.pop("time_s")
-    _check_time(file, time)
+    _check_time(file, time, labels.get("condition"))
     return Recording(file.stem, time, numbers, meta, labels)
 
 
@@ -126,7 +127,7 @@ def _numbers(file: Path, frame: pl.DataFrame, name: str) -> Array:
     numbers = text.cast(pl.Float64, strict=False)
     unreadable = numbers.is_null() & text.is_not_null() | numbers.is_infinite() | numbers.is_nan()
     _refuse(file, text, unreadable.fill_null(False), "is not a finite number")
-    if not _is_marker(name):
+    if not is_marker(name):
         _refuse(file, text, numbers.is_null(), "is empty, which only marker columns may be")
     return numbers.fill_null(float("nan")).to_numpy().astype(float)
 
@@ -148,17 +149,23 @@ def _refuse(file: Path, text: pl.Series, bad: pl.Series, complaint: str) -> None
         )
 
 
-def _is_marker(name: str) -> bool:
+def is_marker(name: str) -> bool:
+    """Whether a column is a marker's coordinate."""
     return re.match(r"marker\d+_", name) is not None
 
 
-def _check_time(file: Path, time: Array) -> None:
-    back = np.flatnonzero(np.diff(time) <= 0)
-    if back.size:
-        row = int(back[0]) + 1
+def _check_time(file: Path, time: Array, condition: NDArray[np.str_] | None) -> None:
+    """Refuse time that does not rise, within each condition where there are conditions."""
+    back = np.diff(time) <= 0
+    within = ""
+    if condition is not None:
+        back &= condition[1:] == condition[:-1]
+        within = f" within condition {str(condition[np.argmax(back)])!r}"
+    if back.any():
+        row = int(np.argmax(back)) + 1
         raise BadInput(
             f"{file}: column time_s, row {row + 1}: {time[row]} does not come after"
-            f" {time[row - 1]}; time must rise, so sort the rows or drop the double."
+            f" {time[row - 1]}{within}; time must rise, so sort the rows or drop the double."
         )
 
 
@@ -200,19 +207,32 @@ def _check_meta(file: Path, meta: Mapping[str, str]) -> None:
 
 
 def require(recording: Recording, names: Sequence[str]) -> tuple[Array, ...]:
-    """The named columns. Raises BadInput naming the missing ones and those there are."""
+    """The named columns of one stretch of time. Raises BadInput naming the missing ones and those
+    there are, and where time starts anew."""
     missing = [name for name in names if name not in recording.columns]
     if missing:
         raise BadInput(
             f"{recording.name}: column {', '.join(missing)} is missing; it has"
             f" {', '.join(['time_s', *recording.columns])}."
         )
+    check_continuous(recording)
     return tuple(recording.columns[name] for name in names)
+
+
+def check_continuous(recording: Recording) -> None:
+    """Raises BadInput where time starts anew."""
+    back = np.flatnonzero(np.diff(recording.time) <= 0)
+    if back.size:
+        row = int(back[0]) + 1
+        raise BadInput(
+            f"{recording.name}: column time_s, row {row + 1}: time starts anew, which only a tail"
+            f" sweep's may; give one file per condition."
+        )
 
 
 def markers(recording: Recording) -> tuple[Array, list[int]]:
     """Marker tracks (n, m, 2) [m], NaN where unseen, and their numbers, rising."""
-    ends = [name[6:-4] for name in recording.columns if _is_marker(name) and name.endswith("_x_m")]
+    ends = [name[6:-4] for name in recording.columns if is_marker(name) and name.endswith("_x_m")]
     indices = sorted(int(end) for end in ends if end.isdigit())
     pairs = [
         np.stack(require(recording, [f"marker{k}_x_m", f"marker{k}_y_m"]), axis=1) for k in indices
@@ -224,6 +244,7 @@ def markers(recording: Recording) -> tuple[Array, list[int]]:
 
 def crop(recording: Recording, start: float, end: float) -> Recording:
     """The samples with start <= time <= end [s]. Raises BadInput if fewer than 2 are left."""
+    check_continuous(recording)
     kept = (recording.time >= start) & (recording.time <= end)
     if kept.sum() < 2:
         raise BadInput(
@@ -243,6 +264,7 @@ def resample(recording: Recording, time: Array) -> Recording:
 
     Raises BadInput outside the recording: nothing is extrapolated.
     """
+    check_continuous(recording)
     if not np.all((time >= recording.time[0]) & (time <= recording.time[-1])):
         raise BadInput(
             f"{recording.name}: {time.min():g}-{time.max():g} s asked of a recording of"
@@ -263,23 +285,3 @@ def uniform(recording: Recording, period: float) -> Recording:
     count = int((last - first) / period + 1e-9) + 1
     # The last sample may come out past the end by rounding, and is no extrapolation.
     return resample(recording, np.minimum(first + period * np.arange(count), last))
-
-
-def fill_gaps(recording: Recording, longest: float = 0.1) -> Recording:
-    """Bridge unseen marker samples linearly over gaps up to `longest` [s]; leave longer ones."""
-    columns = {
-        name: _bridge(recording.time, column, longest) if _is_marker(name) else column
-        for name, column in recording.columns.items()
-    }
-    return replace(recording, columns=columns)
-
-
-def _bridge(time: Array, column: Array, longest: float) -> Array:
-    seen = np.flatnonzero(np.isfinite(column))
-    if seen.size < 2:
-        return column
-    gap_start = seen[np.searchsorted(seen, np.arange(time.size), side="right").clip(1) - 1]
-    gap_end = seen[np.searchsorted(seen, np.arange(time.size)).clip(max=seen.size - 1)]
-    inside = (gap_start < np.arange(time.size)) & (gap_end > np.arange(time.size))
-    short = inside & (time[gap_end] - time[gap_start] <= longest + 1e-9)
-    return np.where(short, np.interp(time, time[seen], column[seen]), column)

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import periodogram
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.gait import Track, distance
+from tailbeat.identify.motor_power import HIGHEST, Spectrum, central, share, spectra
 from tailbeat.identify.runs import check_motor
 from tailbeat.recording import Recording, uniform
 
@@ -24,9 +24,7 @@ Array = NDArray[np.float64]
 PERIOD = 0.02  # s between compared samples: the robot's own loop
 AVERAGE = 1.0  # s over which speed and yaw rate are averaged: a beat, not its sway
 PERCENTILES = (0.5, 99.5)  # between them lies the recorded range
-CENTRAL = 0.9  # of each recording's motor power, between whose frequencies it counts as covered
-BANDS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 12.0)  # Hz, edges of the table; beyond is noise
-QUIET = 0.05  # rad/s rms: below, there is no motion to take frequencies from
+BANDS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, HIGHEST)  # Hz, edges of the table
 BINS = 40  # of the histograms that are overlapped
 LIMIT = 0.05  # share outside above which a quantity is not covered
 
@@ -265,57 +263,33 @@ def _overlap(a: Array, b: Array) -> float:
 def _power(swims: Sequence[Recording], recorded: Sequence[Recording], fish: Fish) -> Quantity:
     """The frequencies that hold the central 90 % of any recording's motor power are covered, and
     all between them; the shares are of power."""
-    played, known = list(_spectra(swims, fish)), list(_spectra(recorded, fish))
+    played, known = _spectra(swims, fish), _spectra(recorded, fish)
     if not known:
         raise BadInput(
             "The motor stands still in every recording; give those the fish was identified on."
         )
-    edges = [_central(frequency, energy) for frequency, energy in known]
+    edges = [central(frequency, energy) for frequency, energy in known]
     low, high = min(edge[0] for edge in edges), max(edge[1] for edge in edges)
     shares = [
-        _share(group, start, stop)
+        share(group, start, stop)
         for group in (played, known)
         for start, stop in ((0.0, low), (high, BANDS[-1]))
     ]
     fine = np.linspace(0, BANDS[-1], BINS + 1)
-    a, b = (
-        np.array([_share(group, *edge) for edge in pairwise(fine)]) for group in (played, known)
-    )
+    a, b = (np.array([share(group, *edge) for edge in pairwise(fine)]) for group in (played, known))
     below, above, own_below, own_above = shares
     return Quantity(POWER, low, high, below, above, own_below, own_above, _overlap(a, b))
 
 
-def _spectra(recordings: Sequence[Recording], fish: Fish) -> Iterator[tuple[Array, Array]]:
-    """Frequencies [Hz] up to 12 and the energy [rad^2/s] of the motor's rate at each."""
-    for one in recordings:
-        rate = _rate(one, fish)
-        if np.std(rate) < QUIET:
-            continue
-        frequency, density = periodogram(rate, 1 / PERIOD, window=("tukey", 0.25))
-        kept = frequency < BANDS[-1]
-        # Lines lie 1/T apart: power per Hz, summed as it is, is power times the time T.
-        yield frequency[kept], density[kept]
-
-
-def _central(frequency: Array, energy: Array) -> tuple[float, float]:
-    """Frequencies [Hz] between which `CENTRAL` of the energy lies, half a spectral line added."""
-    below = np.cumsum(energy) / energy.sum()
-    first, last = np.searchsorted(below, [(1 - CENTRAL) / 2, (1 + CENTRAL) / 2])
-    half = (frequency[1] - frequency[0]) / 2
-    return float(frequency[first] - half), float(frequency[last] + half)
-
-
-def _share(spectra: Sequence[tuple[Array, Array]], low: float, high: float) -> float:
-    """Share of the energy of all spectra from `low` to below `high` [Hz]; 0 where nothing moves."""
-    inside = sum(float(e[(f >= low) & (f < high)].sum()) for f, e in spectra)
-    return inside / max(sum(float(e.sum()) for _, e in spectra), 1e-12)
+def _spectra(recordings: Sequence[Recording], fish: Fish) -> list[Spectrum]:
+    return list(spectra((_rate(one, fish) for one in recordings), PERIOD))
 
 
 def _bands(
     swims: Sequence[Recording], recorded: Sequence[Recording], fish: Fish
 ) -> tuple[Band, ...]:
-    played, known = list(_spectra(swims, fish)), list(_spectra(recorded, fish))
+    played, known = _spectra(swims, fish), _spectra(recorded, fish)
     return tuple(
-        Band(low, high, _share(played, low, high), _share(known, low, high))
+        Band(low, high, share(played, low, high), share(known, low, high))
         for low, high in pairwise(BANDS)
     )

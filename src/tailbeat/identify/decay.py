@@ -12,8 +12,9 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 from tailbeat.files import BadInput
-from tailbeat.identify.tail import HALF_TURN, Estimate, check_angle, check_clipping
-from tailbeat.recording import Recording, require
+from tailbeat.identify.response import HALF_TURN, check_angle, check_clipping
+from tailbeat.identify.tail import Estimate
+from tailbeat.recording import Recording, check_continuous, require
 
 Array = NDArray[np.float64]
 HELD = 0.97  # share of the first deflection down to which a tail counts as still held
@@ -115,6 +116,7 @@ def ring_down(recording: Recording) -> RingDown:
     depends on the unit). The fit starts at the first pass through rest, past the hand's release.
     Intervals allow for correlated noise. Raises BadInput if it does not ring.
     """
+    check_continuous(recording)
     column = _moving_column(recording)
     signal = recording.columns[column]
     first, last = _ringing(recording, signal)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
 from tailbeat.identify.hinges import tail_inertia
+from tailbeat.identify.response import STILL
 from tailbeat.identify.search import Fit, Parameter, sensitivity
 from tailbeat.identify.shaft import Bench, Load, free_run
-from tailbeat.identify.tail import STILL
 from tailbeat.recording import Recording, require
 
 Array = NDArray[np.float64]

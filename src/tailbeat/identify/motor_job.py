@@ -24,6 +24,7 @@ from tailbeat.identify.motor import (
     servo_space,
     with_honest_intervals,
 )
+from tailbeat.identify.response import drive_frequency
 from tailbeat.identify.search import (
     Effort,
     Fit,
@@ -32,7 +33,6 @@ from tailbeat.identify.search import (
     values,
 )
 from tailbeat.identify.shaft import Bench, free_run
-from tailbeat.identify.tail import drive_frequency
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, str, float, float], None]  # seed, stage, share done, best cost

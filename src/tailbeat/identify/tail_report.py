@@ -8,7 +8,8 @@ from typing import Any
 from tailbeat.fish.description import Fish
 from tailbeat.identify.decay import Loop, RingDown
 from tailbeat.identify.hinges import Hinges, hinges_for
-from tailbeat.identify.tail import Condition, Estimate, TailFit, frequencies
+from tailbeat.identify.response import Condition
+from tailbeat.identify.tail import Estimate, TailFit, frequencies
 
 UNITS = {"k_eff": "N m/rad", "i_eff": "kg m^2", "c_eff": "N m s/rad", "coulomb": "N m"}
 MISSED = 0.02  # relative difference of the compiled shaft's stiffness that draws a warning

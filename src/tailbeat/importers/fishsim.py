@@ -1,5 +1,6 @@
 """Marker files of srl-ethz/fishsim as recordings."""
 
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput, refuse_existing
-from tailbeat.recording import Recording, fill_gaps, markers, write_recording
+from tailbeat.recording import Recording, is_marker, markers, write_recording
 
 Array = NDArray[np.float64]
 
@@ -164,3 +165,23 @@ def _to_start(pose: Array, tracks: Array, second: int) -> tuple[Array, Array]:
     turn = np.array([[cos, -sin], [sin, cos]])  # rows times this turns by -heading
     moved = np.column_stack([(pose[:, :2] - origin) @ turn, pose[:, 2] - heading])
     return moved, (tracks - origin) @ turn
+
+
+def fill_gaps(recording: Recording, longest: float = 0.1) -> Recording:
+    """Bridge unseen marker samples linearly over gaps up to `longest` [s]; leave longer ones."""
+    columns = {
+        name: _bridge(recording.time, column, longest) if is_marker(name) else column
+        for name, column in recording.columns.items()
+    }
+    return replace(recording, columns=columns)
+
+
+def _bridge(time: Array, column: Array, longest: float) -> Array:
+    seen = np.flatnonzero(np.isfinite(column))
+    if seen.size < 2:
+        return column
+    gap_start = seen[np.searchsorted(seen, np.arange(time.size), side="right").clip(1) - 1]
+    gap_end = seen[np.searchsorted(seen, np.arange(time.size)).clip(max=seen.size - 1)]
+    inside = (gap_start < np.arange(time.size)) & (gap_end > np.arange(time.size))
+    short = inside & (time[gap_end] - time[gap_start] <= longest + 1e-9)
+    return np.where(short, np.interp(time, time[seen], column[seen]), column)
