@@ -25,6 +25,7 @@ from tailbeat.fish.store import load_fish
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import Order
+from tailbeat.link.reasons import Reason
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import Numbers, State, Status
 from tailbeat.operator import station
@@ -123,7 +124,7 @@ def test_a_leader_without_a_tour_names_its_first_target_once():
 
 def test_a_leader_arms_anew_a_fish_that_holds_and_gives_up_in_the_end():
     def stands(state: State) -> Status:
-        return Status(state, "so it is", 0, 0, sender.orders, 0.0, Numbers())
+        return Status(state, Reason.NO_TARGET, "so it is", 0, 0, sender.orders, 0.0, Numbers())
 
     tour = Tour([(1.0, 0.0)])
     leader = station.Leader(tour, ran=time.monotonic())

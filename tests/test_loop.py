@@ -138,7 +138,7 @@ def test_an_order_to_stop_takes_the_torque_at_once(swimming):
     order = link.stop_datagram(KEY, 1, receiver.nonce, 1)
     swimming.rig.laptop.socket.sendto(order, swimming.rig.laptop.fish)
     swimming.ticks(lambda: swimming.loop.safety_status.state is State.STOP, 2.0)
-    assert swimming.torque == 0 and "console" in swimming.loop.safety_status.reason
+    assert swimming.torque == 0 and "console" in swimming.loop.safety_status.text
 
 
 def test_a_cut_link_holds_and_then_stops(swimming):
@@ -146,7 +146,7 @@ def test_a_cut_link_holds_and_then_stops(swimming):
     swimming.rig.laptop.due = math.inf  # no more frames
     swimming.loop.limits = SafetyLimits(**{**vars(WIDE), "pose_hold": 0.5, "pose_stop": 1.5})
     swimming.ticks(lambda: swimming.loop.safety_status.state is State.HOLD, 5.0)
-    assert "no pose for" in swimming.loop.safety_status.reason and swimming.torque == 1
+    assert "no pose for" in swimming.loop.safety_status.text and swimming.torque == 1
     swimming.ticks(lambda: swimming.loop.safety_status.state is State.STOP, 5.0)
     assert swimming.torque == 0
 
@@ -163,7 +163,7 @@ def test_an_answer_that_is_no_number_is_held_and_not_sent(swimming, monkeypatch)
         return swimming.loop.safety_status.state is State.HOLD
 
     swimming.ticks(held, 3.0)
-    assert "not a number" in swimming.loop.safety_status.reason
+    assert "not a number" in swimming.loop.safety_status.text
     swimming.ticks(lambda: held() and abs(sent[-1]) < 0.01, 10.0)  # back to straight, slowly
     assert np.abs(np.diff(sent)).max() <= 1.0 * 0.02 + 0.002  # at 1 rad/s; a count is 1.5 mrad
 
@@ -172,7 +172,7 @@ def test_a_servo_that_shuts_down_or_restarts_stops_the_swim(swimming):
     swimming.swim()
     swimming.rig.servo.fail(2)
     swimming.ticks(lambda: swimming.loop.safety_status.state is State.STOP, 3.0)
-    assert "hardware error" in swimming.loop.safety_status.reason
+    assert "hardware error" in swimming.loop.safety_status.text
     swimming.rig.servo.put(70, 0)
     swimming.loop.disarm()
     swimming.ticks(lambda: not swimming.loop.servo.alert)
@@ -180,7 +180,7 @@ def test_a_servo_that_shuts_down_or_restarts_stops_the_swim(swimming):
     swimming.rig.servo.reboot()
     swimming.rig.servo.quiet_until = 0.0
     swimming.ticks(lambda: swimming.loop.safety_status.state is State.STOP, 3.0)
-    assert "lost its torque" in swimming.loop.safety_status.reason and swimming.torque == 0
+    assert "lost its torque" in swimming.loop.safety_status.text and swimming.torque == 0
 
 
 def test_a_pulled_servo_stops_and_an_exception_lets_go(swimming):
@@ -194,7 +194,7 @@ def test_a_pulled_servo_stops_and_an_exception_lets_go(swimming):
     swimming.loop.devices.servo.deadline = 0.02
     swimming.loop.limits = SafetyLimits(**{**vars(WIDE), "servo_hold": 0.3, "servo_stop": 0.6})
     swimming.ticks(lambda: swimming.loop.safety_status.state is State.STOP, 5.0)
-    assert "no servo for" in swimming.loop.safety_status.reason
+    assert "no servo for" in swimming.loop.safety_status.text
     swimming.rig.servo.faults.mute = 0
 
 

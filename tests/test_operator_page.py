@@ -303,7 +303,7 @@ def test_stop_takes_the_torque_off_even_from_a_page_that_may_only_watch(lab, chr
         (keys.click(field_) if field_ else keys).send_keys(" ").perform()
     lab.stands(State.STOP)
     until(lambda: lab.torque == 0)
-    assert lab.loop.safety_status.reason == "stop asked by the console"
+    assert lab.loop.safety_status.text == "stop asked by the console"
     shows(chromium, State.STOP)
     assert "asked by the console" in shown(chromium, "reason")
     assert chromium.get_log("browser") == []
@@ -437,6 +437,7 @@ def test_the_fish_is_drawn_where_its_tag_is_and_bends_to_the_motor_s_side():
 
 def test_the_laptop_answers_orders_and_stops_the_fish_when_it_ends(tmp_path: Path):
     """The test is the fish here: it asks, hears and reports over real sockets."""
+    from tailbeat.link.reasons import Reason
     from tailbeat.link.status import Numbers, Status, status_datagram
 
     link.make_key(tmp_path / "fish.key")
@@ -455,7 +456,9 @@ def test_the_laptop_answers_orders_and_stops_the_fish_when_it_ends(tmp_path: Pat
     def hear() -> None:
         nonlocal count
         count += 1
-        status = Status(State.RUN, "swimming", 0, 0, to.ordered.get(to.run, 0), 0.0, Numbers())
+        status = Status(
+            State.RUN, Reason.SWIMMING, "swimming", 0, 0, to.ordered.get(to.run, 0), 0.0, Numbers()
+        )
         fish.sendto(link.ask_datagram(key, to.nonce, count, time.monotonic_ns()), there)
         fish.sendto(status_datagram(key, to.run, to.nonce, count, status), there)
         for data, _ in link.drain(fish):

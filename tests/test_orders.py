@@ -11,6 +11,7 @@ import pytest
 
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import SECOND, Frame, Order, Receiver, order_datagram
+from tailbeat.link.reasons import REASONS, Reason
 from tailbeat.link.sender import GIVE_UP, LIVE, Sender
 from tailbeat.link.status import (
     LENGTH,
@@ -27,7 +28,9 @@ from tailbeat.robot.safety import SafetyLimits
 
 KEY, RUN = bytes(range(32)), 77
 FRAME = Frame(0, (0.1, -0.2, 1.5), (1.0, 0.5))
-STAND = Status(State.RUN, "swimming", 3, 12, 5, 37.25, Numbers(0.05, 0.3, 2.0, target_x=1.5))
+STAND = Status(
+    State.RUN, Reason.SWIMMING, "swimming", 3, 12, 5, 37.25, Numbers(0.05, 0.3, 2.0, target_x=1.5)
+)
 
 
 def followed(run: int = RUN) -> Receiver:
@@ -120,20 +123,26 @@ def test_a_status_comes_back_as_it_went():
     assert read_status(bytes(32), status_datagram(KEY, RUN, 5, 9, STAND)) is None
 
 
+@pytest.mark.parametrize("reason", REASONS)
+def test_every_reason_comes_back_as_a_value(reason):
+    found = read_status(KEY, status_datagram(KEY, RUN, 5, 9, replace(STAND, reason=reason)))
+    assert found is not None and found[3].reason is reason
+
+
 @pytest.mark.parametrize("reason", ["", "°" * 95, "x" * 500])
 def test_a_reason_of_any_length_is_cut_between_letters(reason):
-    packet = status_datagram(KEY, RUN, 5, 9, replace(STAND, reason=reason, missed=10**6))
+    packet = status_datagram(KEY, RUN, 5, 9, replace(STAND, text=reason, missed=10**6))
     found = read_status(KEY, packet)
     assert found is not None and len(packet) == LENGTH
-    assert reason.startswith(found[3].reason) and found[3].missed == 0xFFFF
-    assert len(found[3].reason.encode()) == min(len(reason.encode()) // 2 * 2, TEXT_BYTES)
+    assert reason.startswith(found[3].text) and found[3].missed == 0xFFFF
+    assert len(found[3].text.encode()) == min(len(reason.encode()) // 2 * 2, TEXT_BYTES)
 
 
 def row(now: float, **more: Any) -> dict[str, Any]:
     names = "command_rad motor_angle_rad pose_age_s clock_doubt_s temperature_deg_c voltage_v"
     numbers = dict.fromkeys([*names.split(), "current_a", "band_share"], math.inf)
-    return {"time_s": now, "state": "hold", "reason": "no target", "missed": 0, "busy_s": 0.0,
-            **numbers, **more}  # fmt: skip
+    return {"time_s": now, "state": "hold", "reason": "no target", "cause": "no_target",
+            "missed": 0, "busy_s": 0.0, **numbers, **more}  # fmt: skip
 
 
 def test_a_reporter_speaks_ten_times_a_second_and_tells_the_worst_since():
@@ -148,7 +157,8 @@ def test_a_reporter_speaks_ten_times_a_second_and_tells_the_worst_since():
     assert len(statuses) == 20
     assert sum(status.numbers.late > 0.006 for status in statuses) == 1
     assert statuses[-1].numbers.busy == pytest.approx(9.5e-3)
-    assert statuses[-1].state is State.HOLD and statuses[-1].reason == "no target"
+    assert statuses[-1].state is State.HOLD and statuses[-1].reason is Reason.NO_TARGET
+    assert statuses[-1].text == "no target"
     assert (statuses[-1].numbers.target_x, statuses[-1].numbers.pose_age) == (1.0, math.inf)
 
 
@@ -205,7 +215,7 @@ def test_a_sender_meets_a_fish_shows_it_frames_and_hears_how_it_is(pair):
     pair.sender.show(replace(FRAME, captured=time.monotonic_ns()))
     pair.turn(10)
     assert pair.receiver.accepted == 1 and pair.receiver.frames[0].target == (1.0, 0.5)
-    assert pair.sender.status is not None and pair.sender.status.reason == "no target"
+    assert pair.sender.status is not None and pair.sender.status.reason is Reason.NO_TARGET
     offset = pair.receiver.clock.offset(time.monotonic_ns())
     assert offset is not None and abs(offset[0]) <= offset[1]  # one clock here
 

@@ -14,14 +14,17 @@ from tailbeat.control.policy import decide, load_policy
 from tailbeat.control.runner import Readings, begin, steer
 from tailbeat.env.world import Settings, World
 from tailbeat.fish.store import load_fish
+from tailbeat.link.reasons import Reason
 from tailbeat.link.status import State
-from tailbeat.robot import safety
 from tailbeat.robot.safety import (
+    HOLDS,
+    STOPS,
     Health,
     SafetyLimits,
     SafetyStatus,
     arm,
     disarm,
+    first_broken,
     judge,
     run,
     shaped,
@@ -83,7 +86,7 @@ def test_the_way_to_swim_leads_through_arming():
     assert judge(safety_status, WELL, LIMITS) == safety_status and safety_status.state is State.RUN
 
 
-HOLDS: dict[str, dict[str, Any]] = {
+HOLD_CASES: dict[str, dict[str, Any]] = {
     "not a number": {"finite": False},
     "own watchdog": {"watchdog": True},
     "no servo for 80 ms": {"servo_age": 0.08},
@@ -96,12 +99,12 @@ HOLDS: dict[str, dict[str, Any]] = {
     "12 periods missed": {"overruns": 12},
     "log cannot be written": {"logging": False},
     "clock jumped by 5.00 s": {"clock_step": 5.0},
-    "from 4000 ms ahead": {"pose_age": -4.0},
+    "4000 ms in the future": {"pose_age": -4.0},
     "7 poses in a row": {"jumps": 7},
-    "numbers stand still": {"imu_frozen": True},
+    "numbers do not change": {"imu_frozen": True},
     "watchdog process is gone": {"guarded": False},
 }
-STOPS: dict[str, dict[str, Any]] = {
+STOP_CASES: dict[str, dict[str, Any]] = {
     "asked by the console": {"stop_asked": "the console"},
     "hardware error": {"alert": True},
     "error: overload": {"hardware": "overload"},
@@ -114,11 +117,11 @@ STOPS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize(("reason", "changed"), HOLDS.items())
+@pytest.mark.parametrize(("reason", "changed"), HOLD_CASES.items())
 def test_what_makes_it_hold_latches_with_its_reason(reason, changed):
-    running = SafetyStatus(State.RUN, "swimming")
+    running = SafetyStatus(State.RUN, Reason.SWIMMING)
     held = judge(running, replace(WELL, **changed), LIMITS)
-    assert held.state is State.HOLD and reason in held.reason
+    assert held.state is State.HOLD and reason in held.text
     assert judge(held, WELL, LIMITS) == held  # well again is not enough
     assert run(held) == held
     assert run(arm(held, WELL, LIMITS)).state is State.RUN
@@ -126,27 +129,38 @@ def test_what_makes_it_hold_latches_with_its_reason(reason, changed):
         assert arm(SafetyStatus(), replace(WELL, **changed), LIMITS).state is State.DISARMED
 
 
-@pytest.mark.parametrize(("reason", "changed"), STOPS.items())
+@pytest.mark.parametrize(("reason", "changed"), STOP_CASES.items())
 def test_what_makes_it_stop_stays_until_disarmed(reason, changed):
     for before in (State.ARMED, State.RUN, State.HOLD):
-        safety_status = judge(SafetyStatus(before, ""), replace(WELL, **changed), LIMITS)
-        assert safety_status.state is State.STOP and reason in safety_status.reason
+        safety_status = judge(SafetyStatus(before), replace(WELL, **changed), LIMITS)
+        assert safety_status.state is State.STOP and reason in safety_status.text
         assert arm(safety_status, WELL, LIMITS).state is State.STOP
         assert run(safety_status).state is State.STOP
+        assert arm(safety_status, WELL, LIMITS).text == f"{safety_status.text}; disarm first"
     assert arm(disarm(safety_status), WELL, LIMITS).state is State.ARMED
 
 
 def test_every_field_of_health_can_stop_or_hold():
-    touched = {name for case in (*HOLDS.values(), *STOPS.values()) for name in case}
+    touched = {name for case in (*HOLD_CASES.values(), *STOP_CASES.values()) for name in case}
     assert touched == {one.name for one in fields(Health)}
+
+
+def test_every_rule_has_a_case_and_a_text_of_its_own():
+    kinds = [(State.HOLD, HOLDS, HOLD_CASES), (State.STOP, STOPS, STOP_CASES)]
+    for state, rules, cases in kinds:
+        found = {judge(SafetyStatus(State.RUN), replace(WELL, **changed), LIMITS)
+                 for changed in cases.values()}  # fmt: skip
+        assert {one.state for one in found} == {state}
+        assert {one.reason for one in found} == {rule.reason for rule in rules}
+    assert len({one.value for one in Reason}) == len(Reason.__members__)  # no alias of another
 
 
 def test_what_is_not_a_number_holds():
     for name in ("pose_age", "imu_age", "servo_age", "clock_doubt", "temperature", "voltage"):
         nan: dict[str, Any] = {name: float("nan")}
         broken = replace(WELL, **nan)
-        assert judge(SafetyStatus(State.RUN, ""), broken, LIMITS).state is State.HOLD, name
-    assert safety.holds(WELL, LIMITS) == "" == safety.stops(WELL, LIMITS)
+        assert judge(SafetyStatus(State.RUN), broken, LIMITS).state is State.HOLD, name
+    assert first_broken((*HOLDS, *STOPS), WELL, LIMITS) is None
 
 
 def test_setpoints_stay_in_range_and_never_jump():

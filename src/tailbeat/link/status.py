@@ -1,6 +1,6 @@
-"""How the fish is: one signed datagram ten times a second, to the laptop.
+"""The robot's status: one signed datagram ten times a second, to the laptop.
 
-It names the sender's run that the fish hears, so that the laptop takes none that was recorded
+It names the sender's run that the robot hears, so that the laptop accepts none that was recorded
 before its own start, and the number of the newest order taken, so that a lost order is repeated.
 """
 
@@ -10,9 +10,10 @@ from dataclasses import dataclass, fields
 from enum import Enum
 
 from tailbeat.link.datagrams import HEAD, MAC_BYTES, is_signed, sign
+from tailbeat.link.reasons import REASONS, Reason
 
-STATUS = b"tbR1"
-TEXT_BYTES = 96  # of the reason, UTF-8, cut where it is longer
+STATUS = b"tbR2"
+TEXT_BYTES = 96  # of the reason's text, UTF-8, cut where it is longer
 
 
 class State(Enum):
@@ -27,7 +28,8 @@ class State(Enum):
 
 
 STATES = tuple(State)
-FIRST = struct.Struct(f"<BHIQd{TEXT_BYTES}s")  # state, missed, rejects, order, offset, reason
+# state, reason, missed, rejects, order, offset, the reason's text
+FIRST = struct.Struct(f"<BBHIQd{TEXT_BYTES}s")
 
 
 @dataclass(frozen=True)
@@ -61,11 +63,12 @@ LENGTH = HEAD.size + FIRST.size + NUMBERS.size + MAC_BYTES
 
 @dataclass(frozen=True)
 class Status:
-    """State and reason, periods `missed` within a second, datagrams rejected since the start, the
-    newest `order` taken, the sender's clock less the fish's [s], and the numbers."""
+    """State, reason and its text, periods `missed` within a second, datagrams rejected since the
+    start, the newest `order` taken, the sender's clock less the fish's [s], and the numbers."""
 
     state: State
-    reason: str
+    reason: Reason
+    text: str
     missed: int
     rejects: int
     order: int
@@ -75,9 +78,10 @@ class Status:
 
 def status_datagram(key: bytes, run: int, nonce: int, sequence: int, status: Status) -> bytes:
     """A status of the fish's start `nonce` for the sender's run."""
-    text = status.reason.encode()[:TEXT_BYTES].decode(errors="ignore").encode()
+    text = status.text.encode()[:TEXT_BYTES].decode(errors="ignore").encode()
     first = FIRST.pack(
         STATES.index(status.state),
+        REASONS.index(status.reason),
         min(status.missed, 0xFFFF),
         min(status.rejects, 0xFFFF_FFFF),
         status.order,
@@ -94,8 +98,8 @@ def read_status(key: bytes, data: bytes) -> tuple[int, int, int, Status] | None:
     if not is_signed(key, data, STATUS, LENGTH):
         return None
     _, run, nonce, sequence = HEAD.unpack_from(data)
-    state, missed, rejects, order, offset, text = FIRST.unpack_from(data, HEAD.size)
+    state, why, missed, rejects, order, offset, text = FIRST.unpack_from(data, HEAD.size)
     numbers = Numbers(*NUMBERS.unpack_from(data, HEAD.size + FIRST.size))
-    reason = text.rstrip(b"\0").decode(errors="replace")
-    status = Status(STATES[state], reason, missed, rejects, order, offset, numbers)
+    words = text.rstrip(b"\0").decode(errors="replace")
+    status = Status(STATES[state], REASONS[why], words, missed, rejects, order, offset, numbers)
     return run, nonce, sequence, status

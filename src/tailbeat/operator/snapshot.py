@@ -61,7 +61,8 @@ def _status(status: Status, age: float) -> dict[str, Any]:
     target = numbers.pop("target_x"), numbers.pop("target_y")
     return {
         "state": status.state.value,
-        "reason": status.reason,
+        "reason": status.text,
+        "cause": status.reason.name.lower(),
         "age": age,
         "missed": status.missed,
         "rejects": status.rejects,

@@ -89,7 +89,7 @@ class Leader:
         elif self.rearmed < REARMED:
             if self.swam:
                 self.armed += 1
-                say(f"{state.value}: {sender.status.reason}; armed anew, time {self.rearmed}")
+                say(f"{state.value}: {sender.status.text}; armed anew, time {self.rearmed}")
             self.armed = max(self.armed, 1)
             sender.order(Order.ARM, now)
 
@@ -178,7 +178,7 @@ def _turns(
 
 def _line(sender: Any) -> str:
     status = sender.status
-    return "" if status is None else f"{status.state.value}: {status.reason}"
+    return "" if status is None else f"{status.state.value}: {status.text}"
 
 
 def _farewell(sender: Any, say: Say) -> None:

@@ -28,7 +28,7 @@ WAITING = 500  # rows, ten seconds
 TOPIC, NOTES = "/swim", "tailbeat"
 SECOND = 1_000_000_000
 ARRAYS = ("observation", "action", "decided_on")
-TEXTS = ("state", "reason")
+TEXTS = ("state", "reason", "cause")
 # What `rows` must have to be a recording that identification reads; see `log_export`.
 COLUMNS = ("command_rad", "motor_angle_rad", "yaw_rate_rad_s", "x_m", "y_m", "yaw_rad")
 

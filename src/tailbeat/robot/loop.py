@@ -23,6 +23,7 @@ from tailbeat.control.band import Monitor, Shares
 from tailbeat.control.policy import Policy
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import Frame, Order, Receiver
+from tailbeat.link.reasons import Reason
 from tailbeat.link.status import State
 from tailbeat.robot import plausible, safety
 from tailbeat.robot.imu import Imu, ImuFault, YawRate
@@ -354,7 +355,9 @@ class Loop:
                 self.runner_state = runner.begin(self.policy)
             except ServoFault as fault:
                 self._torque_off()
-                self.safety_status = SafetyStatus(State.DISARMED, f"arming failed: {fault}")
+                self.safety_status = SafetyStatus(
+                    State.DISARMED, Reason.ARMING_FAILED, note=str(fault)
+                )
         return self.safety_status
 
     def swim(self) -> SafetyStatus:
@@ -418,7 +421,8 @@ class Loop:
         return {
             "time_s": now,
             "state": self.safety_status.state.value,
-            "reason": self.safety_status.reason,
+            "reason": self.safety_status.text,
+            "cause": self.safety_status.reason.name.lower(),
             "command_rad": self.sent,
             "motor_angle_rad": servo.angle if servo else math.nan,
             "motor_velocity_rad_s": servo.velocity if servo else math.nan,

@@ -7,6 +7,7 @@ from typing import Any
 
 from tailbeat.link.clock import SECOND
 from tailbeat.link.datagrams import Receiver
+from tailbeat.link.reasons import Reason
 from tailbeat.link.status import Numbers, State, Status, status_datagram
 from tailbeat.robot.safety import SafetyLimits
 
@@ -70,7 +71,8 @@ def _status(row: Mapping[str, Any], receiver: Receiver, numbers: Numbers) -> Sta
     offset = receiver.clock.offset(round(row["time_s"] * SECOND))
     return Status(
         state=State(row["state"]),
-        reason=row["reason"],
+        reason=Reason[row["cause"].upper()],
+        text=row["reason"],
         missed=row["missed"],
         rejects=receiver.rejected.total(),
         order=receiver.ordered.get(receiver.run, 0),

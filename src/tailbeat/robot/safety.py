@@ -1,18 +1,20 @@
-"""When the fish may swim, when it holds, when it stops: states, limits, and what may be sent.
+"""When the robot may swim, when it holds, when it stops: rules, limits, and what may be sent.
 
-No device and no clock: the loop says what it knows (`Health`), this says what follows. HOLD and
-STOP latch with their first reason; out of HOLD leads arming anew, out of STOP only disarming.
+No device and no clock: the loop gives what it knows (`Health`), the rules here give the state. HOLD
+and STOP latch with their first reason. Arm again to leave HOLD; disarm to leave STOP.
 """
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from tailbeat.link.reasons import Reason, text_of
 from tailbeat.link.status import State
 
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """Beyond what the loop holds or stops; chosen where no source is named."""
+    """Limits beyond which the loop holds or stops; chosen where no source is named."""
 
     pose_hold: float = 0.3  # s: age of the newest pose
     pose_stop: float = 2.0  # s
@@ -20,13 +22,13 @@ class SafetyLimits:
     servo_hold: float = 0.06  # s without a reading: three periods
     servo_stop: float = 0.5  # s
     clock_doubt: float = 0.05  # s that a pose's age may be off
-    temperature_hold: float = 65.0  # deg C; the servo lets go at 80
+    temperature_hold: float = 65.0  # deg C; the servo shuts down at 80
     temperature_stop: float = 75.0
     voltage_low: float = 9.5  # V: the servo's own limit
     voltage_high: float = 16.0
     current_stop: float = 4.0  # A, for longer than a beat
     overruns_hold: int = 10  # periods missed within a second
-    jumps_hold: int = 6  # frames in a row whose pose the fish cannot have come to
+    jumps_hold: int = 6  # frames in a row whose pose is implausible
     slew: float = 20.0  # rad/s of the setpoint: above what the generator asks
     ramp: float = 1.0  # rad/s on the way to straight
 
@@ -39,10 +41,10 @@ class Health:
     torque it was told to, whether its own watchdog stopped it; periods missed within a second;
     whether the policy gave a number; whether the log still writes; who asked to stop, if anyone.
 
-    `hardware` names the servo's errors and `imu_frozen` says that the IMU's numbers stand still;
+    `hardware` names the servo's errors and `imu_frozen` says that the IMU's numbers do not change;
     `follows`: whether the shaft moves when asked; `jumps`: frames in a row with an impossible pose;
-    `clock_step` [s] of the laptop's clock since arming; `guarded`: whether someone lets go if the
-    loop dies."""
+    `clock_step` [s] of the laptop's clock since arming; `guarded`: whether the watchdog process
+    would turn torque off if the loop died."""
 
     pose_age: float = math.inf
     imu_age: float = math.inf
@@ -69,83 +71,103 @@ class Health:
 
 @dataclass(frozen=True)
 class SafetyStatus:
-    """The state, and why."""
+    """The state and why: `reason`, the `value` that was measured (unit of the reason's text) and a
+    `note` from outside: who asked, which error. `refused`: arming was tried in STOP."""
 
     state: State = State.DISARMED
-    reason: str = "not armed yet"
+    reason: Reason = Reason.NOT_ARMED
+    value: float = 0.0
+    note: str = ""
+    refused: bool = False
+
+    @property
+    def text(self) -> str:
+        """The reason as the operator reads it."""
+        first = "; disarm first" if self.refused else ""
+        return text_of(self.reason, self.value, self.note) + first
 
 
-def stops(health: Health, limits: SafetyLimits) -> str:
-    """Why the torque must go, or "" if it need not."""
-    found = {
-        f"stop asked by {health.stop_asked}": bool(health.stop_asked),
-        f"the servo reports a hardware error: {health.hardware or 'not named yet'}": (
-            health.alert or bool(health.hardware)
-        ),
-        "the servo lost its torque: it restarted or shut down": health.torque_lost,
-        f"servo at {health.temperature:.0f} deg C": health.temperature >= limits.temperature_stop,
-        "the shaft does not follow: the tail is jammed, or the encoder stands still": (
-            not health.follows
-        ),
-        f"servo current {abs(health.current):.1f} A": abs(health.current) >= limits.current_stop,
-        f"no servo for {health.servo_age:.1f} s": health.servo_age >= limits.servo_stop,
-        f"no pose for {health.pose_age:.1f} s": health.pose_age >= limits.pose_stop,
-    }
-    return next((reason for reason, holds in found.items() if holds), "")
+@dataclass(frozen=True)
+class Rule:
+    """A condition that must not be: `broken`, and what the operator reads with its `reason`."""
+
+    reason: Reason
+    broken: Callable[[Health, SafetyLimits], bool]
+    value: Callable[[Health], float] = lambda health: 0.0
+    note: Callable[[Health], str] = lambda health: ""
 
 
-def holds(health: Health, limits: SafetyLimits) -> str:
-    """Why the fish must not swim on, or "" if it may. Bounds are taken so that NaN holds."""
-    voltage = health.voltage
-    found = {
-        "the policy's answer is not a number": not health.finite,
-        "the servo's own watchdog stopped it": health.watchdog,
-        f"no servo for {1e3 * health.servo_age:.0f} ms": not health.servo_age < limits.servo_hold,
-        f"no yaw rate for {1e3 * health.imu_age:.0f} ms": not health.imu_age < limits.imu_hold,
-        f"no pose for {1e3 * health.pose_age:.0f} ms": not health.pose_age < limits.pose_hold,
-        f"the laptop's clock jumped by {health.clock_step:.2f} s": health.clock_step != 0,
-        f"a pose from {-1e3 * health.pose_age:.0f} ms ahead: a clock jumped": (
-            health.pose_age < -limits.clock_doubt
-        ),
-        f"{health.jumps} poses in a row that the fish cannot have come to": (
-            health.jumps >= limits.jumps_hold
-        ),
-        "the IMU's numbers stand still": health.imu_frozen,
-        "the clocks are not compared": not health.clock_doubt < limits.clock_doubt,
-        "no target": not health.target,
-        f"servo at {health.temperature:.0f} deg C": not health.temperature
-        < limits.temperature_hold,
-        f"supply {voltage:.1f} V": not limits.voltage_low <= voltage <= limits.voltage_high,
-        f"{health.overruns} periods missed within a second": health.overruns
-        >= limits.overruns_hold,
-        "the log cannot be written": not health.logging,
-        "the watchdog process is gone: torque would stay on if the loop died": not health.guarded,
-    }
-    return next((reason for reason, holds in found.items() if holds), "")
+# In order: the first that is broken gives the reason. Holds are written so that NaN holds.
+STOPS = (
+    Rule(Reason.STOP_ASKED, lambda h, _: bool(h.stop_asked), note=lambda h: h.stop_asked),
+    Rule(Reason.HARDWARE_ERROR, lambda h, _: h.alert or bool(h.hardware),
+         note=lambda h: h.hardware or "not named yet"),
+    Rule(Reason.TORQUE_LOST, lambda h, _: h.torque_lost),
+    Rule(Reason.SERVO_HOT, lambda h, lim: h.temperature >= lim.temperature_stop,
+         lambda h: h.temperature),
+    Rule(Reason.SHAFT_STUCK, lambda h, _: not h.follows),
+    Rule(Reason.OVERCURRENT, lambda h, lim: abs(h.current) >= lim.current_stop,
+         lambda h: abs(h.current)),
+    Rule(Reason.SERVO_LOST, lambda h, lim: h.servo_age >= lim.servo_stop, lambda h: h.servo_age),
+    Rule(Reason.POSE_LOST, lambda h, lim: h.pose_age >= lim.pose_stop, lambda h: h.pose_age),
+)  # fmt: skip
+HOLDS = (
+    Rule(Reason.NOT_A_NUMBER, lambda h, _: not h.finite),
+    Rule(Reason.BUS_WATCHDOG, lambda h, _: h.watchdog),
+    Rule(Reason.SERVO_LATE, lambda h, lim: not h.servo_age < lim.servo_hold, lambda h: h.servo_age),
+    Rule(Reason.YAW_RATE_LATE, lambda h, lim: not h.imu_age < lim.imu_hold, lambda h: h.imu_age),
+    Rule(Reason.POSE_LATE, lambda h, lim: not h.pose_age < lim.pose_hold, lambda h: h.pose_age),
+    Rule(Reason.CLOCK_JUMPED, lambda h, _: h.clock_step != 0, lambda h: h.clock_step),
+    Rule(Reason.POSE_AHEAD, lambda h, lim: h.pose_age < -lim.clock_doubt, lambda h: -h.pose_age),
+    Rule(Reason.POSES_IMPLAUSIBLE, lambda h, lim: h.jumps >= lim.jumps_hold, lambda h: h.jumps),
+    Rule(Reason.IMU_FROZEN, lambda h, _: h.imu_frozen),
+    Rule(Reason.CLOCKS_UNKNOWN, lambda h, lim: not h.clock_doubt < lim.clock_doubt),
+    Rule(Reason.NO_TARGET, lambda h, _: not h.target),
+    Rule(Reason.SERVO_WARM, lambda h, lim: not h.temperature < lim.temperature_hold,
+         lambda h: h.temperature),
+    Rule(Reason.SUPPLY, lambda h, lim: not lim.voltage_low <= h.voltage <= lim.voltage_high,
+         lambda h: h.voltage),
+    Rule(Reason.PERIODS_MISSED, lambda h, lim: h.overruns >= lim.overruns_hold,
+         lambda h: h.overruns),
+    Rule(Reason.LOG_FAILED, lambda h, _: not h.logging),
+    Rule(Reason.NO_WATCHDOG, lambda h, _: not h.guarded),
+)  # fmt: skip
+
+
+def first_broken(rules: Sequence[Rule], health: Health, limits: SafetyLimits) -> Rule | None:
+    """The rule that gives the reason, or None where all are kept."""
+    return next((rule for rule in rules if rule.broken(health, limits)), None)
 
 
 def judge(before: SafetyStatus, health: Health, limits: SafetyLimits) -> SafetyStatus:
-    """The stand after one period of an armed or running fish; DISARMED and STOP stay."""
+    """The status after one period of an armed or running robot; DISARMED and STOP stay."""
     if before.state in (State.DISARMED, State.STOP):
         return before
-    if reason := stops(health, limits):
-        return SafetyStatus(State.STOP, reason)
-    if before.state is State.RUN and (reason := holds(health, limits)):
-        return SafetyStatus(State.HOLD, reason)
+    if rule := first_broken(STOPS, health, limits):
+        return _status(State.STOP, rule, health)
+    if before.state is State.RUN and (rule := first_broken(HOLDS, health, limits)):
+        return _status(State.HOLD, rule, health)
     return before
 
 
 def arm(before: SafetyStatus, health: Health, limits: SafetyLimits) -> SafetyStatus:
-    """ARMED if nothing speaks against it, else as before with the reason; never out of STOP."""
+    """ARMED if no rule is broken, else as before with the reason; never out of STOP. Arming clears
+    the servo's own watchdog, so that one is no reason."""
     if before.state is State.STOP:
-        return replace(before, reason=f"{before.reason}; disarm first")
-    reason = stops(health, limits) or holds(replace(health, watchdog=False), limits)
-    return replace(before, reason=reason) if reason else SafetyStatus(State.ARMED, "armed")
+        return replace(before, refused=True)
+    rule = first_broken((*STOPS, *HOLDS), replace(health, watchdog=False), limits)
+    if rule:
+        return _status(before.state, rule, health)
+    return SafetyStatus(State.ARMED, Reason.ARMED)
+
+
+def _status(state: State, rule: Rule, health: Health) -> SafetyStatus:
+    return SafetyStatus(state, rule.reason, rule.value(health), rule.note(health))
 
 
 def run(before: SafetyStatus) -> SafetyStatus:
     """RUN out of ARMED, from nowhere else."""
-    return SafetyStatus(State.RUN, "swimming") if before.state is State.ARMED else before
+    return SafetyStatus(State.RUN, Reason.SWIMMING) if before.state is State.ARMED else before
 
 
 def disarm(before: SafetyStatus) -> SafetyStatus:

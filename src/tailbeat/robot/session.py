@@ -85,8 +85,8 @@ def _outcome(own: Any, log: Path, by_itself: bool) -> dict[str, Any]:
     """A swim's numbers; of a service, whose log may hold days, how it ended alone."""
     rejected = dict(own.devices.receiver.rejected)
     if not by_itself:
-        return {"rejected_datagrams": rejected, "ended": own.safety_status.reason}
-    return summary(log_file.read_rows(log), own.safety_status.reason, rejected)
+        return {"rejected_datagrams": rejected, "ended": own.safety_status.text}
+    return summary(log_file.read_rows(log), own.safety_status.text, rejected)
 
 
 def _prepare(gyro: Any, path: str) -> None:
@@ -110,7 +110,7 @@ class Alive:
     def __call__(self, torque: bool) -> bool:
         """Whether the watchdog listens."""
         safety_status = self.loop.safety_status
-        self.notifier.beat(time.monotonic(), f"{safety_status.state.value}: {safety_status.reason}")
+        self.notifier.beat(time.monotonic(), f"{safety_status.state.value}: {safety_status.text}")
         return bool(self.watcher.beat(torque))
 
 
@@ -141,7 +141,7 @@ def _swim(
             own.stop_asked = OPERATOR  # an order to arm in the same period does not undo it
         if by_itself and not (ended or own.ordered):
             _begin(own, since)
-        line = f"{own.safety_status.state.value}: {own.safety_status.reason}"
+        line = f"{own.safety_status.state.value}: {own.safety_status.text}"
         if line != told[0]:
             told[0] = line
             say(f"{since:6.2f} s  {line}")
