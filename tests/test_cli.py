@@ -1,4 +1,4 @@
-"""The commands as a user types them, in a process of their own."""
+"""The commands as a user types them; one run of each verb is a process of its own."""
 
 import json
 import subprocess
@@ -7,20 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from support import complaint, tailbeat, tailbeat_process
 from synthetic import record
 from tailbeat.cli.app import spread_lists
 from tailbeat.cli.renamed import refuse_old_names
 from tailbeat.fish.store import load_fish
 from tailbeat.recording import read_recording, write_recording
-
-
-def tailbeat(*words: object, cwd=None) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-m", "tailbeat", *map(str, words)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-    )
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +31,8 @@ def test_lists_of_recordings_follow_an_option():
 
 
 def test_new_fish_show_and_predict(tmp_path, swim):
-    assert tailbeat("new-fish", tmp_path / "my.toml").returncode == 0
-    shown = tailbeat(
+    assert tailbeat_process("new-fish", tmp_path / "my.toml").returncode == 0
+    shown = tailbeat_process(
         "show",
         tmp_path / "my.toml",
         "--picture",
@@ -54,7 +46,7 @@ def test_new_fish_show_and_predict(tmp_path, swim):
     assert json.loads((tmp_path / "s.json").read_text())["hinges"][0]["arm_m"] == pytest.approx(
         0.015
     )
-    done = tailbeat("predict", "--fish", "pulley-fish", swim, "--json", tmp_path / "p.json")
+    done = tailbeat_process("predict", "--fish", "pulley-fish", swim, "--json", tmp_path / "p.json")
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "p.json").read_text())
     assert result["speed_mae"] < 1e-3
@@ -63,7 +55,7 @@ def test_new_fish_show_and_predict(tmp_path, swim):
 
 def test_identify_writes_fish_report_and_figure_and_its_fish_predicts(tmp_path, swim):
     out = tmp_path / "id.toml"
-    done = tailbeat(
+    done = tailbeat_process(
         "identify", "fluid", "--fish", "pulley-fish", "--fit", swim, "--validate", swim,
         "--out", out, "--zones", 1, "--seeds", 1, "--generations", 2,
     )  # fmt: skip
@@ -75,16 +67,6 @@ def test_identify_writes_fish_report_and_figure_and_its_fish_predicts(tmp_path, 
     assert load_fish(out).name == "id"  # a contract names the fish: not the one it came from
     again = tailbeat("predict", "--fish", out, swim)
     assert again.returncode == 0 and "mean absolute speed error" in again.stdout
-
-
-def complaint(*words: object, cwd=None) -> str:
-    """The one line of a refusal."""
-    done = tailbeat(*words, cwd=cwd)
-    assert done.returncode == 2, (done.returncode, done.stdout, done.stderr)
-    assert "Traceback" not in done.stderr
-    lines = done.stderr.strip().splitlines()
-    assert len(lines) == 1, lines
-    return lines[0]
 
 
 def test_bad_input_is_one_sentence_exit_two_and_nothing_written(tmp_path, swim):
@@ -141,7 +123,7 @@ def test_no_engine_warning_is_left_behind(tmp_path, swim):
 
 
 def test_open_loop_swim_leaves_picture_film_and_summary(tmp_path):
-    done = tailbeat("swim", "--fish", "pulley-fish", "--out", tmp_path / "runs")
+    done = tailbeat_process("swim", "--fish", "pulley-fish", "--out", tmp_path / "runs")
     assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / "runs/summary.json").read_text())
     assert summary["speed_m_s"] > 0.1
@@ -223,10 +205,10 @@ def test_the_worked_example_of_the_servo(tmp_path):
 
 
 def test_protocols_and_bad_benches(tmp_path):
-    done = tailbeat("protocol", "motor", "--fish", "pulley-fish", "--out", tmp_path / "p")
+    done = tailbeat_process("protocol", "motor", "--fish", "pulley-fish", "--out", tmp_path / "p")
     assert done.returncode == 0, done.stderr
     assert len(list((tmp_path / "p").glob("motor-*.csv"))) == 5
-    for words, complaint in (
+    for words, refusal in (
         (("protocol", "wings", "--fish", "pulley-fish", "--out", tmp_path), "allowed are tail"),
         (("protocol", "tail", "--fish", "crank-fish", "--out", tmp_path), "cannot be swung"),
         (
@@ -240,15 +222,13 @@ def test_protocols_and_bad_benches(tmp_path):
             "column command_rad is missing",
         ),
     ):  # fmt: skip
-        done = tailbeat(*words)
-        assert done.returncode == 2, done.stdout
-        assert complaint in done.stderr and "Traceback" not in done.stderr
+        assert refusal in complaint(*words)
     assert not list(tmp_path.glob("f.*"))
 
 
 def test_a_servo_log_is_imported(tmp_path, data):
     log = data / "xl330" / "2026-01-15_10h28m10.json"
-    done = tailbeat("import", "xl330", log, "--out", tmp_path / "log.csv")
+    done = tailbeat_process("import", "xl330", log, "--out", tmp_path / "log.csv")
     assert done.returncode == 0, done.stderr
     meta = read_recording(tmp_path / "log.csv").meta
     assert (meta["gain"], meta["load_mass_kg"], meta["load_arm_m"]) == ("100", "0.49", "0.1")

@@ -16,6 +16,7 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
 from lines import served
+from support import tailbeat, tailbeat_process
 from tailbeat.emulators.imu import Bno055
 from tailbeat.emulators.imu import serve as serve_imu
 from tailbeat.emulators.servo import Dynamixel
@@ -234,20 +235,15 @@ def test_a_policy_that_does_not_fit_is_found(tmp_path):
 # ---- the verb -----------------------------------------------------------------------------------
 
 
-def tailbeat(*words: object) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "tailbeat", "doctor", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
-
-
 def test_the_emulated_bench_is_well_and_what_is_broken_is_exit_code_1(tmp_path):
     out = tmp_path / "found.json"
-    done = tailbeat("--emulated", "--json", out)
+    done = tailbeat_process("doctor", "--emulated", "--json", out)
     rows = json.loads(out.read_text())["findings"]
     busy = {"servo reading time", "pose age", "poses per second"}  # a busy machine's, not the rig's
     bad = [row for row in rows if row["verdict"] == BAD and row["name"] not in busy]
     assert len(rows) > 30 and not bad, (bad, done.stderr)
     link.make_key(tmp_path / "key")
-    done = tailbeat("--servo", tmp_path / "none", "--key", tmp_path / "key")
+    done = tailbeat("doctor", "--servo", tmp_path / "none", "--key", tmp_path / "key")
     assert done.returncode == 1 and "not there" in done.stdout
-    done = tailbeat()
+    done = tailbeat("doctor")
     assert done.returncode == 2 and "or --emulated" in done.stderr

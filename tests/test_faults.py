@@ -7,7 +7,6 @@ the limits of the deep end, is a slow test.
 import json
 import math
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 pytest.importorskip("mcap", reason="the robot extra is not installed")
 
+from support import command, complaint, tailbeat_process
 from tailbeat.evaluate import faults
 from tailbeat.evaluate.faults import CASES, Bench
 from tailbeat.fish.store import load_fish
@@ -66,17 +66,13 @@ def test_the_table_has_a_row_for_every_fault(tmp_path: Path):
 
 
 def test_a_fault_that_is_none_is_refused():
-    command = [sys.executable, "-m", "tailbeat", "faults", "--only", "shark"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2 and "no such fault" in done.stderr
+    assert "no such fault" in complaint("faults", "--only", "shark")
 
 
 def test_the_loop_s_punctuality_is_measured_and_judged(tmp_path: Path):
     """What is measured depends on the machine; that it is judged does not."""
     out = tmp_path / "pace.json"
-    command = [sys.executable, "-m", "tailbeat", "latency", "--minutes", "0.05", "--allowed", "0",
-               "--json", str(out)]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = tailbeat_process("latency", "--minutes", "0.05", "--allowed", "0", "--json", out)
     assert done.returncode == 1, done.stderr
     found = json.loads(out.read_text())
     assert 0 < found["compute_p50_ms"] < found["busy_max_ms"] and found["periods"] > 20
@@ -87,8 +83,8 @@ def test_the_loop_s_punctuality_is_measured_and_judged(tmp_path: Path):
 def test_every_fault_in_real_time(tmp_path: Path):
     """Within the times that docs/deploy.md states; wants a machine that is not busy otherwise."""
     out = tmp_path / "faults.json"
-    command = [sys.executable, "-m", "tailbeat", "faults", "--kills", "20", "--json", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=1200)
+    words = command("faults", "--kills", "20", "--json", out)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=1200)
     found = json.loads(out.read_text())
     assert done.returncode == 0, [row for row in found["faults"] if not row["ok"]]
     assert {row["fault"] for row in found["faults"]} == {case.title for case in CASES}

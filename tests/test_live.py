@@ -4,9 +4,7 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,7 @@ pytest.importorskip("cv2", reason="the robot extra is not installed")
 
 from psutil import NoSuchProcess, Process, process_iter
 
+from support import command, until
 from tailbeat.cli import output
 from tailbeat.evaluate import swim
 from tailbeat.evaluate.live_swim import tour_of
@@ -82,26 +81,19 @@ def test_nothing_that_was_started_outlives_the_swim(swum):
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_a_swim_that_is_ended_takes_its_processes_along(tmp_path, number):
     words = ["swim", "--headless", "--targets", "1", "--out", str(tmp_path)]
-    with subprocess.Popen([sys.executable, "-m", "tailbeat", *words]) as swim:
-        until(lambda: "drive" in verbs(tmp_path) or swim.poll() is not None, 180)
+    with subprocess.Popen(command(*words)) as swim:
+        until(lambda: "drive" in verbs(tmp_path) or swim.poll() is not None, seconds=180)
         children = Process(swim.pid).children(recursive=True)
         assert {"emulate", "drive"} <= {word for one in children for word in one.cmdline()}
         os.kill(swim.pid, number)
         swim.wait(60)
-    until(lambda: not any(alive(one) for one in children), 60)
+    until(lambda: not any(alive(one) for one in children))
 
 
 def alive(one: Process) -> bool:
     with contextlib.suppress(NoSuchProcess):
         return one.is_running() and one.status() != "zombie"
     return False
-
-
-def until(happened: Callable[[], bool], seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while not happened():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.2)
 
 
 def test_a_guessed_shape_has_its_tag_where_it_was_seen():

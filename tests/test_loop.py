@@ -6,8 +6,6 @@ nothing is said of the rate; `drive --emulated`, below, runs it beside.
 
 import json
 import math
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,6 +19,7 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 pytest.importorskip("mcap", reason="the robot extra is not installed")
 
+from support import tailbeat, tailbeat_process
 from tailbeat.control import runner as runner
 from tailbeat.control.policy import load_policy
 from tailbeat.emulators import rig as bench
@@ -201,26 +200,21 @@ def test_a_pulled_servo_stops_and_an_exception_lets_go(swimming):
 # ---- the verbs ----------------------------------------------------------------------------------
 
 
-def tailbeat(*words: object) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "tailbeat", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
-
-
 def test_drive_swims_its_own_rig_and_its_log_is_a_recording(tmp_path: Path):
     """In real time, in processes of their own. A host that takes its cores away makes the loop hold
     before it swims, as it should: then once more."""
     out, found = tmp_path / "swim.csv", {}
     for attempt in range(4):
         log = tmp_path / f"swim{attempt}.mcap"
-        done = tailbeat("drive", "pulley-fish-pool-generator", "--emulated", "--log", log,
-                        "--seconds", 5, "--json", tmp_path / "d.json")  # fmt: skip
+        words = ("--emulated", "--log", log, "--seconds", 5, "--json", tmp_path / "d.json")
+        done = tailbeat_process("drive", "pulley-fish-pool-generator", *words)
         assert done.returncode in (0, 1), done.stderr
         found = json.loads((tmp_path / "d.json").read_text())
         if found["swum_s"] > 0.5:
             break
     assert "run: swimming" in done.stdout
     assert found["rate_hz"] > 25 and found["rejected_datagrams"] == {}
-    assert tailbeat("export", log, "--out", out).returncode == 0
+    assert tailbeat_process("export", log, "--out", out).returncode == 0
     assert read_recording(out).time.size > 60
 
 

@@ -9,10 +9,9 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,7 @@ from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from websockets.exceptions import InvalidStatus
 
+from support import command, until
 from tailbeat.cli import swim
 from tailbeat.control.policy import load_policy
 from tailbeat.emulators import rig as bench
@@ -113,13 +113,6 @@ class Lab:
 
     def stands(self, state: State) -> None:
         until(lambda: self.loop.safety_status.state is state, what=lambda: self.loop.safety_status)
-
-
-def until(holds: Callable[[], Any], what: Callable[[], Any] = lambda: "") -> None:
-    end = time.monotonic() + SOON
-    while not holds():
-        assert time.monotonic() < end, f"waited in vain: {what()}"
-        time.sleep(0.02)
 
 
 @pytest.fixture(scope="module")
@@ -447,8 +440,8 @@ def test_the_laptop_answers_orders_and_stops_the_fish_when_it_ends(tmp_path: Pat
     probe.close()
     robot, listen = (f"{host}:{port}" for host, port in (fish.getsockname(), there))
     words = ["station", "--robot", robot, "--listen", listen, "--page", "127.0.0.1:0"]
-    command = [sys.executable, "-m", "tailbeat", *words, "--key", str(tmp_path / "fish.key")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    words += ["--key", str(tmp_path / "fish.key")]
+    process = subprocess.Popen(command(*words), stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     url = process.stdout.readline().split()[-1]
     to, count, orders = link.Receiver(key, ROOM), 0, list[link.Order]()
@@ -487,8 +480,7 @@ def test_a_drive_waits_for_orders_and_ends_with_the_torque_off(tmp_path: Path):
     """All of it in processes of its own; a busy machine may refuse to arm, and says why."""
     words = ["drive", "pulley-fish-pool-generator", "--emulated", "--wait", "--page", "127.0.0.1:0",
              "--log", tmp_path / "a.mcap", "--json", tmp_path / "a.json"]  # fmt: skip
-    command = [sys.executable, "-m", "tailbeat", *map(str, words)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command(*words), stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     try:
         page, token = process.stdout.readline().split()[-1].split("#token=")

@@ -3,7 +3,7 @@ over a pseudo-terminal, and what goes wrong on a bus."""
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
 from lines import PATIENT, Bench, servo_bench
+from support import until
 from tailbeat.emulators import packet as emulated_packet
 from tailbeat.emulators import servo as emulated
 from tailbeat.files import BadInput
@@ -106,13 +107,6 @@ def servo(bench) -> Iterator[Servo]:
     opened = connect(bench.path, deadline=PATIENT)
     yield opened
     opened.close()
-
-
-def until(what: Callable[[], bool], seconds: float = 3.0) -> None:
-    end = time.monotonic() + seconds
-    while not what():
-        assert time.monotonic() < end, "nothing happened"
-        time.sleep(0.005)
 
 
 def test_the_maker_s_library_pings_reads_writes_and_reboots_the_emulator(bench):

@@ -2,8 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +13,7 @@ pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 import cv2
 
 from camera_views import FISH, TARGET, true_calibration
+from support import tailbeat, tailbeat_process
 from tailbeat.cli import camera
 from tailbeat.emulators.camera import Renderer, Scene
 from tailbeat.emulators.drawing import Picture
@@ -192,13 +191,8 @@ def test_a_film_is_tracked_to_its_end(tmp_path: Path):
     assert any("fish" in line and "deg" in line for line in heard)
 
 
-def tailbeat(*words: object) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "tailbeat", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
-
-
 def test_the_verbs_print_write_and_refuse(tmp_path: Path):
-    done = tailbeat("tags", "--out", tmp_path / "s.pdf", "--json", tmp_path / "s.json")
+    done = tailbeat_process("tags", "--out", tmp_path / "s.pdf", "--json", tmp_path / "s.json")
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "s.json").read_text()) == {"sheets": [str(tmp_path / "s.pdf")]}
     write_calibration(tmp_path / "camera.json", true_calibration())

@@ -5,7 +5,7 @@ import os
 import re
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +18,7 @@ pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 import cv2
 
 from camera_views import FISH, TARGET, true_calibration
+from support import until
 from tailbeat.benchmarks.vision import APART, calibrated, errors, scattered, watch
 from tailbeat.emulators.camera import Conditions, Renderer, Scene, calm
 from tailbeat.emulators.film import CameraProcess, Filming, start_camera
@@ -224,33 +225,26 @@ def pair(tmp_path: Path) -> Iterator[tuple[CameraProcess, TrackerProcess]]:
     camera.close()
 
 
-def wait_for(happened: Callable[[], bool], seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not happened():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.01)
-
-
 def test_a_crash_in_the_native_code_is_told_and_the_process_started_anew(pair):
     """Then the camera goes away, and that is told too."""
     camera, tracker = pair
-    wait_for(lambda: tracker.newest() is not None and tracker.newest().frame.fish is not None)
+    until(lambda: tracker.newest() is not None and tracker.newest().frame.fish is not None)
     assert tracker.newest().frame.fish == pytest.approx(POSE, abs=0.02)
     assert abs(time.monotonic_ns() - tracker.newest().frame.captured) < 10e9
     first, stamp = tracker.pid, tracker.newest().frame.captured
     os.kill(first, signal.SIGSEGV)
-    wait_for(lambda: "signal 11 (SIGSEGV)" in tracker.fault)
-    wait_for(lambda: tracker.fault == "" and tracker.newest().frame.captured > stamp)
+    until(lambda: "signal 11 (SIGSEGV)" in tracker.fault)
+    until(lambda: tracker.fault == "" and tracker.newest().frame.captured > stamp)
     assert tracker.restarts == 1 and tracker.pid != first
-    wait_for(lambda: tracker.picture()[:2] == b"\xff\xd8")  # a JPEG
+    until(lambda: tracker.picture()[:2] == b"\xff\xd8")  # a JPEG
     camera.close()
-    wait_for(lambda: "is the camera plugged in" in tracker.fault or "start the" in tracker.fault)
+    until(lambda: "is the camera plugged in" in tracker.fault or "start the" in tracker.fault)
 
 
 def test_a_process_that_hangs_is_replaced(pair):
     _, tracker = pair
-    wait_for(lambda: tracker.newest() is not None)
+    until(lambda: tracker.newest() is not None)
     first = tracker.pid
     os.kill(first, signal.SIGSTOP)
-    wait_for(lambda: "hung" in tracker.fault)
-    wait_for(lambda: tracker.fault == "" and tracker.pid != first)
+    until(lambda: "hung" in tracker.fault)
+    until(lambda: tracker.fault == "" and tracker.pid != first)

@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
 from lines import PATIENT, Bench, servo_bench
+from support import complaint, tailbeat_process
 from tailbeat.files import BadInput
 from tailbeat.robot import watchdog as watchdog
 from tailbeat.robot.packet import WRITE, Packet, encode
@@ -124,15 +125,12 @@ def test_what_cannot_be_told_is_said(bench, tmp_path):
     bench.armed()
     bench.pull()
     assert "could not open" in watchdog.try_torque_off(str(tmp_path / "nothing"), trying=0.1)
-    words = [sys.executable, "-m", "tailbeat", "torque-off", "--servo", str(tmp_path / "nothing")]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2 and "no such port" in done.stderr
+    assert "no such port" in complaint("torque-off", "--servo", tmp_path / "nothing")
 
 
 def test_the_verb_lets_go(bench):
     bench.armed()
-    words = [sys.executable, "-m", "tailbeat", "torque-off", "--servo", bench.path]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    done = tailbeat_process("torque-off", "--servo", bench.path)
     assert done.returncode == 0 and "torque is off" in done.stdout and not bench.on
 
 
