@@ -11,13 +11,14 @@ pytest.importorskip("stable_baselines3", reason="the train extra is not installe
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
-from tailbeat.control.actions import PERIOD, Direct, Generator
+from tailbeat.control.actions import Direct, Generator
 from tailbeat.control.observation import TABLE
 from tailbeat.env import randomize, sensors
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel, quiet
+from tailbeat.env.task import Settings, Task, check_settings
 from tailbeat.env.vector_env import FishEnv, FishVecEnv, FishVectorEnv
-from tailbeat.env.world import Settings, Task, World, check_settings
+from tailbeat.env.world import World
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 
@@ -121,7 +122,7 @@ def test_a_target_that_goes_on_ends_nothing_and_counts_when_it_was_kept(away, ke
     done = [world.step(np.zeros((2, 6))) for _ in range(100)]
     assert not any(one.terminated.any() for one in done) and done[-1].truncated.all()
     near = 8.0 * (1 - away)
-    assert done[50].terms["bonus"] == pytest.approx([near, near], abs=0.05)
+    assert done[50].terms.bonus == pytest.approx([near, near], abs=0.05)
     assert not done[-2].reached.any() and (done[-1].reached == kept).all()
 
 
@@ -165,12 +166,11 @@ def watched(model: SensorModel, steps: int = 600) -> tuple[np.ndarray, np.ndarra
     """Staleness of the newest frame and yaw-rate readings of a fish that does not move."""
     state = sensors.empty(1, steps)
     sensors.begin(model, state, 0, np.zeros(3), np.array([1.0, 0.0]), np.random.default_rng(0))
-    zero, age, gyro = np.zeros((1, 3)), [], []
+    pose, zero = np.zeros((1, 3)), np.zeros(1)
+    still = sensors.Motion(pose, pose, np.array([[1.0, 0.0]]), zero, zero, zero)
+    age, gyro = [], []
     for step in range(steps):
-        reading = sensors.sense(
-            model, state, np.array([step]), PERIOD, zero, zero, np.array([[1.0, 0.0]]),
-            np.zeros(1), np.zeros(1), np.zeros(1),
-        )  # fmt: skip
+        reading = sensors.sense(model, state, np.array([step]), still)
         age.append(reading.frames[0, :, 5])
         gyro.append(reading.yaw_rate[0])
     return np.array(age), np.array(gyro)

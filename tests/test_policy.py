@@ -31,8 +31,8 @@ from tailbeat.control.policy import (
     load_policy,
     shipped,
 )
+from tailbeat.env.task import Settings
 from tailbeat.env.vector_env import FishEnv, FishVecEnv
-from tailbeat.env.world import Settings
 from tailbeat.files import BadInput
 from tailbeat.fish.store import digest, load_fish
 from tailbeat.train.export import act as act_of_sb3

@@ -9,7 +9,8 @@ from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD
 from tailbeat.env import randomize
 from tailbeat.env.sensors import quiet
-from tailbeat.env.world import Settings, World
+from tailbeat.env.task import Settings
+from tailbeat.env.world import World
 from tailbeat.fish.store import load_fish
 from tailbeat.pool.plant import at_rest, build_plant, step_plant
 from tailbeat.pool.simulator import PoolSimulator

@@ -9,7 +9,8 @@ from policies import POLICIES
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import check_fits, decide, load_policy
 from tailbeat.env.curriculum import Stage, settings_of
-from tailbeat.env.world import Scene, seeds_from
+from tailbeat.env.task import Scene
+from tailbeat.env.world import seeds_from
 from tailbeat.evaluate import trial
 from tailbeat.evaluate.reach import by_sector, in_pool, in_twin, reach, wilson
 from tailbeat.evaluate.runs import surge

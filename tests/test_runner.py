@@ -12,7 +12,8 @@ pytest.importorskip("onnxruntime")
 from policies import POLICIES
 from tailbeat.control.policy import decide, load_policy
 from tailbeat.control.runner import Readings, begin, steer
-from tailbeat.env.world import Settings, World
+from tailbeat.env.task import Settings
+from tailbeat.env.world import World
 from tailbeat.fish.store import load_fish
 from tailbeat.link.reasons import Reason
 from tailbeat.link.status import State

@@ -29,8 +29,9 @@ from tailbeat.env import randomize
 from tailbeat.env.assess import assess
 from tailbeat.env.curriculum import FALL, LOWEST, STAGES, learning_rate, settings_of
 from tailbeat.env.sensors import quiet
+from tailbeat.env.task import Settings, Task
 from tailbeat.env.vector_env import FishVecEnv
-from tailbeat.env.world import Settings, Task, World
+from tailbeat.env.world import World
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import load_fish
 from tailbeat.train import checkpoint

@@ -13,7 +13,7 @@ from tailbeat.control.actions import PERIOD, Generator
 from tailbeat.control.policy import load_policy
 from tailbeat.env import randomize
 from tailbeat.env.sensors import quiet
-from tailbeat.env.world import Scene
+from tailbeat.env.task import Scene
 from tailbeat.evaluate import compare, disturb, evaluation, reach, scenes, spectrum, track
 from tailbeat.evaluate import runs as store
 from tailbeat.evaluate.runs import Runs, surge

@@ -20,8 +20,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import Samples, observe
+from tailbeat.env.task import Settings, check_settings
 from tailbeat.env.vector_env import FishVectorEnv, action_space, observation_space
-from tailbeat.env.world import Settings, check_settings
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import build_spec, compile_twin

@@ -14,7 +14,7 @@ import numpy as np
 from tailbeat.control.actions import ActionSpace
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel
-from tailbeat.env.world import Settings, Task
+from tailbeat.env.task import Settings, Task
 
 CONE = np.radians(30)  # half angle of the "narrow forward cone" (chosen)
 FALL = 0.3  # of the learning rate, per stage within a phase (paper)

@@ -12,7 +12,8 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from tailbeat.control.actions import PERIOD
-from tailbeat.env.world import Settings, World
+from tailbeat.env.task import Settings
+from tailbeat.env.world import World
 from tailbeat.files import new_file
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import outline

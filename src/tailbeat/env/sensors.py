@@ -1,16 +1,20 @@
 """What the robot's sensors make of the truth: counts, noise, latency, dropped frames, staleness.
 
 Every figure stands in `SensorModel` with its source, or "chosen, rounded up". A fish's noise for a
-whole episode is drawn at its start from its own generator, so a fish in a batch hears what it would
-hear alone.
+whole episode is drawn at its start from its own random generator, so the readings are the same
+alone or in a batch.
 """
 
+from collections import namedtuple
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from tailbeat.control.actions import PERIOD
 
 Array = NDArray[np.float64]
 KEPT = 16  # frames held while they travel: a quarter of a second at 60 fps
@@ -39,14 +43,17 @@ class SensorModel:
     stamp_noise: float = 0.002  # s, of the clocks' offset; chosen
 
 
+# numba reads named tuples, no dataclasses
+Figures: Any = namedtuple("Figures", list(SensorModel.__annotations__))  # type: ignore[misc]
+
+
 def quiet() -> SensorModel:
     """Sensors without noise, latency, drops or counts: the first stage of training."""
     names = [name for name in SensorModel.__annotations__ if name != "frame_rate"]
     return replace(SensorModel(), **dict.fromkeys(names, 0.0))
 
 
-@dataclass(frozen=True, eq=False)
-class SensorState:
+class SensorState(NamedTuple):
     """n fish: episode noise (n, steps, DRAWS), yaw-rate bias and drift (n,), camera phase (n,) s,
     and the frames on their way (n, KEPT, 7): pose, target x, y, stamp, arrival [s]."""
 
@@ -57,8 +64,20 @@ class SensorState:
     frames: Array
 
 
-@dataclass(frozen=True)
-class Readings:
+class Motion(NamedTuple):
+    """What truly happened in one control step of n fish: the tag's poses `before` and `after` it
+    (n, 3); at its end the target's place (n, 2), motor angle [rad], its velocity and the yaw rate
+    [rad/s] (n,)."""
+
+    before: Array
+    after: Array
+    target: Array
+    angle: Array
+    velocity: Array
+    yaw_rate: Array
+
+
+class Readings(NamedTuple):
     """What the loop has at hand: motor angle [rad] and velocity [rad/s], yaw rate [rad/s] (n,), and
     the three newest frames (n, 3, 6): fish x, y, yaw, target x, y, staleness."""
 
@@ -101,74 +120,59 @@ def begin(
 
 
 def sense(
-    model: SensorModel,
-    state: SensorState,
-    step: NDArray[np.int64],
-    period: float,
-    before: Array,
-    after: Array,
-    target: Array,
-    angle: Array,
-    velocity: Array,
-    yaw_rate: Array,
+    model: SensorModel, state: SensorState, step: NDArray[np.int64], motion: Motion
 ) -> Readings:
-    """Readings at the end of control step `step` (n,), counted from 0; moves `state.frames` on.
-
-    `before`, `after` (n, 3) are the tag's poses at both ends of the step, `target` (n, 2); `angle`,
-    `velocity` and `yaw_rate` (n,) are true at its end.
-    """
-    readings, frames = np.empty((3, len(step))), np.empty((len(step), 3, 6))
-    _sense(
-        figures(model), state.noise, state.bias, state.drift, state.phase, state.frames, step,
-        period, before, after, target, angle, velocity, yaw_rate, readings, frames,
-    )  # fmt: skip
-    return Readings(readings[0], readings[1], readings[2], frames)
+    """Readings at the end of control step `step` (n,), counted from 0; adds to `state.frames`."""
+    return Readings(*_sense(figures(model), state, step, motion, PERIOD))
 
 
 @cache
-def figures(model: SensorModel) -> Array:
-    """A model's figures in their order, for the kernels."""
-    return np.array(list(vars(model).values()), dtype=np.float64)
+def figures(model: SensorModel) -> Any:
+    """A model's figures as a named tuple, for compiled code."""
+    return Figures(**vars(model))
 
 
 @njit(cache=True)
-def _sense(  # type: ignore[no-untyped-def]
-    figures, noise, bias, drift, phase, frames, step, period, before, after, target, angle,
-    velocity, yaw_rate, readings, found,
-):  # fmt: skip
-    """One fish after the other: film what falls into the step, then read encoder and IMU."""
-    for i in range(len(step)):
-        draws, now = noise[i, step[i]], (step[i] + 1) * period
-        _film(figures, draws, now, period, phase[i], before[i], after[i], target[i], frames[i])
-        age = figures[2] * _uniform(draws[0])
-        readings[0, i] = _counted(angle[i] - age * velocity[i], figures[0])
-        readings[1, i] = _counted(velocity[i], figures[1])
-        readings[2, i] = yaw_rate[i] + bias[i] + drift[i] * step[i] + figures[3] * draws[1]
-        if _uniform(draws[2]) < figures[6]:
-            readings[2, i] += figures[7] * np.sign(draws[3])
-        _newest(frames[i], now, found[i])
+def _sense(figures, state, step, motion, period):  # type: ignore[no-untyped-def]
+    """For each fish: film what falls into the step, then read encoder and IMU."""
+    count = len(step)
+    angle, velocity, yaw_rate = np.empty(count), np.empty(count), np.empty(count)
+    found = np.empty((count, 3, 6))
+    for i in range(count):
+        draws = state.noise[i, step[i]]
+        _film(figures, state, motion, i, step[i], period)
+        age = figures.encoder_age * _uniform(draws[0])
+        exact = motion.angle[i] - age * motion.velocity[i]
+        angle[i] = _counted(exact, figures.encoder_count)
+        velocity[i] = _counted(motion.velocity[i], figures.velocity_count)
+        wander = motion.yaw_rate[i] + state.bias[i] + state.drift[i] * step[i]
+        yaw_rate[i] = wander + figures.yaw_rate_noise * draws[1]
+        if _uniform(draws[2]) < figures.spike_share:
+            yaw_rate[i] += figures.spike_size * np.sign(draws[3])
+        _newest(state.frames[i], (step[i] + 1) * period, found[i])
+    return angle, velocity, yaw_rate, found
 
 
 @njit(cache=True)
-def _film(figures, draws, now, period, phase, before, after, target, frames):  # type: ignore[no-untyped-def]
-    """Take the frames that fall into the step that ends `now`."""
-    rate, latency, jitter, dropped = figures[8], figures[9], figures[10], figures[11]
-    place, yaw, clock = figures[12], figures[13], figures[14]
-    first = int(np.floor((now - period - phase) * rate + 1e-9)) + 1
+def _film(figures, state, motion, i, step, period):  # type: ignore[no-untyped-def]
+    """Take the frames of fish `i` that fall into the step."""
+    draws, frames, phase = state.noise[i, step], state.frames[i], state.phase[i]
+    before, after, now = motion.before[i], motion.after[i], (step + 1) * period
+    first = int(np.floor((now - period - phase) * figures.frame_rate + 1e-9)) + 1
     for k in range(PER_STEP):
         number = first + k
-        stamp = phase + number / rate
+        stamp = phase + number / figures.frame_rate
         if stamp > now + 1e-9:
             return
         own, row = draws[4 + 6 * k :], frames[number % KEPT]
         share = (stamp - now) / period + 1
         for j in range(3):
-            spread = place if j < 2 else yaw
+            spread = figures.position_noise if j < 2 else figures.yaw_noise
             row[j] = before[j] + share * (after[j] - before[j]) + spread * own[j]
-        row[3], row[4] = target[0], target[1]
-        row[5] = stamp + clock * own[3]
-        lost = _uniform(own[5]) < dropped
-        row[6] = np.inf if lost else stamp + latency + jitter * _uniform(own[4])
+        row[3], row[4] = motion.target[i, 0], motion.target[i, 1]
+        row[5] = stamp + figures.stamp_noise * own[3]
+        arrival = stamp + figures.latency + figures.latency_jitter * _uniform(own[4])
+        row[6] = np.inf if _uniform(own[5]) < figures.dropped else arrival
 
 
 def newest(state: SensorState, now: Array) -> Array:

@@ -17,7 +17,10 @@ from stable_baselines3.common.vec_env import VecEnv
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD
 from tailbeat.env import rendering
-from tailbeat.env.world import TERMS, Flags, Outcome, Settings, World, seeds_from
+from tailbeat.env.reward import TERMS
+from tailbeat.env.simulator import Flags
+from tailbeat.env.task import Settings
+from tailbeat.env.world import Outcome, World, seeds_from
 from tailbeat.fish.description import Fish
 
 Array = NDArray[np.float64]
@@ -69,7 +72,7 @@ class FishVectorEnv(VectorEnv):
         """Gymnasium's five; reward terms and `reached` in the info."""
         done = self.world.step(actions)
         ended = done.terminated | done.truncated
-        info: dict[str, Any] = {"reward_terms": done.terms, "reached": done.reached}
+        info: dict[str, Any] = {"reward_terms": vars(done.terms), "reached": done.reached}
         seen = done.observation
         if ended.any():
             info |= {"final_obs": seen, "_final_obs": ended}
@@ -116,7 +119,7 @@ class FishEnv(gymnasium.Env):
         """Gymnasium's five."""
         done = self.world.step(np.asarray(action, float)[None])
         self.path.append(self.world.pose[0].copy())
-        terms = {name: float(values[0]) for name, values in done.terms.items()}
+        terms = {name: float(values[0]) for name, values in vars(done.terms).items()}
         return (
             done.observation[0],
             float(done.reward[0]),
@@ -185,7 +188,7 @@ class FishVecEnv(VecEnv):
         self._count(done)
         ended = done.terminated | done.truncated
         place = self.world.pose[:, :2].copy()
-        self.last = Behind(before, done.frames[..., POSE], place, done.terms["effort"])
+        self.last = Behind(before, done.frames[..., POSE], place, done.terms.effort)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         seen = done.observation
         for fish in np.flatnonzero(ended):
@@ -204,7 +207,7 @@ class FishVecEnv(VecEnv):
     def _count(self, done: Outcome) -> None:
         self.returns += done.reward
         self.lengths += 1
-        for name, values in done.terms.items():
+        for name, values in vars(done.terms).items():
             self.sums[name] += values
 
     def _forget(self, which: Flags) -> None:

@@ -1,99 +1,31 @@
-"""n fish and their targets, stepped at 50 Hz: the task, its reward, its ends. One fish is n = 1.
+"""n fish and their targets, stepped at 50 Hz. One fish is n = 1.
 
-Every fish has its own generator: in a batch it lives what it would live alone, bit for bit, at any
-number of threads. The faces for gymnasium and SB3 are in `env.py`.
+Every fish has its own random generator: results are bit-identical alone or in a batch, at any
+number of threads. The interfaces of gymnasium and SB3 are in `vector_env.py`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
-from tailbeat.control.actions import PERIOD, ActionSpace, Generator
+from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import COMMANDS, Samples, observe
-from tailbeat.env import randomize, sensors
+from tailbeat.env import reward, sensors
 from tailbeat.env.randomize import Randomisation
-from tailbeat.env.sensors import SensorModel
+from tailbeat.env.reward import Terms
 from tailbeat.env.simulator import Flags, Simulator, TwinSimulator
+from tailbeat.env.task import Scene, Settings, check_settings
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.runs import tracked_pose
 
 Array = NDArray[np.float64]
-TERMS = ("distance", "effort", "bonus")  # of the reward
 PUSH_STEPS = 10  # control steps that a pulse lasts
 TIGHTEST = 0.6  # m, radius of a moving target's bend: as tight as the fish turns (chosen)
-NEAR = 1.0  # m from a target that goes on, within which nearness pays: beyond the fish's own circle
 BESIDE, KEPT = 0.4, 0.8  # m from it that count as kept, share of the second half (chosen)
-
-
-@dataclass(frozen=True)
-class Task:
-    """Where targets are and when an episode ends.
-
-    `nearest`, `farthest` [m] and `arc` (half angle about straight ahead) [rad]; `arrival` [m] is
-    the paper's; `seconds` until time-out; `limit` [m] from the start at which the fish counts as
-    lost; `walls` (length, width) [m] of a pool about the start, or None; `target_speed` [m/s] of
-    targets that move, each on its own straight way. A share `following` of episodes has a target
-    that moves at up to that speed, on a bend, and goes on until time-out: then the others stand.
-    """
-
-    nearest: float = 0.5
-    farthest: float = 2.5
-    arc: float = np.pi
-    arrival: float = 0.05
-    seconds: float = 30.0
-    limit: float = 6.0
-    walls: tuple[float, float] | None = None
-    target_speed: float = 0.0
-    following: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """Given beginnings and targets instead of drawn ones, for trials.
-
-    `start` (n, 3) x, y, yaw of the fish frame and `velocity` (n, 3) of it, in world axes; `target`
-    (n, k, 2): where each target is at the start and after every control step, the last one kept.
-    A target waits where it is while its fish is farther than `lead` (n,) [m] away; infinite: it
-    goes by the clock.
-    """
-
-    start: Array
-    velocity: Array
-    target: Array
-    lead: Array
-
-    def at(self, step: NDArray[np.int64]) -> Array:
-        """Places (n, 2) of the targets after `step` (n,) control steps."""
-        last = self.target.shape[1] - 1
-        return np.asarray(self.target[np.arange(len(step)), np.minimum(step, last)])
-
-
-@dataclass(frozen=True)
-class Reward:
-    """r = -distance - effort ||a|| + bonus [distance < arrival] (paper). With a target that goes on
-    `nearness` (1 - distance / 1 m), above 0, stands for the bonus (ours: some seconds beside the
-    target are worth what an arrival is)."""
-
-    distance: float = 1.0
-    effort: float = 0.1
-    bonus: float = 1000.0
-    nearness: float = 8.0
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Everything that an environment is made of, beside the fish."""
-
-    actions: ActionSpace | None = None  # None: the generator over the motor's range
-    task: Task = field(default_factory=Task)
-    reward: Reward = field(default_factory=Reward)
-    sensors: SensorModel = field(default_factory=SensorModel)
-    physics: Randomisation = field(default_factory=Randomisation)
 
 
 @dataclass(frozen=True)
@@ -104,45 +36,10 @@ class Outcome:
     observation: NDArray[np.float32]
     frames: Array
     reward: Array
-    terms: dict[str, Array]
+    terms: Terms
     terminated: Flags
     truncated: Flags
     reached: Flags
-
-
-def check_settings(fish: Fish, settings: Settings) -> ActionSpace:
-    """The action space; raises BadInput for settings that contradict each other."""
-    low, high = fish.motor.range or (-np.pi, np.pi)
-    space = settings.actions or Generator(low, high)
-    act.check_space(space)
-    if space.low < low or space.high > high:
-        raise BadInput(
-            f"actions: range {space.low:g} to {space.high:g} rad; {fish.name}'s motor allows"
-            f" {low:g} to {high:g}."
-        )
-    act.check_band(space, fish.band[1])
-    randomize.check(settings.physics)
-    _check_task(settings.task)
-    return space
-
-
-def _check_task(task: Task) -> None:
-    if not task.arrival < task.nearest <= task.farthest:
-        raise BadInput(
-            f"task: targets from {task.nearest:g} to {task.farthest:g} m with arrival at"
-            f" {task.arrival:g} m; allowed is arrival < nearest <= farthest."
-        )
-    if task.farthest > task.limit:
-        raise BadInput(f"task: farthest {task.farthest:g} m lies beyond limit {task.limit:g} m.")
-    if task.walls is not None and task.nearest > min(task.walls) / 2:
-        raise BadInput(
-            f"task: no target at {task.nearest:g} m or more fits into walls {task.walls}; widen"
-            f" them or bring the targets nearer."
-        )
-    if not 0 <= task.arc <= np.pi or not task.seconds > 0:
-        raise BadInput(
-            f"task: arc {task.arc:g} rad, {task.seconds:g} s; allowed are 0 to pi, above 0 s."
-        )
 
 
 def seeds_from(seed: int | None, count: int) -> list[int]:
@@ -272,11 +169,9 @@ class World:
         self._move_targets()
         self.commands[:, 1:] = self.commands[:, :-1]
         self.commands[:, 0] = act.command(self.space, self.state)
-        motor = simulator.motor
-        readings = sensors.sense(
-            self.settings.sensors, self.seen, age, PERIOD, before, self.pose, self.target,
-            simulator.qpos[:, motor], simulator.qvel[:, motor], simulator.qvel[:, 2],
-        )  # fmt: skip
+        motor = simulator.qpos[:, simulator.motor], simulator.qvel[:, simulator.motor]
+        motion = sensors.Motion(before, self.pose, self.target, *motor, simulator.qvel[:, 2])
+        readings = sensors.sense(self.settings.sensors, self.seen, age, motion)
         self.age = self.age + 1
         return self._judge(action, self._observe(readings), lost)
 
@@ -306,51 +201,31 @@ class World:
     def _judge(self, action: Array, seen: NDArray[np.float32], lost: Flags) -> Outcome:
         """Reward and ends, from the exact distance (paper: only the reward sees it).
 
-        Out of range counts as a truncation: every step costs its distance, so an end without a
-        sequel would be worth fleeing to.
+        A diverged fish counts as `limit` away. Out of range counts as a truncation: every step
+        costs its distance, so an end without a sequel would be worth fleeing to.
         """
-        reward, task = self.settings.reward, self.task
-        weights = reward.distance, reward.effort, reward.bonus, reward.nearness
-        terms, ends = _judge(
-            self.pose, self.target, action, lost, self.goes_on, task.arrival, task.limit,
-            self.walls, weights,
-        )  # fmt: skip
+        weights, task = self.settings.reward, self.task
+        away = np.where(lost, task.limit, np.hypot(*(self.target - self.pose[:, :2]).T))
+        arrived = (away < task.arrival) & ~lost & ~self.goes_on
+        distance, bonus = reward.of_target(weights, away, arrived, self.goes_on)
+        terms = Terms(distance, reward.of_action(weights, action), bonus)
         if lost.any():
             seen = np.where(lost[:, None], np.float32(0), seen)
-        named = dict(zip(TERMS, terms, strict=False))
-        over = self.age >= self.steps_per_episode
-        truncated = (over | ends[2]) & ~ends[1]
-        reached = ends[0] | self._kept(-terms[0] < BESIDE * reward.distance) & over
-        return Outcome(seen, self.frames, terms[3], named, ends[1], truncated, reached)
+        over, ended = self.age >= self.steps_per_episode, arrived | lost
+        truncated = (over | self._out_of_range()) & ~ended
+        reached = arrived | self._kept(-distance < BESIDE * weights.distance) & over
+        return Outcome(seen, self.frames, terms.total(), terms, ended, truncated, reached)
+
+    def _out_of_range(self) -> Flags:
+        place = self.pose[:, :2]
+        outside = (np.abs(place) > self.walls).any(axis=1)
+        return np.asarray((np.hypot(*place.T) > self.task.limit) | outside)
 
     def _kept(self, beside: Flags) -> Flags:
         """Which targets that go on have been kept so far, through the episode's second half."""
         half = self.steps_per_episode / 2
         self.near = self.near + (beside & self.goes_on & (self.age > half))
         return np.asarray(self.near >= KEPT * half)
-
-
-@njit(cache=True)
-def _judge(pose, target, action, lost, goes_on, arrival, limit, walls, weights):  # type: ignore[no-untyped-def]
-    """Three terms of the reward and their sum (4, n); reached, over (reached or diverged), out of
-    range (3, n). A diverged fish is `limit` away; a target that goes on is never reached."""
-    count = len(pose)
-    terms, ends = np.empty((4, count)), np.empty((3, count), dtype=np.bool_)
-    for i in range(count):
-        x, y = pose[i, 0], pose[i, 1]
-        distance = limit if lost[i] else np.hypot(target[i, 0] - x, target[i, 1] - y)
-        square = 0.0
-        for value in action[i]:
-            square += min(max(value, -1.0), 1.0) ** 2
-        ends[0, i] = distance < arrival and not lost[i] and not goes_on[i]
-        ends[1, i] = ends[0, i] or lost[i]
-        ends[2, i] = np.hypot(x, y) > limit or abs(x) > walls[0] or abs(y) > walls[1]
-        terms[0, i] = -weights[0] * distance
-        terms[1, i] = -weights[1] * np.sqrt(square)
-        near = weights[3] * max(1 - distance / NEAR, 0.0) if goes_on[i] else 0.0
-        terms[2, i] = weights[2] * ends[0, i] + near
-        terms[3, i] = terms[0, i] + terms[1, i] + terms[2, i]
-    return terms, ends
 
 
 def _pulses(ranges: Randomisation, steps: int, rng: np.random.Generator) -> Array:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tailbeat.env.world import Scene
+from tailbeat.env.task import Scene
 from tailbeat.evaluate.reach import paired, shares
 from tailbeat.evaluate.runs import NEAR, Runs
 from tailbeat.evaluate.scenes import grid

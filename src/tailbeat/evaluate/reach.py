@@ -11,7 +11,8 @@ from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import Policy, check_fits, decide, load_policy
 from tailbeat.env.assess import Build, assess
 from tailbeat.env.curriculum import Stage, settings_of
-from tailbeat.env.world import Settings, World
+from tailbeat.env.task import Settings
+from tailbeat.env.world import World
 from tailbeat.evaluate.runs import NEAR, Runs
 from tailbeat.evaluate.scenes import grid, walled
 from tailbeat.evaluate.trial import Arm, Pool

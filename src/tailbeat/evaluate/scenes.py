@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from tailbeat.control.actions import PERIOD
-from tailbeat.env.world import Scene
+from tailbeat.env.task import Scene
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.runs import tracked_pose

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import Policy, decide
-from tailbeat.env.world import Settings, Task, World
+from tailbeat.env.task import Settings, Task
+from tailbeat.env.world import World
 from tailbeat.evaluate.trial import Progress
 from tailbeat.fish.description import Fish
 from tailbeat.link.places import LENGTH, WIDTH

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import wrapped
-from tailbeat.env.world import Scene
+from tailbeat.env.task import Scene
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.scenes import PATHS, even, follow, lap_length
 from tailbeat.evaluate.trial import Arm, Pool, pools

@@ -16,7 +16,8 @@ from tailbeat.control.actions import PERIOD, ActionSpace
 from tailbeat.env.assess import Decide
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel
-from tailbeat.env.world import Scene, Settings, Task, World, seeds_from
+from tailbeat.env.task import Scene, Settings, Task
+from tailbeat.env.world import World, seeds_from
 from tailbeat.evaluate import runs as store
 from tailbeat.evaluate.runs import SHOWN, Runs
 from tailbeat.files import BadInput

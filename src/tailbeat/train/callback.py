@@ -16,8 +16,9 @@ from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from tailbeat.control.actions import PERIOD
 from tailbeat.env import curriculum, rendering
 from tailbeat.env.assess import Swims, assess
+from tailbeat.env.reward import TERMS
 from tailbeat.env.vector_env import FishVecEnv
-from tailbeat.env.world import TERMS, World
+from tailbeat.env.world import World
 from tailbeat.files import BadInput
 from tailbeat.train import checkpoint
 from tailbeat.train.config import RunConfig

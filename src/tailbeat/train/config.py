@@ -10,7 +10,7 @@ from torch import cuda
 
 from tailbeat.control.actions import ActionSpace, Direct, Filtered, Generator
 from tailbeat.env.curriculum import settings_of
-from tailbeat.env.world import Settings, check_settings
+from tailbeat.env.task import Settings, check_settings
 from tailbeat.files import BadInput, leaves, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest, load_fish, with_servo

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from tailbeat.env.curriculum import STAGES, Stage
-from tailbeat.env.world import Task
+from tailbeat.env.task import Task
 from tailbeat.files import BadInput
 
 WIDTH, DEPTH = 286, 3  # of actor and critics (paper)

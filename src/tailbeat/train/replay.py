@@ -14,8 +14,8 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
 from tailbeat.control.observation import SCALES, relative
+from tailbeat.env import reward
 from tailbeat.env.vector_env import FishVecEnv
-from tailbeat.env.world import NEAR
 
 Single = NDArray[np.float32]
 FIRST = 12  # observed numbers that depend on the target begin here
@@ -120,11 +120,9 @@ class RelabelBuffer(ReplayBuffer):
         follows = self._following(len(away))
         hit = (away < world.task.arrival) & ~follows[:, None]  # NaN after an end: no hit
         before = np.cumsum(hit, axis=1) - hit == 0
-        weights = world.settings.reward
-        earned = -weights.distance * np.nansum(away * before, axis=1) + parts["effort"][chosen]
-        earned += weights.bonus * hit.any(axis=1)
-        near = np.nansum(np.maximum(1 - away / NEAR, 0.0), axis=1)
-        earned += weights.nearness * near * follows
+        distance, bonus = reward.of_target(world.settings.reward, away, hit, follows[:, None])
+        earned = np.nansum(distance * before, axis=1) + parts["effort"][chosen]
+        earned += np.nansum(bonus * before, axis=1)
         parts["reward"][chosen] = self.source.reward_scale * earned
         parts["ended"][chosen] = hit.any(axis=1)
 

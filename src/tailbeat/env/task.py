@@ -1,0 +1,106 @@
+"""What the fish are asked to do: targets and ends, reward, sensors, physics of the episodes."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.control import actions as act
+from tailbeat.control.actions import ActionSpace, Generator
+from tailbeat.env import randomize
+from tailbeat.env.randomize import Randomisation
+from tailbeat.env.reward import Reward
+from tailbeat.env.sensors import SensorModel
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Task:
+    """Where targets are and when an episode ends.
+
+    `nearest`, `farthest` [m] and `arc` (half angle about straight ahead) [rad]; `arrival` [m] is
+    the paper's; `seconds` until time-out; `limit` [m] from the start at which the fish counts as
+    lost; `walls` (length, width) [m] of a pool about the start, or None; `target_speed` [m/s] of
+    targets that move, each on its own straight way. A share `following` of episodes has a target
+    that moves at up to that speed, on a bend, and goes on until time-out: then the others stand.
+    """
+
+    nearest: float = 0.5
+    farthest: float = 2.5
+    arc: float = np.pi
+    arrival: float = 0.05
+    seconds: float = 30.0
+    limit: float = 6.0
+    walls: tuple[float, float] | None = None
+    target_speed: float = 0.0
+    following: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Given beginnings and targets instead of drawn ones, for trials.
+
+    `start` (n, 3) x, y, yaw of the fish frame and `velocity` (n, 3) of it, in world axes; `target`
+    (n, k, 2): where each target is at the start and after every control step, the last one kept.
+    A target waits where it is while its fish is farther than `lead` (n,) [m] away; infinite: it
+    goes by the clock.
+    """
+
+    start: Array
+    velocity: Array
+    target: Array
+    lead: Array
+
+    def at(self, step: NDArray[np.int64]) -> Array:
+        """Places (n, 2) of the targets after `step` (n,) control steps."""
+        last = self.target.shape[1] - 1
+        return np.asarray(self.target[np.arange(len(step)), np.minimum(step, last)])
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything that an environment is made of, beside the fish."""
+
+    actions: ActionSpace | None = None  # None: the generator over the motor's range
+    task: Task = field(default_factory=Task)
+    reward: Reward = field(default_factory=Reward)
+    sensors: SensorModel = field(default_factory=SensorModel)
+    physics: Randomisation = field(default_factory=Randomisation)
+
+
+def check_settings(fish: Fish, settings: Settings) -> ActionSpace:
+    """The action space; raises BadInput for settings that contradict each other."""
+    low, high = fish.motor.range or (-np.pi, np.pi)
+    space = settings.actions or Generator(low, high)
+    act.check_space(space)
+    if space.low < low or space.high > high:
+        raise BadInput(
+            f"actions: range {space.low:g} to {space.high:g} rad; {fish.name}'s motor allows"
+            f" {low:g} to {high:g}."
+        )
+    act.check_band(space, fish.band[1])
+    randomize.check(settings.physics)
+    _check_task(settings.task)
+    return space
+
+
+def _check_task(task: Task) -> None:
+    if not task.arrival < task.nearest <= task.farthest:
+        raise BadInput(
+            f"task: targets from {task.nearest:g} to {task.farthest:g} m with arrival at"
+            f" {task.arrival:g} m; allowed is arrival < nearest <= farthest."
+        )
+    if task.farthest > task.limit:
+        raise BadInput(f"task: farthest {task.farthest:g} m lies beyond limit {task.limit:g} m.")
+    if task.walls is not None and task.nearest > min(task.walls) / 2:
+        raise BadInput(
+            f"task: no target at {task.nearest:g} m or more fits into walls {task.walls}; widen"
+            f" them or bring the targets nearer."
+        )
+    if not 0 <= task.arc <= np.pi or not task.seconds > 0:
+        raise BadInput(
+            f"task: arc {task.arc:g} rad, {task.seconds:g} s; allowed are 0 to pi, above 0 s."
+        )
