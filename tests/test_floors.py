@@ -36,8 +36,10 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("importers", "recording"),
     ("processes",),
     ("files",),
-    ("__init__",),  # holds the version alone: any room may read it
+    ("__init__",),  # the public face: names rooms that it imports when asked; see FACE
 )
+# `import tailbeat` may name any room. The package itself may read nothing of it but the version.
+FACE, VERSION = "tailbeat", "tailbeat.__version__"
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 ROBOT_NEEDS = {"numpy", "onnxruntime"}
 MAX_FILE_LINES, MAX_FUNCTION_LINES, MAX_FOLDERS = 500, 60, 2
@@ -90,7 +92,9 @@ class House:
         self.modules = {module.name: module for module in modules}
 
     def inside(self, module: Module) -> set[str]:
-        """The modules of tailbeat that `module` imports."""
+        """The modules of tailbeat that `module` imports; the face imports them when asked."""
+        if module.name == FACE:
+            return set()
         found = (self.nearest(name) for name in module.imports() if is_ours(name))
         return set(found) - {module.name}
 
@@ -110,6 +114,15 @@ class House:
             for module in self.modules.values()
             for target in sorted(self.inside(module))
             if LEVEL.get(room_of(target), len(FLOORS)) < LEVEL.get(module.room, 0)
+        ]
+
+    def through_the_face(self) -> list[str]:
+        """One line for each import of a public name where the room's own is meant."""
+        return [
+            f"{module.name} imports {name} through the public face; import it from its room"
+            for module in self.modules.values()
+            for name in module.imports()
+            if is_ours(name) and self.nearest(name) == FACE != module.name and name != VERSION
         ]
 
     def cycle(self) -> list[str]:
@@ -198,6 +211,11 @@ def test_imports_go_down(house: House) -> None:
     assert not faults, report(faults)
 
 
+def test_no_room_uses_the_public_face(house: House) -> None:
+    faults = house.through_the_face()
+    assert not faults, report(faults)
+
+
 def test_no_import_goes_in_a_circle(house: House) -> None:
     circle = house.cycle()
     assert not circle, "circle of imports: " + " -> ".join(circle)
@@ -259,6 +277,15 @@ def test_imports_downward_aside_and_of_the_version_pass() -> None:
     house = House(Module("tailbeat", "", is_package=True), loop, safety, TWIN)
     assert house.inside(loop) == {"tailbeat", "tailbeat.fish.twin", "tailbeat.robot.safety"}
     assert not house.upward_imports() and not house.cycle()
+
+
+def test_a_use_of_the_public_face_is_found() -> None:
+    face = Module("tailbeat", "from tailbeat.fish import twin", is_package=True)
+    loop = Module("tailbeat.robot.loop", "from tailbeat import load_fish, __version__")
+    house = House(face, loop, TWIN)
+    assert not house.inside(face) and not house.upward_imports()
+    (fault,) = house.through_the_face()
+    assert "tailbeat.robot.loop imports tailbeat.load_fish" in fault
 
 
 def test_a_circle_is_found() -> None:
