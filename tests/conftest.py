@@ -27,3 +27,20 @@ def no_engine_warning():
     yield
     after = log.read_text() if log.exists() else ""
     assert after == before, f"the engine warned: {after[len(before) :]}"
+
+
+@pytest.hookimpl(tryfirst=True)  # before the plugin reads the groups
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Say which tests share a process of `pytest -n`: those that measure time, one after another,
+    and those that share a module's fixture, which is then made once."""
+    if hasattr(config, "workerinput"):  # one of the processes of `pytest -n`
+        for item in items:
+            if (group := _group(item)) is not None:
+                item.add_marker(pytest.mark.xdist_group(group))
+
+
+def _group(item: pytest.Item) -> str | None:
+    if item.get_closest_marker("realtime"):
+        return "realtime"
+    shared = (made[-1].scope == "module" for made in item._fixtureinfo.name2fixturedefs.values())  # type: ignore[attr-defined]
+    return item.path.stem if any(shared) else None

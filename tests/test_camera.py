@@ -24,6 +24,8 @@ from tailbeat.files import BadInput
 from tailbeat.vision.camera import FROZEN, CameraFault, Drained, _from_socket, open_camera
 from tailbeat.vision.detector import open_detector
 
+pytestmark = pytest.mark.realtime
+
 SCENE = Scene((0.5, -0.4, 0.7), (0.2, 0.1, 1.0), None, (-1.0, 0.5, 2.0))
 PLACES = np.array([[x, y] for x in (-2.6, -1.0, 0.05, 2.6) for y in (-1.3, -0.03, 1.3)])
 

@@ -25,6 +25,8 @@ from tailbeat.link import datagrams as link
 from tailbeat.robot import doctor, examine
 from tailbeat.robot.doctor import ADVICE, BAD, OK, WARN, Finding
 
+pytestmark = pytest.mark.realtime
+
 PATIENT = 0.25
 
 

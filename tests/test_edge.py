@@ -18,6 +18,8 @@ from tailbeat.fish.rollout import Start, Swim, swim
 from tailbeat.fish.store import load_fish, shipped, with_values
 from tailbeat.fish.twin import Options, compile_twin
 
+pytestmark = pytest.mark.realtime
+
 GAITS = [(1.2, 0.5), (1.5, 0.6), (2.0, 0.3), (3.0, 0.2), (3.5, 0.18)]  # Hz, rad
 PLATE = np.array([0.035, 0.001, 0.08])
 

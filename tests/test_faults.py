@@ -23,6 +23,8 @@ from tailbeat.fish.store import load_fish
 from tailbeat.report.fault_table import markdown
 from tailbeat.robot import session
 
+pytestmark = pytest.mark.realtime
+
 POLICY, DRIVE = "pulley-fish-pool-generator", session.drive
 QUICK = ("servo cable", "forgeries", "encoder frozen", "watchdog", "clock back", "nan", "disk full")
 

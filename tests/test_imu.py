@@ -15,6 +15,8 @@ from tailbeat.files import BadInput
 from tailbeat.robot import imu as driver
 from tailbeat.robot.imu import Imu, ImuFault, Mounting, connect
 
+pytestmark = pytest.mark.realtime
+
 PATIENT = 0.25  # s: the emulator is a thread of this process and waits for the interpreter
 
 

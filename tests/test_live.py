@@ -31,6 +31,8 @@ from tailbeat.operator import station
 from tailbeat.operator.tour import Tour, draw_targets
 from tailbeat.report import tour as page
 
+pytestmark = pytest.mark.realtime
+
 POLICY, FISH = "pulley-fish-pool-generator", load_fish("pulley-fish")
 
 

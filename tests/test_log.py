@@ -20,6 +20,8 @@ from tailbeat.robot import log as logs
 from tailbeat.robot.log import COLUMNS, read_rows, start
 from tailbeat.robot.log_export import as_recording
 
+pytestmark = pytest.mark.realtime
+
 
 def row(k: int) -> dict:
     numbers = {name: 0.01 * k + i for i, name in enumerate(COLUMNS)}

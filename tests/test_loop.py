@@ -32,6 +32,8 @@ from tailbeat.robot.loop import Devices, Loop
 from tailbeat.robot.safety import SafetyLimits
 from tailbeat.robot.servo import connect as connect_servo
 
+pytestmark = pytest.mark.realtime
+
 KEY, POLICY = bytes(32), load_policy("pulley-fish-pool-generator")
 WIDE = SafetyLimits(pose_hold=2.0, pose_stop=5.0, imu_hold=2.0, servo_hold=2.0, servo_stop=4.0,
               clock_doubt=1.0, overruns_hold=10**6)  # fmt: skip

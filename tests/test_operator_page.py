@@ -52,6 +52,8 @@ from tailbeat.robot.loop import Devices, Loop
 from tailbeat.robot.safety import SafetyLimits
 from tailbeat.robot.servo import connect as connect_servo
 
+pytestmark = pytest.mark.realtime
+
 KEY, ROOM, TAG = bytes(32), (5.5, 2.7), (1.5, 0.5)
 FISH, POLICY = load_fish("pulley-fish"), load_policy("pulley-fish-pool-generator")
 WIDE = SafetyLimits(pose_hold=4.0, pose_stop=8.0, imu_hold=4.0, servo_hold=4.0, servo_stop=6.0,

@@ -26,6 +26,8 @@ from tailbeat.link.status import (
 from tailbeat.robot.reporter import Reporter
 from tailbeat.robot.safety import SafetyLimits
 
+pytestmark = pytest.mark.realtime
+
 KEY, RUN = bytes(range(32)), 77
 FRAME = Frame(0, (0.1, -0.2, 1.5), (1.0, 0.5))
 STAND = Status(

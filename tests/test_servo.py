@@ -29,6 +29,8 @@ from tailbeat.robot.packet import (
 )  # fmt: skip
 from tailbeat.robot.servo import COUNT, Servo, ServoFault, connect
 
+pytestmark = pytest.mark.realtime
+
 
 def raw(text: str) -> bytes:
     return bytes.fromhex(text.replace(" ", ""))

@@ -16,6 +16,8 @@ from tailbeat.files import BadInput
 from tailbeat.robot import systemd
 from tailbeat.robot.log import read_rows
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture
 def manager(tmp_path: Path, monkeypatch):

@@ -31,6 +31,8 @@ from tailbeat.vision.tags import Tag
 from tailbeat.vision.tracker import Sighting, Tracker, TrackerLimits, misshapen, planar_pose
 from tailbeat.vision.tracking import TrackerProcess, start_tracker
 
+pytestmark = pytest.mark.realtime
+
 FRAME = 1 / 60
 POSE, AIM = (0.6, -0.4, 0.7), (-1.0, 0.5, 2.0)
 

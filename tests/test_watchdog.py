@@ -19,6 +19,8 @@ from tailbeat.robot import watchdog as watchdog
 from tailbeat.robot.packet import WRITE, Packet, encode
 from tailbeat.robot.servo import connect
 
+pytestmark = pytest.mark.realtime
+
 # A loop in miniature: it arms, keeps the servo's watchdog at bay, and tells the watchdog.
 LOOP = """
 import sys, time
