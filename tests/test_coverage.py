@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
+from support import complaint, tailbeat
 from synthetic import clock_of, filmed, record
-from tailbeat.cli.app import app, spread_lists
 from tailbeat.evaluate import runs as store
 from tailbeat.evaluate.runs import Runs
 from tailbeat.files import BadInput
@@ -18,7 +17,6 @@ from tailbeat.identify.coverage import BANDS, Coverage, Quantity, coverage
 from tailbeat.recording import Recording, crop, write_recording
 
 FISH = load_fish("pulley-fish")
-CLI = CliRunner()
 
 
 @pytest.fixture(scope="module")
@@ -173,10 +171,6 @@ def test_swims_of_an_evaluation_become_recordings(protocol):
     assert all(np.isfinite(column).all() for one in kept for column in one.columns.values())
 
 
-def typed(*words: object):
-    return CLI.invoke(app, spread_lists([str(word) for word in words]))
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, protocol, slow) -> Path:
     """The recordings as a user keeps them, and an evaluation's chunk."""
@@ -189,14 +183,14 @@ def folder(tmp_path_factory, protocol, slow) -> Path:
 
 def test_the_verb_says_what_to_record_and_exits_with_it(folder, tmp_path):
     known = sorted(folder.glob("fluid-*.csv"))
-    same = typed("coverage", *known, "--against", *known, "--fish", "pulley-fish")
-    assert same.exit_code == 0 and "cover the swims" in same.stdout
+    same = tailbeat("coverage", *known, "--against", *known, "--fish", "pulley-fish")
+    assert same.returncode == 0 and "cover the swims" in same.stdout
     out = tmp_path / "c.json"
-    other = typed(
+    other = tailbeat(
         "coverage", folder / "slow.csv", "--against", *known, "--fish", "pulley-fish",
         "--json", out,
     )  # fmt: skip
-    assert other.exit_code == 1 and "record swims below" in other.stdout
+    assert other.returncode == 1 and "record swims below" in other.stdout
     result = json.loads(out.read_text())
     assert not result["covered"] and result["advice"]
     assert result["quantities"][0]["quantity"] == "motor power"
@@ -206,10 +200,10 @@ def test_the_verb_says_what_to_record_and_exits_with_it(folder, tmp_path):
 def test_the_verb_reads_chunks_of_an_evaluation(folder):
     known = sorted(folder.glob("fluid-*.csv"))
     swims = folder / "reach.000.npz"
-    done = typed("coverage", swims, "--against", *known, "--fish", "pulley-fish")
-    assert done.exit_code == 0, done.stdout
-    turned = typed("coverage", swims, "--against", known[-1], "--fish", "pulley-fish")
-    assert turned.exit_code == 1
+    done = tailbeat("coverage", swims, "--against", *known, "--fish", "pulley-fish")
+    assert done.returncode == 0, done.stdout
+    turned = tailbeat("coverage", swims, "--against", known[-1], "--fish", "pulley-fish")
+    assert turned.returncode == 1
 
 
 def test_files_that_cannot_be_read_are_refused(folder, tmp_path):
@@ -218,5 +212,4 @@ def test_files_that_cannot_be_read_are_refused(folder, tmp_path):
     reasons = {"bad.npz": "cannot be read", "no.npz": "no such file", "no.csv": "no such file"}
     for name, reason in reasons.items():
         swims = tmp_path / name
-        done = typed("coverage", swims, "--against", *known, "--fish", "pulley-fish")
-        assert isinstance(done.exception, BadInput) and reason in str(done.exception)
+        assert reason in complaint("coverage", swims, "--against", *known, "--fish", "pulley-fish")

@@ -15,7 +15,7 @@ pytest.importorskip("cv2", reason="the robot extra is not installed")
 from psutil import NoSuchProcess, Process, process_iter
 
 from support import command, until
-from tailbeat.cli import output
+from tailbeat.cli import progress
 from tailbeat.evaluate import swim
 from tailbeat.evaluate.live_swim import tour_of
 from tailbeat.files import BadInput
@@ -40,7 +40,7 @@ POLICY, FISH = "pulley-fish-pool-generator", load_fish("pulley-fish")
 def swum(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, list[str]]:
     out, said = tmp_path_factory.mktemp("live"), list[str]()
     done = page.write(
-        swim.live(POLICY, FISH.name, None, 1, 0, out, said.append), out, output.counting
+        swim.live(POLICY, FISH.name, None, 1, 0, out, said.append), out, progress.counting
     )
     return out, done, said
 

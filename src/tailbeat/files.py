@@ -1,6 +1,7 @@
 """Bad input and safe output: the lowest floor."""
 
 import json
+import math
 import os
 import tempfile
 from collections.abc import Iterator
@@ -8,8 +9,6 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 # The extra that brings a package, by the name under which it is imported.
 EXTRA_OF = {
@@ -81,9 +80,9 @@ def plain(value: Any) -> Any:
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
-    if isinstance(value, np.ndarray | np.generic):
+    if hasattr(value, "tolist"):  # an array or a number of numpy, which need not be loaded for it
         return plain(value.tolist())
-    if isinstance(value, float) and not np.isfinite(value):
+    if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
 

@@ -1,63 +1,12 @@
-"""The command `tailbeat`: its verbs, its options that take lists, its exit codes."""
+"""The command `tailbeat`: its entry point, its options that take lists, its exit codes."""
 
 import sys
+from typing import Any
 
-import typer
-
-from tailbeat.cli import (
-    camera,
-    check,
-    describe,
-    evaluate,
-    identify,
-    learn,
-    measure,
-    output,
-    swim,
-)
 from tailbeat.cli.renamed import refuse_old_names
 from tailbeat.files import EXTRA_OF, BadInput, missing
 
-app = typer.Typer(
-    name="tailbeat",
-    help="From bench recordings of a soft robotic fish to a twin that swims like it.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
-app.add_typer(identify.identify, name="identify")
-app.add_typer(measure.importing, name="import")
-app.add_typer(learn.policy, name="policy")
-for verb in (
-    learn.train,
-    swim.swim,
-    evaluate.evaluate,
-    evaluate.compare,
-    evaluate.report,
-    swim.key,
-    swim.emulate,
-    swim.drive,
-    swim.export,
-    camera.tags,
-    camera.calibrate,
-    camera.track,
-    camera.camera,
-    swim.station,
-    check.faults,
-    check.latency,
-    check.torque_off,
-    check.doctor,
-    check.unit,
-    describe.new_fish,
-    describe.show,
-    measure.protocol,
-    measure.record,
-    identify.speed_map,
-    identify.predict,
-    identify.coverage,
-    evaluate.benchmark,
-):
-    app.command(verb.__name__.replace("_", "-"))(verb)
+INTERRUPTED = 130  # exit code of a verb that Ctrl-C ended
 
 # options that take any number of values; a servo's port, elsewhere, is one
 LISTS = {"--fit": "identify", "--validate": "identify", "--commands": "record"}
@@ -78,21 +27,56 @@ def spread_lists(arguments: list[str]) -> list[str]:
     return spread
 
 
+def run(words: list[str]) -> int:
+    """Run the verb that `words` name; returns the exit code. Raises BadInput."""
+    refuse_old_names(words)
+    if words == ["--version"]:  # without the parser, which takes ten times as long
+        from tailbeat import __version__
+
+        print(f"tailbeat {__version__}")
+        return 0
+    import typer
+
+    from tailbeat.cli.group import tree
+
+    try:
+        return tree()(spread_lists(words) or ["--help"], "tailbeat", standalone_mode=False) or 0
+    except typer.TyperException as error:
+        raise _refusal(error) from None
+
+
+def _refusal(error: Any) -> BadInput:
+    """What the parser does not take, in one sentence."""
+    verb = error.ctx.command_path if getattr(error, "ctx", None) else "tailbeat"
+    text = " ".join(error.format_message().split()).rstrip(".?")
+    return BadInput(f"{text[:1].lower()}{text[1:]}; see {verb} --help.")
+
+
 def main() -> None:
     """Entry point: bad input is one sentence and exit code 2."""
     try:
-        refuse_old_names(sys.argv[1:])
-        app(args=spread_lists(sys.argv[1:]), standalone_mode=True)
+        code = run(sys.argv[1:])
+        if code == INTERRUPTED:
+            _say_interrupted(sys.argv[1:])
     except BadInput as error:
-        output.complain(str(error))
-        sys.exit(2)
+        code = _complain(str(error), 2)
     except ModuleNotFoundError as error:
         if error.name not in EXTRA_OF:
             raise
-        output.complain(f"this verb needs {missing(error.name)}")
-        sys.exit(2)
+        code = _complain(f"this verb needs {missing(error.name)}", 2)
     except KeyboardInterrupt:
-        resumes = sys.argv[1:2] == ["identify"]
-        again = "; the same command takes the search up where it stopped." if resumes else "."
-        output.complain(f"interrupted{again}")
-        sys.exit(130)
+        code = _say_interrupted(sys.argv[1:])
+    sys.exit(code)
+
+
+def _say_interrupted(words: list[str]) -> int:
+    resumes = words[:1] == ["identify"]
+    again = "; the same command resumes the search." if resumes else "."
+    return _complain(f"interrupted{again}", INTERRUPTED)
+
+
+def _complain(text: str, code: int) -> int:
+    from tailbeat.cli.output import complain
+
+    complain(text)
+    return code

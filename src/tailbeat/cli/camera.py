@@ -24,7 +24,7 @@ def tags(
     square: SquareOption = 0.026,
     json: JsonOption = None,
 ) -> None:
-    """Write the sheets to print: fish tag, target tag, calibration board, at true size."""
+    """Write the sheets to print: fish tag, target tag and calibration board, at true size."""
     if json is not None:
         refuse_existing(json)
     need_camera()
@@ -56,7 +56,7 @@ def calibrate(
     count: Annotated[int, typer.Option(help="Views taken from a film or a camera.")] = 20,
     json: JsonOption = None,
 ) -> None:
-    """Find the camera's lens and where it hangs over the pool; docs/camera.md says how."""
+    """Find the camera's lens and its place over the pool. docs/camera.md says how."""
     if json is not None:
         refuse_existing(json)
     need_camera()
@@ -83,7 +83,8 @@ def track(
     latency: Annotated[float, typer.Option(help="From exposure's end to stamp [s].")] = 0.0,
     json: JsonOption = None,
 ) -> None:
-    """Poses of fish and target from a camera, live; exit code 1 if the fish was never seen."""
+    """Print the poses of fish and target from a camera, live. Exit code 1 if the fish was never
+    seen."""
     if json is not None:
         refuse_existing(json)
     need_camera()
@@ -108,7 +109,7 @@ def camera(
     count: Annotated[int, typer.Option(help="Views of the board.")] = 20,
     seed: SeedOption = 0,
 ) -> None:
-    """A virtual camera above the pool: frames at a socket, and pictures to calibrate it with."""
+    """Emulate a camera above the pool: frames at a socket, or pictures to calibrate with."""
     if (socket is None) == (pictures is None):
         raise BadInput("camera: give --socket or --pictures, one of them.")
     need_camera()

@@ -32,8 +32,8 @@ def faults(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Break everything that can break, in real time on the emulated bench, and time the way to
-    safety; exit code 1 where a fault does not lead there."""
+    """Break what can break on emulated devices and time the way to safety. It runs in real time.
+    Exit code 1 if a fault does not lead to safety."""
     if kills < 0:
         raise BadInput(f"--kills {kills}: give 0 or more.")
     for path in filter(None, (table, json)):
@@ -62,8 +62,8 @@ def latency(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """How punctual the loop is on this machine, on the emulated bench: lateness, work, latency,
-    drift; exit code 1 where p99.9 of the lateness is beyond what is asked."""
+    """Measure how punctual the loop is on this machine. It drives emulated devices and reports
+    lateness, work, latency and drift. Exit code 1 if p99.9 of the lateness exceeds --allowed."""
     if json is not None:
         refuse_existing(json)
     if not minutes > 0:
@@ -84,7 +84,7 @@ def torque_off(
     ident: Annotated[int, typer.Option("--id", help="The servo's id.")] = 1,
     baud: Annotated[int, typer.Option(help="Its baud rate.")] = 1_000_000,
 ) -> None:
-    """Take the torque away, whoever left it on; exit code 2 where the servo does not confirm."""
+    """Turn the servo's torque off. Exit code 2 if the servo does not confirm it."""
     need_robot()
     from tailbeat.robot.watchdog import torque_off
 
@@ -111,8 +111,8 @@ def doctor(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """What keeps the fish from moving, and what to do about it; nothing is moved. Exit code 1
-    where something is bad."""
+    """List what keeps the fish from moving and what to do about it; nothing is moved. Exit code 1
+    if something is bad."""
     if json is not None:
         refuse_existing(json)
     if not emulated and not any((servo, imu, listen, key, camera)):
@@ -155,7 +155,7 @@ def unit(
     logs: Annotated[Path, typer.Option(help="Folder for the logs, one for each start.")],
     user: Annotated[str, typer.Option(help="Whom it runs as, not root.")] = "fish",
 ) -> None:
-    """Write a systemd unit that runs `tailbeat drive` with these words, disarmed until ordered."""
+    """Write a systemd unit that runs `tailbeat drive`, disarmed until ordered."""
     from tailbeat.robot.systemd import write_unit
 
     held = Path(policy)

@@ -23,7 +23,7 @@ def show(
     viewer: Annotated[bool, typer.Option(help="Open MuJoCo's viewer.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Print what was compiled, and render a picture."""
+    """Print what a fish compiles to and render a picture."""
     from tailbeat.fish import show as compiled
 
     shown = compiled.show(fish, picture, viewer, json)

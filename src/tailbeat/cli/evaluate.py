@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tailbeat.cli import output, results
+from tailbeat.cli import output, progress, results
 from tailbeat.cli.options import JsonOption, PolicyFile, PoolFish, SeedOption, TwinOption
 from tailbeat.evaluate.names import NAMES
 from tailbeat.files import refuse_existing, write_json
@@ -29,16 +29,17 @@ def evaluate(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Try a policy in the virtual pool: targets, disturbances, tracks, beyond its training."""
+    """Evaluate a policy in the virtual pool: targets, disturbances, tracks, other fish. The same
+    command resumes an interrupted evaluation."""
     if json is not None:
         refuse_existing(json)
     from tailbeat.control.policy import load_policy
     from tailbeat.evaluate import evaluation
 
-    with output.counting() as progress:
+    with progress.counting() as count:
         loaded = load_policy(policy)
         where = evaluation.pool_of(loaded, fish, twin, pool, episodes, seed, walls)
-        done = evaluation.evaluate(loaded, where, task or list(NAMES), out, progress)
+        done = evaluation.evaluate(loaded, where, task or list(NAMES), out, count)
     results.evaluated(done)
     _page(out, fish, twin, done, json)
 
@@ -55,13 +56,14 @@ def compare(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """The controlled comparison: every policy in its twin and in the pool, piece by piece."""
+    """Compare policies in their twins and in the pool with parts of its physics off. The same
+    command resumes an interrupted comparison."""
     if json is not None:
         refuse_existing(json)
     from tailbeat.evaluate import compare as comparison
 
-    with output.counting() as progress:
-        done = comparison.compare(policies, fish, twin, targets, seed, share, out, progress)
+    with progress.counting() as count:
+        done = comparison.compare(policies, fish, twin, targets, seed, share, out, count)
     results.compared(done)
     _page(out, fish, twin, done, json)
 
@@ -72,7 +74,7 @@ def report(
     twin: TwinOption = None,
     json: JsonOption = None,
 ) -> None:
-    """One page of a folder's numbers and figures, the paper's beside them."""
+    """Write one page of a folder's numbers and figures, the paper's beside them."""
     if json is not None:
         refuse_existing(json)
     from tailbeat.report.page import of_folder
@@ -97,7 +99,8 @@ def benchmark(
     env: Annotated[bool, typer.Option(help="Also environment and updates, against SB3's.")] = True,
     json: JsonOption = None,
 ) -> None:
-    """Measure the step against a bare engine loop on this machine, pool and environment too."""
+    """Measure speed and accuracy on this machine. The step is compared with a bare engine loop.
+    Pool, environment, updates and camera follow."""
     from tailbeat.benchmarks import suite
 
     result = suite.benchmark(env)

@@ -5,11 +5,10 @@ from typing import Annotated, Literal
 
 import typer
 
-from tailbeat.cli import output, results
+from tailbeat.cli import output, progress, results
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
 from tailbeat.files import refuse_existing, write_json
 
-identify = typer.Typer(help="Find a fish's parameters from recordings.", no_args_is_help=True)
 OutFish = Annotated[Path, typer.Option("--out", help="The identified fish to write.")]
 AddedOption = Annotated[
     float | None,
@@ -24,7 +23,6 @@ LawOption = Annotated[
 ]
 
 
-@identify.command("fluid")
 def identify_fluid(
     fish: FishOption,
     fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit; repeat.")],
@@ -44,22 +42,22 @@ def identify_fluid(
     law: LawOption = "described",
     json: JsonOption = None,
 ) -> None:
-    """Fit the fluid coefficients; writes fish, report (.json) and figure (.png) side by side."""
+    """Fit the fluid coefficients to recorded swims. Writes the fish and, beside it, a report
+    (.json) and a figure (.png). The same command resumes an interrupted search."""
     from tailbeat.identify import stages
     from tailbeat.report.figures import measured_against_twin
 
-    with output.search_progress() as progress:
+    with progress.search_progress() as report:
         config = stages.fluid_config(
             zones, seeds, seed, generations, start_weight, added_inertia, law == "whole"
         )
         done = stages.fluid(
-            fish, fit, validate or [], out, config, json, progress, measured_against_twin
+            fish, fit, validate or [], out, config, json, report, measured_against_twin
         )
     results.identified(done.report)
     output.say(f"wrote {', '.join(map(str, done.files))}")
 
 
-@identify.command("tail")
 def identify_tail(
     fish: FishOption,
     sweeps: Annotated[list[Path], typer.Argument(help="Driven sweeps, CSV or Parquet.")],
@@ -68,7 +66,8 @@ def identify_tail(
     ring_down: Annotated[Path | None, typer.Option(help="A released tail.")] = None,
     json: JsonOption = None,
 ) -> None:
-    """Stiffness and damping from driven sweeps with shaft torque, spread over the hinges."""
+    """Fit the tail's stiffness and damping to driven sweeps with shaft torque. Both are spread over
+    the hinges."""
     from tailbeat.identify import stages
     from tailbeat.report import bench_figures
 
@@ -77,7 +76,6 @@ def identify_tail(
     output.say(f"wrote {', '.join(map(str, done.files))}")
 
 
-@identify.command("servo")
 def identify_servo(
     fish: FishOption,
     fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit; repeat.")],
@@ -97,12 +95,12 @@ def identify_servo(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Servo from recorded commands and encoder angles, free-running against a known load."""
+    """Fit the servo to recorded commands and encoder angles. It runs free against a known load."""
     from tailbeat.identify import stages
     from tailbeat.report import bench_figures
 
     config = stages.motor_config(seeds, seed, gears, gain)
-    with output.search_progress() as progress:
+    with progress.search_progress() as report:
         done = stages.motor(
             fish,
             fit,
@@ -112,14 +110,13 @@ def identify_servo(
             config,
             cross_validate,
             json,
-            progress,
+            report,
             bench_figures.motor,
         )
     results.motor(done.report)
     output.say(f"wrote {', '.join(map(str, done.files))}")
 
 
-@identify.command("all")
 def identify_all(
     fish: FishOption,
     folder: Annotated[Path, typer.Option("--from", help="Folder with all recordings.")],
@@ -132,16 +129,17 @@ def identify_all(
     law: LawOption = "described",
     json: JsonOption = None,
 ) -> None:
-    """Tail, then servo, then fluid from one folder; writes fish, report, page and figures."""
+    """Fit tail, servo and fluid to the recordings of one folder. Writes fish, report, page and
+    figures; the same command resumes an interrupted search."""
     from tailbeat.identify import chain, stages
     from tailbeat.report.identified import DRAWINGS
 
     config = stages.fluid_config(
         zones, seeds, seed, generations, None, added_inertia, law == "whole"
     )
-    with output.search_progress() as progress:
-        report = chain.identify_all(fish, folder, out, config, json, progress, DRAWINGS)
-    output.tables({"summary": [report["summary"]]})
+    with progress.search_progress() as report:
+        done = chain.identify_all(fish, folder, out, config, json, report, DRAWINGS)
+    output.tables({"summary": [done["summary"]]})
     output.say(f"wrote {out} and, beside it, {out.with_suffix('.md').name}")
 
 
@@ -156,8 +154,8 @@ def predict(
     ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Predict recorded swims with the twin, beside what was measured; exit code 1 if the twin
-    diverged or reached no steady speed. With --fitted-on, compare it with a naive model."""
+    """Predict recorded swims with the twin and compare with what was measured. Exit code 1 if the
+    twin diverged or reached no steady speed. With --fitted-on, compare it with a naive model."""
     from tailbeat.evaluate.replay import predict_swims
 
     if json is not None:
@@ -181,8 +179,8 @@ def coverage(
     fish: FishOption,
     json: JsonOption = None,
 ) -> None:
-    """Check whether an identification's recordings cover a policy's swims, and say what to record
-    next; exit code 1 if over 5 % of some quantity lies outside the recorded range."""
+    """Check whether an identification's recordings cover a policy's swims. Say what to record next.
+    Exit code 1 if over 5 % of some quantity lies outside the recorded range."""
     from tailbeat.evaluate import replay
 
     if json is not None:
@@ -201,7 +199,8 @@ def speed_map(
     servo: Annotated[list[str] | None, typer.Option(help="Servo variants; repeat.")] = None,
     json: JsonOption = None,
 ) -> None:
-    """Speed of twin and virtual pool over frequency and stroke, in and far beyond the band."""
+    """Compare the speeds of twin and virtual pool over frequency and stroke. The map reaches far
+    beyond the identified band."""
     from tailbeat.evaluate.speed_map import speed_map_of
     from tailbeat.report import figures
 

@@ -6,12 +6,10 @@ from typing import Annotated
 
 import typer
 
-from tailbeat.cli import output, results
+from tailbeat.cli import output, progress, results
 from tailbeat.cli.extras import need_training
 from tailbeat.cli.options import FishOption, JsonOption, PolicyFile, SeedOption
 from tailbeat.files import refuse_existing, write_json
-
-policy = typer.Typer(help="Look at policies, compare and try them.", no_args_is_help=True)
 
 
 def train(
@@ -34,7 +32,7 @@ def train(
     stage: Annotated[str | None, typer.Option(help="Go on in this stage, by hand.")] = None,
     json: JsonOption = None,
 ) -> None:
-    """Train a policy through the stages; exit code 1 if it did not pass them all."""
+    """Train a policy through the stages of a recipe. Exit code 1 if it did not pass them all."""
     if json is not None:
         refuse_existing(json)
     need_training()
@@ -43,13 +41,13 @@ def train(
     from tailbeat.train.train import result
     from tailbeat.train.train import train as learn
 
-    with output.training() as report:
+    with progress.training() as report:
         run = run_config(fish, out, actions, recipe, seed, hours, device, servo, binds, floor)
         room = run.recipe.buffer_bytes / 1e6
         output.say(f"replay buffer: {room:.0f} MB of memory and of every checkpoint")
-        progress = learn(run, resume, report, stage)
-        courses({f"{actions}, seed {seed}": vars(progress)}, out / "curve.png")
-    done = result(run, progress)
+        course = learn(run, resume, report, stage)
+        courses({f"{actions}, seed {seed}": vars(course)}, out / "curve.png")
+    done = result(run, course)
     results.trained(done)
     if json is not None:
         write_json(json, done)
@@ -57,9 +55,8 @@ def train(
         raise typer.Exit(1)
 
 
-@policy.command("show")
 def show(file: PolicyFile, json: JsonOption = None) -> None:
-    """Print a policy's contract; its golden pairs are checked on the way."""
+    """Print a policy's contract. Its golden pairs are checked on the way."""
     from tailbeat.control.policy import load_policy
 
     contract = asdict(load_policy(file).contract)
@@ -68,13 +65,12 @@ def show(file: PolicyFile, json: JsonOption = None) -> None:
         write_json(json, contract)
 
 
-@policy.command("diff")
 def diff(
     first: PolicyFile,
     second: Annotated[str, typer.Argument(help="Another.")],
     json: JsonOption = None,
 ) -> None:
-    """Every field in which two policies' contracts differ; exit code 1 if any does."""
+    """List the fields in which two policies' contracts differ. Exit code 1 if any does."""
     from tailbeat.control.policy import differences, load_policy
 
     rows = differences(load_policy(first).contract, load_policy(second).contract)
@@ -85,7 +81,6 @@ def diff(
         raise typer.Exit(1)
 
 
-@policy.command("try")
 def try_(
     file: PolicyFile,
     fish: FishOption,
@@ -98,7 +93,8 @@ def try_(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Swim a policy to seeded targets in its twin, all noise and randomisation on, or in pools."""
+    """Swim a policy to seeded targets in its twin or in the virtual pool. Noise and randomisation
+    are on in the twin, unless --exact."""
     if json is not None:
         refuse_existing(json)
     need_training()

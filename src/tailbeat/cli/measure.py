@@ -9,8 +9,6 @@ from tailbeat.cli import output
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
 from tailbeat.files import refuse_existing, write_json
 
-importing = typer.Typer(help="Turn other people's files into recordings.", no_args_is_help=True)
-
 
 def protocol(
     kind: Annotated[str, typer.Argument(help="tail, motor or fluid.")],
@@ -19,7 +17,7 @@ def protocol(
     speed: Annotated[float, typer.Option(help="Shaft speed never asked beyond, rad/s.")] = 4.0,
     json: JsonOption = None,
 ) -> None:
-    """Write the commands that a bench should play; docs/bench.md says how to record them."""
+    """Write the commands that the test bench plays. docs/bench.md says how to record them."""
     from tailbeat.identify.commands import write_protocol
 
     paths = write_protocol(kind, fish, out, speed)
@@ -39,7 +37,7 @@ def record(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Play a bench's protocol in the virtual pool and record it as a lab would."""
+    """Play a protocol in the virtual pool and record it as a lab would."""
     from tailbeat.pool import record as recorder
 
     paths = recorder.record(kind, fish, out, seed, commands or ())
@@ -49,14 +47,13 @@ def record(
         output.say(f"wrote {path}")
 
 
-@importing.command("fishsim")
 def import_fishsim(
     csv: Annotated[Path, typer.Argument(help="A marker file of srl-ethz/fishsim.")],
     out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
     frame_rate: Annotated[float, typer.Option(help="Frames per second of the film.")] = 60.0,
     json: JsonOption = None,
 ) -> None:
-    """Marker tracks in pixels to a recording in metres."""
+    """Convert marker tracks in pixels to a recording in metres."""
     from tailbeat.importers.fishsim import convert
 
     if json is not None:
@@ -68,13 +65,12 @@ def import_fishsim(
     output.say(f"wrote {out}: {recording.time.size} frames, dropped per marker {dropped}")
 
 
-@importing.command("xl330")
 def import_xl330(
     log: Annotated[Path, typer.Argument(help="A pendulum log of Rhoban/bam, JSON.")],
     out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
     json: JsonOption = None,
 ) -> None:
-    """A servo's pendulum log to a recording; gain and load go into its metadata."""
+    """Convert a servo's pendulum log to a recording. Gain and load go into its metadata."""
     from tailbeat.importers.xl330 import convert
 
     if json is not None:

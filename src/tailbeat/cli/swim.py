@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tailbeat.cli import output, results
+from tailbeat.cli import output, progress, results
 from tailbeat.cli.extras import need_camera, need_robot
 from tailbeat.cli.options import (
     SHIPPED,
@@ -17,7 +17,6 @@ from tailbeat.cli.options import (
     SeedOption,
     TwinOption,
 )
-from tailbeat.emulators.own_devices import own_devices
 from tailbeat.files import BadInput, refuse_existing, write_json
 from tailbeat.link.addresses import address
 from tailbeat.link.places import TARGET, place
@@ -47,9 +46,9 @@ def swim(
     out: Annotated[Path, typer.Option(help="Folder for page, film, log, summary.")] = Path("runs"),
     json: JsonOption = None,
 ) -> None:
-    """The main job: fish, camera and laptop over a virtual pool, in real time. Drag the target on
-    the page; or --headless (so too without a terminal): a tour of targets, then a page; exit code 1
-    if it missed one by more than 20 cm."""
+    """Swim to targets in the virtual pool, in real time. Fish, camera and station run as on a
+    robot. Drag the target on the operator page. With --headless, or without a terminal: a tour of
+    drawn targets, then a report; exit code 1 if a target was missed by more than 20 cm."""
     if json is not None:
         refuse_existing(json)
     if fish is not None:
@@ -89,12 +88,12 @@ def _tour(
     from tailbeat.report import tour
 
     if direct:
-        swum = swims.direct(policy, fish, twin, targets, seed, output.counting)
+        swum = swims.direct(policy, fish, twin, targets, seed, progress.counting)
     else:
         need_robot()
         need_camera()
         swum = swims.live(policy, fish, twin, targets, seed, out, output.say)
-    done = tour.write(swum, out, output.counting)
+    done = tour.write(swum, out, progress.counting)
     output.tables({f"{done['fish']} in the virtual pool, {done['policy']}": done["targets"]})
     output.say(f"{done['within_5cm']} of {targets} within 5 cm; page: {out / 'report.html'}")
     return done
@@ -111,8 +110,8 @@ def emulate(
     page: PageOption = "",
     seed: SeedOption = 0,
 ) -> None:
-    """An emulated bench in real time: servo and IMU on pseudo-terminals; poses over the network, or
-    pictures in which `tailbeat station --camera` finds them."""
+    """Emulate servo, IMU and camera of a fish in real time. Servo and IMU are on pseudo-terminals.
+    Poses are sent over the network, or `tailbeat station --camera` finds them in pictures."""
     if camera is None and (key is None or not robot):
         raise BadInput("emulate: give --key and --robot for poses, or --camera for pictures.")
     need_robot()
@@ -150,8 +149,10 @@ def drive(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Drive the fish fifty times a second: arm, swim, let go; exit code 1 if it stopped itself."""
+    """Drive the fish fifty times a second: arm, swim, turn torque off. Exit code 1 if it stopped
+    itself."""
     need_robot()
+    from tailbeat.emulators.own_devices import own_devices
     from tailbeat.robot import session
 
     log = session.log_in(log)
@@ -226,7 +227,8 @@ def station(
         Path | None, typer.Option("--json", help="Write what became of the tour here as JSON.")
     ] = None,
 ) -> None:
-    """Stand above the pool: find the fish, send its pose, and show the operator's page."""
+    """Run the poolside station: find the fish, send its pose, show the operator page. Exit code 1
+    if a tour was not finished."""
     from tailbeat.operator import station as work
 
     if json is not None:
@@ -251,7 +253,7 @@ def station(
 
 
 def key(path: Annotated[Path, typer.Argument(help="The key file to write.")]) -> None:
-    """Write a key that laptop and fish share; copy it to both, readable by its owner alone."""
+    """Write the key that station and fish share. Copy it to both; only its owner can read it."""
     from tailbeat.link.datagrams import make_key
 
     make_key(path)
@@ -262,7 +264,8 @@ def export(
     log: Annotated[Path, typer.Argument(help="A log of `tailbeat drive`, .mcap.")],
     out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
 ) -> None:
-    """A drive's log as a recording that identification reads; also of a log that was cut off."""
+    """Convert a drive's log to a recording that identification reads. A log that was cut off is
+    read up to its end."""
     from tailbeat.robot.log_export import export as export_log
 
     recording = export_log(log, out)

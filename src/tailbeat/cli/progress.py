@@ -1,0 +1,135 @@
+"""Progress with an ETA: bars on a terminal, a line now and then in a pipe."""
+
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+SHARE_OF_SEARCH = 0.6  # of a seed's time; the polish takes the rest
+EVERY = 30.0  # s between two lines in a pipe
+
+
+def now_and_then(
+    every: float = EVERY, clock: Callable[[], float] = time.monotonic
+) -> Callable[..., None]:
+    """Print `text`, the fraction done and an ETA to standard error: at once, then every so many
+    seconds, and when all is done. NaN stands for a fraction that is not known."""
+    began, due = clock(), [-math.inf]
+
+    def report(text: str, done: float = math.nan) -> None:
+        now = clock()
+        if now >= due[0] or done >= 1:
+            due[0] = now + every
+            print(text + _eta(now - began, done), file=sys.stderr, flush=True)
+
+    return report
+
+
+def _eta(elapsed: float, done: float) -> str:
+    if math.isnan(done):
+        return ""
+    left = f", {_clock(elapsed * (1 - done) / done)} left" if 0 < done < 1 else ""
+    return f": {100 * done:.0f} %, {_clock(elapsed)} elapsed{left}"
+
+
+def _clock(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
+
+
+@contextmanager
+def search_progress() -> Iterator[Callable[[int, str, float, float], None]]:
+    """Progress of a search: seed, stage, fraction of the stage done, best cost so far."""
+    if not sys.stderr.isatty():
+        lines = now_and_then()
+        yield lambda seed, stage, share, best: lines(
+            f"seed {seed} {stage}, cost {best:.2f}", _of_seed(stage, share)
+        )
+        return
+    who = "seed {task.fields[seed]} {task.fields[stage]:>6}"
+    with _bars(who, "cost {task.fields[best]:8.2f}") as bars:
+        tasks: dict[int, Any] = {}
+
+        def report(seed: int, stage: str, share: float, best: float) -> None:
+            if seed not in tasks:
+                tasks[seed] = bars.add_task("", total=1.0, seed=seed, stage=stage, best=best)
+            done = _of_seed(stage, share)
+            bars.update(tasks[seed], completed=done, stage=stage, best=best)
+
+        yield report
+
+
+def _of_seed(stage: str, share: float) -> float:
+    """Fraction of a seed's time after this share of a stage."""
+    first = stage == "search"
+    return SHARE_OF_SEARCH * share if first else SHARE_OF_SEARCH + (1 - SHARE_OF_SEARCH) * share
+
+
+@contextmanager
+def counting() -> Iterator[Callable[[str, int, int], None]]:
+    """Progress over counted things: the part at hand, how many are done, of how many."""
+    if not sys.stderr.isatty():
+        lines = now_and_then()
+        yield lambda name, done, total: lines(f"{name} {done}/{total}", done / max(total, 1))
+        return
+    with _bars("{task.description:<28}", "{task.completed}/{task.total}") as bars:
+        bar = bars.add_task("")
+        yield lambda name, done, total: bars.update(
+            bar, description=name, completed=done, total=total
+        )
+
+
+def _bars(before: str, after: str) -> Any:
+    """Bars with a text on either side, elapsed time and ETA, on standard error."""
+    from rich import progress
+    from rich.console import Console
+
+    columns = [
+        progress.TextColumn(before),
+        progress.BarColumn(),
+        progress.TextColumn(after),
+        progress.TimeElapsedColumn(),
+        progress.TextColumn("left"),
+        progress.TimeRemainingColumn(),
+    ]
+    return progress.Progress(*columns, console=Console(stderr=True))
+
+
+@contextmanager
+def training() -> Iterator[Callable[[dict[str, Any]], None]]:
+    """A table that follows a training on a terminal; in a pipe a line now and then."""
+    if not sys.stdout.isatty():
+        lines = now_and_then()
+        yield lambda row: lines(", ".join(f"{n} {v}" for n, v in _cells(row).items()), math.nan)
+        return
+    from rich.live import Live
+
+    with Live(refresh_per_second=2) as live:
+        yield lambda row: live.update(_course(row))
+
+
+def _course(row: dict[str, Any]) -> Any:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title="training", title_justify="left", show_header=False)
+    for name, value in _cells(row).items():
+        table.add_row(name, Text(value))
+    return table
+
+
+def _cells(row: dict[str, Any]) -> dict[str, str]:
+    eta = row["promotion_in"]
+    return {
+        "time": f"{row['seconds'] / 60:.1f} min",
+        "stage": f"{row['stage']} {row['name']}",
+        "success": f"{100 * row['success']:.0f} %",
+        "promotion in": "-" if eta is None else f"{eta / 60:.1f} min",
+        "episode": f"{row['episode_seconds']:.1f} s",
+        "reward": " ".join(f"{name} {row[name]:.0f}" for name in ("distance", "effort", "bonus")),
+        "control steps": f"{row['control_steps']:,} ({row['steps_per_s']:.0f}/s)",
+        "updates": f"{row['updates']:,} ({row['updates_per_s']:.0f}/s)",
+        "fish lost": str(row["lost"]),
+    }

@@ -1,0 +1,257 @@
+"""The verbs in the order of the journey: where each is, what it does, an example."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Verb:
+    """`name` as typed, `place` as `module:function` in this room, the first sentence of its help,
+    an example of its words."""
+
+    name: str
+    place: str
+    sentence: str
+    example: str
+
+
+PANELS = {
+    "Describe a fish": (
+        Verb(
+            "new-fish",
+            "describe:new_fish",
+            "Write a commented fish to start from.",
+            "my-fish.toml",
+        ),
+        Verb(
+            "show",
+            "describe:show",
+            "Print what a fish compiles to and render a picture.",
+            "my-fish.toml --picture fish.png",
+        ),
+    ),
+    "Measure it": (
+        Verb(
+            "protocol",
+            "measure:protocol",
+            "Write the commands that the test bench plays.",
+            "tail --fish my-fish.toml --out commands",
+        ),
+        Verb(
+            "record",
+            "measure:record",
+            "Play a protocol in the virtual pool and record it as a lab would.",
+            "fluid --fish pulley-fish --out pool-data",
+        ),
+        Verb(
+            "import fishsim",
+            "measure:import_fishsim",
+            "Convert marker tracks in pixels to a recording in metres.",
+            "markers.csv --out swim.csv",
+        ),
+        Verb(
+            "import xl330",
+            "measure:import_xl330",
+            "Convert a servo's pendulum log to a recording.",
+            "pendulum.json --out pendulum.csv",
+        ),
+    ),
+    "Identify it": (
+        Verb(
+            "identify tail",
+            "identify:identify_tail",
+            "Fit the tail's stiffness and damping to driven sweeps with shaft torque.",
+            "sweep.csv --fish my-fish.toml --static pull.csv --out tail.toml",
+        ),
+        Verb(
+            "identify servo",
+            "identify:identify_servo",
+            "Fit the servo to recorded commands and encoder angles.",
+            "--fish tail.toml --fit chirp.csv steps.csv --validate mixed.csv --out servo.toml",
+        ),
+        Verb(
+            "identify fluid",
+            "identify:identify_fluid",
+            "Fit the fluid coefficients to recorded swims.",
+            "--fish servo.toml --fit swim1.csv swim2.csv --validate swim3.csv --out mine.toml",
+        ),
+        Verb(
+            "identify all",
+            "identify:identify_all",
+            "Fit tail, servo and fluid to the recordings of one folder.",
+            "--fish pulley-fish --from pool-data --out mine.toml",
+        ),
+        Verb(
+            "predict",
+            "identify:predict",
+            "Predict recorded swims with the twin and compare with what was measured.",
+            "swim.csv --fish mine.toml",
+        ),
+        Verb(
+            "coverage",
+            "identify:coverage",
+            "Check whether an identification's recordings cover a policy's swims.",
+            "swim.csv --against swim1.csv swim2.csv --fish mine.toml",
+        ),
+    ),
+    "Learn": (
+        Verb(
+            "train",
+            "learn:train",
+            "Train a policy through the stages of a recipe.",
+            "--fish mine.toml --actions generator --out runs/mine",
+        ),
+        Verb(
+            "policy show",
+            "learn:show",
+            "Print a policy's contract.",
+            "runs/mine/policy.onnx",
+        ),
+        Verb(
+            "policy diff",
+            "learn:diff",
+            "List the fields in which two policies' contracts differ.",
+            "runs/mine/policy.onnx pulley-fish-pool-generator",
+        ),
+        Verb(
+            "policy try",
+            "learn:try_",
+            "Swim a policy to seeded targets in its twin or in the virtual pool.",
+            "runs/mine/policy.onnx --fish mine.toml --targets 200",
+        ),
+    ),
+    "Evaluate": (
+        Verb(
+            "evaluate",
+            "evaluate:evaluate",
+            "Evaluate a policy in the virtual pool: targets, disturbances, tracks, other fish.",
+            "runs/mine/policy.onnx --fish pulley-fish --twin mine.toml --out runs/evaluation",
+        ),
+        Verb(
+            "compare",
+            "evaluate:compare",
+            "Compare policies in their twins and in the pool with parts of its physics off.",
+            "runs/a/policy.onnx runs/b/policy.onnx --twin mine.toml --out runs/comparison",
+        ),
+        Verb(
+            "speed-map",
+            "identify:speed_map",
+            "Compare the speeds of twin and virtual pool over frequency and stroke.",
+            "--fish mine.toml --out speeds.png",
+        ),
+        Verb(
+            "report",
+            "evaluate:report",
+            "Write one page of a folder's numbers and figures, the paper's beside them.",
+            "runs/evaluation",
+        ),
+    ),
+    "Swim": (
+        Verb(
+            "swim",
+            "swim:swim",
+            "Swim to targets in the virtual pool, in real time.",
+            "--headless --targets 8",
+        ),
+        Verb(
+            "drive",
+            "swim:drive",
+            "Drive the fish fifty times a second: arm, swim, turn torque off.",
+            "pulley-fish-pool-generator --emulated --log swim.mcap --seconds 30",
+        ),
+        Verb(
+            "station",
+            "swim:station",
+            "Run the poolside station: find the fish, send its pose, show the operator page.",
+            "--robot 192.168.4.2:5151 --listen 192.168.4.1:5150 --key fish.key",
+        ),
+        Verb(
+            "tags",
+            "camera:tags",
+            "Write the sheets to print: fish tag, target tag and calibration board, at true size.",
+            "--out tags.pdf",
+        ),
+        Verb(
+            "calibrate",
+            "camera:calibrate",
+            "Find the camera's lens and its place over the pool.",
+            "--views views --survey survey.csv --picture pool.png --out camera.json",
+        ),
+        Verb(
+            "track",
+            "camera:track",
+            "Print the poses of fish and target from a camera, live.",
+            "--camera /dev/video0 --calibration camera.json",
+        ),
+    ),
+    "Check": (
+        Verb(
+            "doctor",
+            "check:doctor",
+            "List what keeps the fish from moving and what to do about it; nothing is moved.",
+            "--servo /dev/ttyUSB0 --imu /dev/ttyAMA0",
+        ),
+        Verb(
+            "faults",
+            "check:faults",
+            "Break what can break on emulated devices and time the way to safety.",
+            "--only 'voltage sags' --table faults.md",
+        ),
+        Verb(
+            "latency",
+            "check:latency",
+            "Measure how punctual the loop is on this machine.",
+            "--minutes 10",
+        ),
+        Verb(
+            "torque-off",
+            "check:torque_off",
+            "Turn the servo's torque off.",
+            "--servo /dev/ttyUSB0",
+        ),
+        Verb(
+            "unit",
+            "check:unit",
+            "Write a systemd unit that runs `tailbeat drive`, disarmed until ordered.",
+            "policy.onnx --out fish.service --servo /dev/ttyUSB0 --imu /dev/ttyAMA0"
+            " --listen 192.168.4.2:5151 --station 192.168.4.1:5150 --key fish.key"
+            " --logs /var/log/fish",
+        ),
+        Verb(
+            "key",
+            "swim:key",
+            "Write the key that station and fish share.",
+            "fish.key",
+        ),
+        Verb(
+            "export",
+            "swim:export",
+            "Convert a drive's log to a recording that identification reads.",
+            "swim.mcap --out swim.csv",
+        ),
+    ),
+    "Develop": (
+        Verb(
+            "emulate",
+            "swim:emulate",
+            "Emulate servo, IMU and camera of a fish in real time.",
+            "--fish pulley-fish --key fish.key --robot 127.0.0.1:5151",
+        ),
+        Verb(
+            "camera",
+            "camera:camera",
+            "Emulate a camera above the pool: frames at a socket, or pictures to calibrate with.",
+            "--socket camera.sock",
+        ),
+        Verb(
+            "benchmark",
+            "evaluate:benchmark",
+            "Measure speed and accuracy on this machine.",
+            "--no-env",
+        ),
+    ),
+}
+HEADS = {
+    "import": "Convert other people's files to recordings.",
+    "identify": "Fit a fish's parameters to recordings.",
+    "policy": "Inspect, compare and try policies.",
+}
