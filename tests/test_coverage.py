@@ -9,8 +9,8 @@ import pytest
 
 from support import complaint, tailbeat
 from synthetic import clock_of, filmed, record
-from tailbeat.evaluate import runs as store
-from tailbeat.evaluate.runs import Runs
+from tailbeat.evaluate import store
+from tailbeat.evaluate.runs import Runs, as_recordings
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.coverage import BANDS, Coverage, Quantity, coverage
@@ -163,7 +163,7 @@ def as_runs(swims: list[Recording]) -> Runs:
 
 
 def test_swims_of_an_evaluation_become_recordings(protocol):
-    kept = store.as_recordings(as_runs(protocol[:3]), "reach.000")
+    kept = as_recordings(as_runs(protocol[:3]), "reach.000")
     assert [one.name for one in kept] == ["reach.000 swim 1", "reach.000 swim 2"]
     assert kept[1].time[-1] == pytest.approx(3.0) and kept[1].time.size == 151
     angle = np.interp(kept[0].time, protocol[0].time, protocol[0].columns["motor_angle_rad"])

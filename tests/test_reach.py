@@ -12,7 +12,8 @@ from tailbeat.env.curriculum import Stage, settings_of
 from tailbeat.env.task import Scene
 from tailbeat.env.world import seeds_from
 from tailbeat.evaluate import trial
-from tailbeat.evaluate.reach import by_sector, in_pool, in_twin, reach, wilson
+from tailbeat.evaluate.rates import wilson
+from tailbeat.evaluate.reach import by_sector, in_pool, in_twin, reach
 from tailbeat.evaluate.runs import surge
 from tailbeat.evaluate.spectrum import windows
 from tailbeat.fish.store import digest, load_fish, with_servo
@@ -34,12 +35,12 @@ def test_sectors_take_both_sides_and_every_target_once():
     reached = np.array([True, False, True, True, False, True])
     seconds = np.array([8.0, 30.0, 4.0, 5.0, 30.0, 6.0])
     rows = by_sector(bearing, reached, np.where(reached, 0.04, 0.1), seconds)
-    assert {row["bearing [deg]"]: row["targets"] for row in rows} == {
-        "0-30": 2, "30-60": 1, "90-120": 1, "150-180": 2,
+    assert {(row.low, row.high): row.targets for row in rows} == {
+        (0, 30): 2, (30, 60): 1, (90, 120): 1, (150, 180): 2,
     }  # fmt: skip
-    assert rows[-1]["within_5cm"] == 0.5 and rows[-1]["within_20cm"] == 1.0
-    assert rows[0]["p90_s"] == 5.0  # of 4 and 5 s
-    assert rows[-1]["p90_s"] is None  # one of two never came
+    assert rows[-1].within_5cm == 0.5 and rows[-1].within_20cm == 1.0
+    assert rows[0].p90_s == 5.0  # of 4 and 5 s
+    assert rows[-1].p90_s is None  # one of two never came
 
 
 @pytest.mark.parametrize("name", POLICIES)
@@ -58,8 +59,8 @@ def test_the_shipped_generator_reaches_its_targets_in_twin_and_pool():
     settings = settings_of(FRONT, policy.contract.actions)
     twin = reach(policy, in_twin(TWIN, settings), 40, seed=3)
     pool = reach(policy, in_pool(FISH, settings, ensemble(8, 1)), 40, seed=3)
-    assert twin["within_5cm"] > 0.9, twin
-    assert pool["within_5cm"] > 0.9, pool
+    assert twin.within_5cm > 0.9, twin
+    assert pool.within_5cm > 0.9, pool
 
 
 def test_the_shipped_generator_does_not_back_off_in_the_twin():
@@ -71,8 +72,8 @@ def test_the_shipped_generator_does_not_back_off_in_the_twin():
     target = distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     start = np.zeros((count, 3))
     scene = Scene(start, start, target[:, None], np.full(count, np.inf))
-    arm = trial.Arm("twin", TWIN, scene, policy.contract.actions, None)
-    runs = trial.swim(lambda seen: decide(policy, seen), arm, seeds_from(5, count))
+    condition = trial.Condition("twin", TWIN, scene, policy.contract.actions, None)
+    runs = trial.swim(lambda seen: decide(policy, seen), condition, seeds_from(5, count))
     speed = surge(runs)
     pieces = {way: len(list(windows(runs, speed, way))) for way in (1, -1)}
     assert pieces[1] > 50 and pieces[-1] <= 0.02 * pieces[1], pieces

@@ -1,6 +1,7 @@
 """Trials in the pool: what is drawn, what is measured, what survives a stop, what is refused."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -9,16 +10,30 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tailbeat.cli.evaluate import _share, _walls
 from tailbeat.control.actions import PERIOD, Generator
 from tailbeat.control.policy import load_policy
 from tailbeat.env import randomize
 from tailbeat.env.sensors import quiet
 from tailbeat.env.task import Scene
-from tailbeat.evaluate import compare, disturb, evaluation, reach, scenes, spectrum, track
-from tailbeat.evaluate import runs as store
+from tailbeat.evaluate import (
+    compare,
+    comparison,
+    disturb,
+    evaluation,
+    out_of_distribution,
+    rates,
+    reach,
+    scenes,
+    spectrum,
+    store,
+    track,
+)  # fmt: skip
+from tailbeat.evaluate.compare import ComparisonConfig
+from tailbeat.evaluate.evaluation import Evaluation, EvaluationConfig
 from tailbeat.evaluate.runs import Runs, surge
-from tailbeat.evaluate.trial import Arm, Pool, swim, swim_all
-from tailbeat.files import BadInput
+from tailbeat.evaluate.trial import Condition, Pool, swim, swim_all
+from tailbeat.files import BadInput, plain
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.link.places import LENGTH, WIDTH
@@ -102,15 +117,15 @@ def test_a_follower_starts_behind_its_target_and_faces_along_the_way():
 # ---- what is swum -------------------------------------------------------------------------------
 
 
-def quiet_arm(scene: Scene, **changed: Any) -> Arm:
+def quiet_condition(scene: Scene, **changed: Any) -> Condition:
     """Two seconds without noise that end for nothing."""
     rest = {"sensors": quiet(), "physics": randomize.none(), "seconds": 2.0, "stop": False}
-    return pool().arm("test", scene, **{**rest, **changed})
+    return pool().condition("test", scene, **{**rest, **changed})
 
 
 def test_a_swim_is_the_same_whichever_way_the_fish_faced_at_the_start():
     scene = scenes.grid(FISH, 3, 0, 0.5, 2.5, np.pi)
-    swum = swim(beat, quiet_arm(scene), [1, 2, 3])
+    swum = swim(beat, quiet_condition(scene), [1, 2, 3])
     start = swum.pose[:, :1]
     offset = swum.pose[..., :2] - start[..., :2]
     c, s = np.cos(start[..., 2]), np.sin(start[..., 2])
@@ -124,21 +139,21 @@ def test_a_swim_is_the_same_whichever_way_the_fish_faced_at_the_start():
 def test_a_fish_released_backward_goes_backward_first():
     calm = scenes.grid(FISH, 2, 0, 0.5, 2.5, 1.0)
     back = disturb._released(calm, -0.2, 0.0)
-    still, moved = (surge(swim(beat, quiet_arm(one), [1, 2]), 0.1) for one in (calm, back))
+    still, moved = (surge(swim(beat, quiet_condition(one), [1, 2]), 0.1) for one in (calm, back))
     assert (moved[:, 5] < -0.05).all() and (still[:, 5] > -0.05).all()
 
 
 def test_in_the_twin_a_swim_has_no_pool_s_energy_and_ends_when_told():
     scene = scenes.grid(FISH, 2, 0, 0.5, 2.5, 1.0)
     near = replace(scene, target=tracked_pose(FISH, scene.start)[:, None, :2] + 0.01)
-    arm = replace(pool().in_twin("t", near), sensors=quiet(), physics=randomize.none())
-    swum = swim(beat, arm, [1, 2])
+    condition = replace(pool().in_twin("t", near), sensors=quiet(), physics=randomize.none())
+    swum = swim(beat, condition, [1, 2])
     assert swum.reached.all() and (swum.steps == 1).all() and np.isnan(swum.energy).all()
 
 
 def test_a_trial_cut_short_is_taken_up_and_gives_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr("tailbeat.evaluate.trial.CHUNK", 2)
-    arm = replace(quiet_arm(scenes.grid(FISH, 4, 0, 0.5, 2.5, 1.0)), seconds=0.4)
+    condition = replace(quiet_condition(scenes.grid(FISH, 4, 0, 0.5, 2.5, 1.0)), seconds=0.4)
     said: list[Any] = []
 
     def stop_after_one(*progress: Any) -> None:
@@ -147,11 +162,11 @@ def test_a_trial_cut_short_is_taken_up_and_gives_the_same(tmp_path, monkeypatch)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        swim_all(beat, [arm], tmp_path / "a", 0, stop_after_one)
+        swim_all(beat, [condition], tmp_path / "a", 0, stop_after_one)
     half, short = store.load(tmp_path / "a", "test", 2)
     assert half.count == 2 and short
-    swim_all(beat, [arm], tmp_path / "a", 0, stop_after_one)
-    swim_all(beat, [arm], tmp_path / "b", 0, lambda *_: None)
+    swim_all(beat, [condition], tmp_path / "a", 0, stop_after_one)
+    swim_all(beat, [condition], tmp_path / "b", 0, lambda *_: None)
     whole, short = store.load(tmp_path / "a", "test", 2)
     assert not short and said[-1] == ("test", 4, 4)
     for name, values in vars(store.load(tmp_path / "b", "test", 2)[0]).items():
@@ -170,19 +185,19 @@ def test_shares_count_arrivals_and_near_passes_and_the_trained_range_is_its_own(
     )
     hit = np.array([True, False, True, False])
     found = reach.numbers(runs(ways, np.repeat(target, 11, axis=1), reached=hit))
-    assert found["within_5cm"] == 0.5 and found["within_20cm"] == 0.75
-    assert found["trained range"]["within_5cm"] == 0.5
-    assert found["median_path_ratio"] == pytest.approx(1.0)
-    assert {row["bearing [deg]"] for row in found["sectors"]} >= {"0-30", "90-120"}
+    assert found.within_5cm == 0.5 and found.within_20cm == 0.75
+    assert found.trained_range is not None and found.trained_range.within_5cm == 0.5
+    assert found.median_path_ratio == pytest.approx(1.0)
+    assert {(row.low, row.high) for row in found.sectors} >= {(0, 30), (90, 120)}
 
 
 def test_a_paired_difference_has_the_interval_of_the_pairs_that_differ():
     """By hand: of 50 pairs 12 and 2 differ, so 0.20 +- 1.96 sqrt(14 - 50 * 0.2^2) / 50."""
     first = np.array([True] * 12 + [False] * 2 + [True] * 36)
     second = np.array([False] * 12 + [True] * 2 + [True] * 36)
-    found = reach.paired(second, first)
-    assert found["difference"] == pytest.approx(0.20)
-    assert found["interval"] == pytest.approx([0.0642, 0.3358], abs=1e-3)
+    found = rates.paired(second, first)
+    assert found.difference == pytest.approx(0.20)
+    assert found.interval == pytest.approx([0.0642, 0.3358], abs=1e-3)
 
 
 def test_a_fish_on_its_target_s_heels_crosses_twice_and_one_that_circles_does_not():
@@ -194,19 +209,21 @@ def test_a_fish_on_its_target_s_heels_crosses_twice_and_one_that_circles_does_no
     ways = [np.column_stack([one, np.zeros(len(one))]) for one in (behind, away)]
     found = runs(np.array(ways), np.array([target, target]))
     assert track.crossings(found).tolist() == [2, 0]
-    row = track._row("eight 73 s", found.part(slice(0, 1)), "eight")
-    assert row["two_crossings"] == 1 and row["kept"] == 1
-    assert row["median_distance"] == pytest.approx(0.8 * row["target_speed"], rel=0.05)
-    assert row["aside_rms"] < 0.02
+    row = track._result("eight 73 s", found.part(slice(0, 1)), "eight")
+    assert row.two_crossings == 1 and row.kept == 1
+    assert row.median_distance == pytest.approx(0.8 * row.target_speed, rel=0.05)
+    assert row.aside_rms < 0.02
 
 
 def test_a_led_target_waits_for_its_fish_and_a_timed_one_does_not():
     away = []
     for lead in (0.7, np.inf):
         scene = scenes.follow(TWIN, scenes.circle, 10.0, 3.0, 2, lead)
-        arm = Arm("a", TWIN, scene, SPACE, None, sensors=quiet(), physics=randomize.none(),
-                  seconds=3.0, stop=False)  # fmt: skip
-        away.append(swim(rest, arm, [1, 2]).distance)
+        condition = Condition(
+            "a", TWIN, scene, SPACE, None, sensors=quiet(), physics=randomize.none(), seconds=3.0,
+            stop=False,
+        )  # fmt: skip
+        away.append(swim(rest, condition, [1, 2]).distance)
     assert away[0][:, 0] == pytest.approx(scenes.BEHIND, abs=0.01)
     assert ((away[0][:, -1] > 0.7) & (away[0][:, -1] < 0.72)).all()
     assert (away[1][:, -1] > 1.2).all()
@@ -218,7 +235,7 @@ def test_velocity_power_of_a_known_beat_falls_on_its_side_of_the_edge():
     pose = np.zeros((2, 501, 3))
     pose[0, :, 0], pose[1, :, 0] = 0.1 * time, -0.1 * time
     swum = runs(pose, np.ones((2, 501, 2)), motor=motor)
-    rows = {row["gait"]: row for row in spectrum.numbers({"made": swum}, (3.0, 4.0))}
+    rows = {row.gait: vars(row) for row in spectrum.numbers({"made": swum}, (3.0, 4.0))}
     assert rows["forward"]["share_below"] > 0.98 and rows["reversing"]["share_below"] < 0.02
     # the same angle at three times the rate has nine times the velocity power
     assert rows["all"]["share_below"] == pytest.approx(0.1, abs=0.01)
@@ -228,74 +245,126 @@ def test_velocity_power_of_a_known_beat_falls_on_its_side_of_the_edge():
         parts = [row[f"share_{name}"] for name in ("below_floor", "inside", "above")]
         assert sum(parts) == pytest.approx(1.0)
         assert parts[0] + parts[1] == pytest.approx(row["share_below"])
-    short = {row["gait"]: row for row in spectrum.numbers({"made": swum}, (1.0, 4.0))}
+    short = {row.gait: vars(row) for row in spectrum.numbers({"made": swum}, (1.0, 4.0))}
     assert short["forward"]["share_below_floor"] is None  # in 2 s 1 Hz beats twice
     assert short["forward"]["share_above"] < 0.02 and short["all"]["share_below_floor"] < 0.02
-    assert rows["all"] == {k: spectrum.complete(rows["all"])[k] for k in rows["all"]}
-    assert spectrum.complete({"runs": "old", "share_below": 0.9})["share_above"] is None
 
 
 def test_a_gait_swum_in_the_twin_is_replayed_at_its_own_speed():
     scene = scenes.still(np.zeros((2, 3)), np.full((2, 2), 3.0))
-    arm = Arm(
+    condition = Condition(
         "twin", TWIN, scene, SPACE, None, sensors=quiet(), physics=randomize.none(), seconds=4.0
     )
-    swum = swim(beat, arm, [1, 2])
+    swum = swim(beat, condition, [1, 2])
     assert compare.replayed(swum, TWIN) == pytest.approx(compare.path_speed(swum.pose), rel=0.02)
 
 
 # ---- the verbs ----------------------------------------------------------------------------------
 
 
-def tried(fish: str, pool: str, tasks: list[str], episodes: int, out: Path) -> dict[str, Any]:
+def tried(fish: str, water: str, tasks: tuple[str, ...], episodes: int, out: Path) -> Evaluation:
     """An evaluation of the shipped policy."""
-    policy = load_policy(POLICY)
-    where = evaluation.pool_of(policy, fish, None, pool, episodes, 0)
-    return evaluation.evaluate(policy, where, tasks, out, lambda *_: None)
+    config = EvaluationConfig(fish, None, water, tasks, episodes)
+    return evaluation.evaluate(load_policy(POLICY), config, out, lambda *_: None)
 
 
 @pytest.fixture(scope="module")
-def evaluated(tmp_path_factory) -> tuple[Path, dict[str, Any]]:
+def evaluated(tmp_path_factory) -> tuple[Path, Evaluation]:
     """A small evaluation of the shipped policy, with its page."""
     out = tmp_path_factory.mktemp("trial") / "shipped"
-    found = tried("pulley-fish", "full", ["reach", "spectrum"], 6, out)
-    of_folder(out, "pulley-fish")
+    found = tried("pulley-fish", "full", ("reach", "spectrum"), 6, out)
+    of_folder(out, "pulley-fish", data=found)
     return out, found
+
+
+def cells_of(page: str) -> list[list[str]]:
+    """The rows of a page's tables."""
+    rows = re.findall(r"<tr>(.*?)</tr>", page, re.S)
+    return [re.findall(r"<t[hd]>(.*?)</t[hd]>", row) for row in rows]
 
 
 def test_an_evaluation_leaves_numbers_figures_and_one_page(evaluated):
     out, found = evaluated
-    open_water = found["reach"]["reach open"]
-    assert open_water["swims"] == 6 and open_water["within_20cm"] >= 4 / 6
-    assert {row["runs"] for row in found["spectrum"]} >= {"identification", "reach open"}
+    open_water = found.reach["reach open"]
+    assert open_water.swims == 6 and open_water.within_20cm >= 4 / 6
+    assert {row.runs for row in found.spectrum} >= {"identification", "reach open"}
     page = (out / "report.html").read_text()
-    assert "share_below_floor" in page and "band 1 to 4 Hz" in page
-    assert "11 of 22" in page and "data:image/svg+xml;base64," in page
-    assert 'src="' not in page.replace("src='data:", "")  # needs no other file
-    assert json.loads((out / "report.json").read_text())["plan"]["seed"] == 0
+    assert "band 1 to 4 Hz" in page and "data:image/svg+xml;base64," in page
+    assert 'src="' not in page.replace('src="data:', "")  # needs no other file
     for name in ("reach-sectors", "reach-open-map", "reach-open-paths", "power"):
         assert (out / "figures" / f"{name}.svg").stat().st_size > 5000
         assert (out / "figures" / f"{name}.png").stat().st_size > 5000
+
+
+def test_the_page_shows_what_its_json_holds(evaluated):
+    """Read back from both files: success rates of every condition, power, and the paper's rows."""
+    out, found = evaluated
+    held = json.loads((out / "report.json").read_text())
+    assert held == json.loads((out / "evaluation.json").read_text()) == plain(found)
+    assert held["run"]["seed"] == 0 and held["run"] == json.loads((out / "run.json").read_text())
+    rows = cells_of((out / "report.html").read_text())
+    for row in held["reach"].values():
+        shown = [
+            f"{100 * row[f'within_{key}']:.1f} ({100 * low:.1f} … {100 * high:.1f})"
+            for key in ("5cm", "20cm")
+            for low, high in (row[f"interval_{key}"],)
+        ]
+        assert any(cells[:3] == ["6", *shown] for cells in rows), shown
+    for row in held["spectrum"]:
+        below = f"{row['share_below']:.3g}" if row["share_below"] is not None else "-"
+        assert [row["runs"], row["gait"], str(row["pieces"]), below] in [c[:4] for c in rows]
+    paper = {cells[0]: cells[1:] for cells in rows if len(cells) == 3}
+    open_water = held["reach"]["reach open"]["trained_range"]
+    static = paper["static targets within 5 cm"]
+    assert static[0] == "11 of 22 (50 %)" and static[1].startswith(
+        f"{100 * open_water['within_5cm']:.1f} ("
+    )
+    known = next(row for row in held["spectrum"] if row["runs"] == "identification")
+    name = "velocity power below the band&#39;s upper edge: identification runs"
+    assert paper[name] == ["92 %", f"{100 * known['share_below']:.0f} %"]
+
+
+def test_runs_of_an_earlier_version_are_read_and_gone_on_with(evaluated, tmp_path):
+    """They had `plan.json` with `arms`, and called `beyond` what is out of distribution."""
+    out, found = evaluated
+    old, name = tmp_path / "old", out_of_distribution.AS_TRAINED
+    shutil.copytree(out, old)
+    run = json.loads((old / "run.json").read_text())
+    run["arms"] = {
+        one.replace("out of distribution: ", "beyond "): n
+        for one, n in run.pop("conditions").items()
+    }
+    assert "beyond as trained" in run["arms"]
+    (old / "plan.json").write_text(json.dumps(run))
+    (old / "run.json").unlink()
+    shutil.copy(old / "runs" / "reach-open.000.npz", old / "runs" / "beyond-as-trained.000.npz")
+    read = evaluation.read(old)
+    assert read.run == found.run and read.reach == found.reach
+    assert [row.condition for row in read.out_of_distribution] == [name]
+    assert tried("pulley-fish", "full", ("reach",), 6, old).reach == found.reach
+    (old / "plan.json").write_text(json.dumps(run | {"seed": "first"}))
+    with pytest.raises(BadInput, match=r"plan.json: seed: Input should be a valid integer"):
+        evaluation.read(old)
 
 
 def test_a_page_of_runs_cut_short_says_so(evaluated, tmp_path):
     out, _ = evaluated
     copy = tmp_path / "copy"
     shutil.copytree(out, copy)
-    plan = json.loads((copy / "plan.json").read_text())
-    plan["arms"]["reach open"] = 500
-    (copy / "plan.json").write_text(json.dumps(plan))
+    run = json.loads((copy / "run.json").read_text())
+    run["conditions"]["reach open"] = 500
+    (copy / "run.json").write_text(json.dumps(run))
     path, found = of_folder(copy, "pulley-fish")
-    assert found["cut_short"] == ["reach open"]
+    assert isinstance(found, Evaluation) and found.cut_short == ("reach open",)
     assert "Cut short" in path.read_text()
 
 
 def test_a_comparison_pairs_every_policy_with_its_twin_and_is_shared_between_processes(tmp_path):
-    args = ([POLICY], "pulley-fish", None, 3, 0)
-    for share in ("1/2", "2/2"):
-        found = compare.compare(*args, share, tmp_path / "c", lambda *_: None)
-    arms = [row["arm"] for row in found["rows"]]
-    assert sorted(arms) == sorted(
+    config = ComparisonConfig((POLICY,), targets=3)
+    for share in ((0, 2), (1, 2)):
+        found = compare.compare(config, tmp_path / "c", lambda *_: None, share)
+    conditions = [row.condition for row in found.rows]
+    assert sorted(conditions) == sorted(
         [
             "twin",
             "full",
@@ -307,35 +376,57 @@ def test_a_comparison_pairs_every_policy_with_its_twin_and_is_shared_between_pro
             "ensemble",
         ]
     )
-    full = next(row for row in found["rows"] if row["arm"] == "full")
-    assert full["speed"] > 0.05 and full["speed_in_twin"] > 0.05 and full["actuator_watts"] > 0
-    parts = [full[f"share_{name}"] for name in ("below_floor", "inside", "above")]
-    assert sum(parts) == pytest.approx(1.0)
-    assert full["gap_20cm"]["interval"][0] <= full["gap_20cm"]["difference"]
-    assert of_folder(tmp_path / "c", "pulley-fish")[0].is_file()
+    full = next(row for row in found.rows if row.condition == "full")
+    assert full.speed and full.speed > 0.05 and full.speed_in_twin and full.speed_in_twin > 0.05
+    assert full.actuator_watts and full.actuator_watts > 0
+    parts = [full.share_below_floor, full.share_inside, full.share_above]
+    assert sum(part or 0.0 for part in parts) == pytest.approx(1.0)
+    assert full.gap_20cm and full.gap_20cm.interval[0] <= full.gap_20cm.difference
+    path, _ = of_folder(tmp_path / "c", "pulley-fish")
+    kind = next(row for row in found.kinds if row.condition == "full")
+    assert ["generator", "identified", "full", "1"] in [c[:4] for c in cells_of(path.read_text())]
+    assert f"<td>{kind.speed:.3g}</td>" in path.read_text()
+    assert json.loads((tmp_path / "c" / "report.json").read_text()) == plain(found)
+
+
+def test_cells_of_an_earlier_version_are_read(tmp_path):
+    """They said `arm`, and lacked three of the fractions of power."""
+    config = ComparisonConfig((POLICY,), targets=2)
+    found = compare.compare(config, tmp_path, lambda *_: None, (0, 8))
+    (path,) = (tmp_path / "cells").iterdir()
+    held = json.loads(path.read_text())
+    held["arm"] = held.pop("condition")
+    for name in ("share_below_floor", "share_inside", "share_above"):
+        del held[name]
+    path.write_text(json.dumps(held))
+    row, same = comparison.read(tmp_path).rows[0], found.rows[0]
+    assert row == replace(same, share_below_floor=None, share_inside=None, share_above=None)
 
 
 def test_what_does_not_fit_is_refused(evaluated, tmp_path):
     out, _ = evaluated
     with pytest.raises(BadInput, match="fish is not the pool's"):
-        tried("crank-fish", "full", ["reach"], 6, tmp_path / "a")
+        tried("crank-fish", "full", ("reach",), 6, tmp_path / "a")
     with pytest.raises(BadInput, match="episodes was 6, now 7"):
-        tried("pulley-fish", "full", ["reach"], 7, out)
+        tried("pulley-fish", "full", ("reach",), 7, out)
     with pytest.raises(BadInput, match="--pool 'sea': allowed are ensemble"):
-        tried("pulley-fish", "sea", ["reach"], 6, tmp_path / "a")
+        tried("pulley-fish", "sea", ("reach",), 6, tmp_path / "a")
     with pytest.raises(BadInput, match="--tasks dive: allowed are reach"):
-        tried("pulley-fish", "full", ["dive"], 6, tmp_path / "a")
+        tried("pulley-fish", "full", ("dive",), 6, tmp_path / "a")
+    with pytest.raises(BadInput, match="beyond is now called out-of-distribution"):
+        tried("pulley-fish", "full", ("beyond",), 6, tmp_path / "a")
     for size, complaint in (
         ("1x0.7", "no free target"),
         ("3x2", "the eight needs"),
         ("a", "--walls"),
     ):
         with pytest.raises(BadInput, match=complaint):
-            where = evaluation.pool_of(load_policy(POLICY), "pulley-fish", None, "full", 4, 0, size)
-            evaluation.arms_of(where, ["reach", "track"])
+            config = EvaluationConfig(pool="full", episodes=4, walls=_walls(size))
+            where = evaluation.pool_of(load_policy(POLICY), config)
+            evaluation.conditions_of(where, ["reach", "track"])
     with pytest.raises(BadInput, match="empty or missing folder"):
         of_folder(tmp_path / "nothing", "pulley-fish")
     with pytest.raises(BadInput, match="--share '3/2'"):
-        compare.compare([POLICY], "pulley-fish", None, 4, 0, "3/2", tmp_path / "b", lambda *_: None)
+        _share("3/2")
     assert not (tmp_path / "a").exists()
     assert isinstance(SPACE, Generator)

@@ -4,15 +4,18 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import is_dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 # The extra that brings a package, by the name under which it is imported.
 EXTRA_OF = {
-    **dict.fromkeys(("imageio", "matplotlib", "mujoco", "numba", "polars", "scipy"), "sim"),
+    **dict.fromkeys(
+        ("imageio", "jinja2", "matplotlib", "mujoco", "numba", "polars", "scipy"), "sim"
+    ),
     "cma": "identify",
     **dict.fromkeys(("gymnasium", "onnx", "psutil", "stable_baselines3"), "train"),
     **dict.fromkeys(("tensorboard", "torch"), "train"),
@@ -69,14 +72,18 @@ def _beside(target: Path) -> Path:
 
 
 def write_json(path: str | Path, data: Any, overwrite: bool = False) -> None:
-    """Write `data` as JSON; numpy values become lists and numbers, non-finite numbers null."""
+    """Write `data` as JSON; records become mappings, numpy values lists and
+    numbers, non-finite numbers null."""
     with new_file(path, overwrite) as beside:
         beside.write_text(json.dumps(plain(data), indent=2) + "\n", encoding="utf-8")
 
 
 def plain(value: Any) -> Any:
-    """What JSON can hold: lists for arrays and tuples, None for numbers that are not finite."""
-    if isinstance(value, dict):
+    """What JSON can hold: mappings for records, lists for arrays and tuples, None for numbers that
+    are not finite."""
+    if is_dataclass(value):
+        value = vars(value)
+    if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]

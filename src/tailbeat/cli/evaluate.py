@@ -1,14 +1,18 @@
 """Evaluate and compare policies, write the page, measure speed."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tailbeat.cli import output, progress, results
 from tailbeat.cli.options import JsonOption, PolicyFile, PoolFish, SeedOption, TwinOption
 from tailbeat.evaluate.names import NAMES
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import BadInput, refuse_existing, write_json
+
+if TYPE_CHECKING:
+    from tailbeat.evaluate.comparison import Comparison
+    from tailbeat.evaluate.evaluation import Evaluation
 
 
 def evaluate(
@@ -22,26 +26,44 @@ def evaluate(
     task: Annotated[
         list[str] | None, typer.Option("--tasks", help=f"Of {', '.join(NAMES)}; default: all.")
     ] = None,
-    episodes: Annotated[int, typer.Option(help="Swims in each arm of a task.")] = 250,
+    episodes: Annotated[int, typer.Option(help="Swims under each condition of a task.")] = 250,
     walls: Annotated[
         str, typer.Option(help="Of the walled trials, length x width [m].")
     ] = "5.5x2.7",
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Evaluate a policy in the virtual pool: targets, disturbances, tracks, other fish. The same
-    command resumes an interrupted evaluation."""
+    """Evaluate a policy in the virtual pool: targets, disturbances, tracks, out of
+    distribution. The same command resumes an interrupted evaluation."""
     if json is not None:
         refuse_existing(json)
     from tailbeat.control.policy import load_policy
-    from tailbeat.evaluate import evaluation
+    from tailbeat.evaluate.evaluation import EvaluationConfig
+    from tailbeat.evaluate.evaluation import evaluate as swim_all
 
+    tasks = tuple(task or NAMES)
+    config = EvaluationConfig(fish, twin, pool, tasks, episodes, _walls(walls), seed)
     with progress.counting() as count:
-        loaded = load_policy(policy)
-        where = evaluation.pool_of(loaded, fish, twin, pool, episodes, seed, walls)
-        done = evaluation.evaluate(loaded, where, task or list(NAMES), out, count)
+        done = swim_all(load_policy(policy), config, out, count)
     results.evaluated(done)
     _page(out, fish, twin, done, json)
+
+
+def _walls(text: str) -> tuple[float, float]:
+    """`length x width` in metres."""
+    try:
+        length, width = map(float, text.split("x"))
+    except ValueError:
+        raise BadInput(f"--walls {text!r}: give length x width in metres, as 5.5x2.7.") from None
+    return length, width
+
+
+def _share(text: str) -> tuple[int, int]:
+    """`i/n` as an index from 0 and a count."""
+    first, _, count = text.partition("/")
+    if not (first.isdigit() and count.isdigit() and 1 <= int(first) <= int(count)):
+        raise BadInput(f"--share {text!r}: give i/n, from 1/n to n/n, one process each.")
+    return int(first) - 1, int(count)
 
 
 def compare(
@@ -60,10 +82,12 @@ def compare(
     command resumes an interrupted comparison."""
     if json is not None:
         refuse_existing(json)
-    from tailbeat.evaluate import compare as comparison
+    from tailbeat.evaluate.compare import ComparisonConfig
+    from tailbeat.evaluate.compare import compare as swim_cells
 
+    config, mine = ComparisonConfig(tuple(policies), fish, twin, targets, seed), _share(share)
     with progress.counting() as count:
-        done = comparison.compare(policies, fish, twin, targets, seed, share, out, count)
+        done = swim_cells(config, out, count, mine)
     results.compared(done)
     _page(out, fish, twin, done, json)
 
@@ -85,7 +109,9 @@ def report(
         write_json(json, data)
 
 
-def _page(out: Path, fish: str, twin: str | None, done: dict[str, Any], json: Path | None) -> None:
+def _page(
+    out: Path, fish: str, twin: str | None, done: "Evaluation | Comparison", json: Path | None
+) -> None:
     """The page of numbers just made, and the numbers where they are asked for."""
     from tailbeat.report.page import of_folder
 

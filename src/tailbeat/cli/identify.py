@@ -8,6 +8,7 @@ import typer
 from tailbeat.cli import output, progress, results
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
 from tailbeat.files import refuse_existing, write_json
+from tailbeat.report.tables import as_rows
 
 OutFish = Annotated[Path, typer.Option("--out", help="The identified fish to write.")]
 AddedOption = Annotated[
@@ -210,4 +211,4 @@ def speed_map(
     figures.speed_map(report, out)
     if json is not None:
         write_json(json, report)
-    output.tables({f"speed [m/s], water {report['water']}": report["rows"]})
+    output.tables({f"speed [m/s], water {report.water}": as_rows(report.rows)})

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from tailbeat.report.tables import as_cell
+
 Row = dict[str, Any]  # a cell by its column's name
 PROSE = 24  # characters at which a column of text may wrap; a number never wraps
 
@@ -33,17 +35,6 @@ def least_width(rows: list[Row], name: str) -> int:
 def is_numeric(rows: list[Row], name: str) -> bool:
     """Whether a column holds numbers alone."""
     return all(isinstance(row.get(name), int | float | None) for row in rows)
-
-
-def as_cell(value: Any) -> str:
-    """A value as its cell shows it: four digits, `-` for none, `a … b` for an interval."""
-    if value is None:
-        return "-"
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, list | tuple):
-        return " … ".join(as_cell(item) for item in value)
-    return str(value)
 
 
 def _turned(rows: list[Row]) -> list[Row]:

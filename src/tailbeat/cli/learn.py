@@ -10,6 +10,7 @@ from tailbeat.cli import output, progress, results
 from tailbeat.cli.extras import need_training
 from tailbeat.cli.options import FishOption, JsonOption, PolicyFile, SeedOption
 from tailbeat.files import refuse_existing, write_json
+from tailbeat.report.tables import as_rows
 
 
 def train(
@@ -98,11 +99,16 @@ def try_(
     if json is not None:
         refuse_existing(json)
     need_training()
-    from tailbeat.evaluate.reach import try_policy
+    from tailbeat.evaluate.reach import TrialConfig, try_policy
 
-    done = try_policy(file, fish, arc, targets, seed, exact, pools)
+    done = try_policy(file, fish, TrialConfig(arc, targets, seed, exact, pools))
     where = "in the virtual pool" if pools else "in the twin"
-    output.tables({f"{where}, by bearing": done["sectors"]})
-    output.tables({where: [{k: v for k, v in done.items() if k != "sectors"}]})
+    sectors = [
+        {"bearing [deg]": f"{row.low:g}-{row.high:g}", **one}
+        for row, one in zip(done.sectors, as_rows(done.sectors, "low", "high"), strict=True)
+    ]
+    asked = {"policy": file, "arc_deg": arc, "pools": pools}
+    output.tables({f"{where}, by bearing": sectors})
+    output.tables({where: [asked | row for row in as_rows([done], "sectors")]})
     if json is not None:
-        write_json(json, done)
+        write_json(json, asked | vars(done))

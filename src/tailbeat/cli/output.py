@@ -4,7 +4,8 @@ import sys
 from shutil import get_terminal_size
 from typing import Any
 
-from tailbeat.cli.layout import Row, as_cell, fitted, is_numeric, least_width
+from tailbeat.cli.layout import Row, fitted, is_numeric, least_width
+from tailbeat.report.tables import as_cell
 
 PIPE_WIDTH = 140  # characters; a pipe has no width: wide enough for most tables
 

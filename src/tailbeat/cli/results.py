@@ -1,9 +1,16 @@
 """What the terminal shows of each result: its tables and its sentences."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tailbeat.cli.output import say, tables
 from tailbeat.files import leaves
+from tailbeat.report.tables import as_rows, percent
+
+if TYPE_CHECKING:
+    from tailbeat.evaluate.comparison import Comparison
+    from tailbeat.evaluate.evaluation import Evaluation
+    from tailbeat.evaluate.rates import ConditionResult
+    from tailbeat.evaluate.reach import ReachResult
 
 
 def tail(report: dict[str, Any]) -> None:
@@ -215,36 +222,34 @@ def differences(rows: list[dict[str, Any]]) -> None:
         say("the contracts are equal")
 
 
-def evaluated(done: dict[str, Any]) -> None:
-    """Shares per arm, tracks, velocity power."""
+def evaluated(done: "Evaluation") -> None:
+    """Success rates per condition, tracks, velocity power."""
     rows = [
-        {"arm": name, **_shares(row), "median time [s]": row["median_seconds"]}
-        for name, row in done["reach"].items()
+        {"condition": name, **_rates(row), "median time [s]": row.median_seconds}
+        for name, row in done.reach.items()
     ]
     rows += [
-        {"arm": row["arm"], **_shares(row), "median time [s]": None}
-        for task in ("disturb", "beyond")
-        for row in done.get(task, [])
+        {"condition": row.condition, **_rates(row), "median time [s]": None}
+        for row in (*done.disturb, *done.out_of_distribution)
     ]
-    power = [{k: v for k, v in row.items() if k != "cumulative"} for row in done["spectrum"]]
-    tables({"targets": rows, "tracks": done.get("track", []), "velocity power": power})
-    if done["cut_short"]:
-        say(f"warning: cut short, read up to their ends: {', '.join(done['cut_short'])}")
+    power = as_rows(done.spectrum, "cumulative")
+    tables({"targets": rows, "tracks": as_rows(done.track), "velocity power": power})
+    if done.cut_short:
+        say(f"warning: cut short, read up to their ends: {', '.join(done.cut_short)}")
 
 
-def _shares(row: dict[str, Any]) -> dict[str, Any]:
+def _rates(row: "ReachResult | ConditionResult") -> dict[str, Any]:
     """Percentages with their intervals."""
-    found: dict[str, Any] = {"swims": row["swims"]}
-    for key in ("5cm", "20cm"):
-        low, high = row[f"interval_{key}"]
-        share = f"{100 * row[f'within_{key}']:.1f} ({100 * low:.1f} … {100 * high:.1f})"
-        found[f"within {key.removesuffix('cm')} cm [%]"] = share
-    return found
+    return {
+        "swims": row.swims,
+        "within 5 cm [%]": percent(row.within_5cm, row.interval_5cm),
+        "within 20 cm [%]": percent(row.within_20cm, row.interval_20cm),
+    }
 
 
-def compared(done: dict[str, Any]) -> None:
-    """A row per kind of policy and arm of the pool."""
-    tables({"kinds": done["kinds"]})
+def compared(done: "Comparison") -> None:
+    """A row per kind of policy and condition of the pool."""
+    tables({"kinds": as_rows(done.kinds)})
 
 
 def benched(result: dict[str, Any]) -> None:

@@ -1,15 +1,15 @@
 """Disturbed swims beside undisturbed ones to the same targets, in the same waters."""
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from tailbeat.env.task import Scene
-from tailbeat.evaluate.reach import paired, shares
-from tailbeat.evaluate.runs import NEAR, Runs
+from tailbeat.evaluate.rates import ConditionResult, against
+from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.scenes import grid
-from tailbeat.evaluate.trial import Arm, Pool
+from tailbeat.evaluate.trial import Condition, Pool
 from tailbeat.pool.plant import Surroundings, stirred
 
 # Sizes are chosen: about the fish's own speed and turning rate, pokes of a finger.
@@ -20,24 +20,24 @@ STIRRED = 0.03  # m/s rms
 CALM = "disturb none"
 
 
-def arms(pool: Pool) -> list[Arm]:
+def conditions(pool: Pool) -> list[Condition]:
     """Targets within +-120 deg and 0.5-2.5 m: undisturbed, released moving, poked, stirred."""
     scene = grid(pool.fish, pool.count, pool.seed + 1, 0.5, 2.5, float(np.radians(120)))
     numbers = [[pool.seed, i] for i in range(pool.count)]
     poked = tuple(_pokes(np.random.default_rng(number)) for number in numbers)
     moved = tuple(stirred(1000 * pool.seed + i, STIRRED) for i in range(pool.count))
     return [
-        pool.arm(CALM, scene),
-        pool.arm("disturb backward", _released(scene, BACKWARD, 0.0)),
-        pool.arm("disturb spinning", _released(scene, 0.0, SPIN)),
-        pool.arm("disturb poked", scene, around=poked),
-        pool.arm("disturb stirred", scene, around=moved),
+        pool.condition(CALM, scene),
+        pool.condition("disturb backward", _released(scene, BACKWARD, 0.0)),
+        pool.condition("disturb spinning", _released(scene, 0.0, SPIN)),
+        pool.condition("disturb poked", scene, around=poked),
+        pool.condition("disturb stirred", scene, around=moved),
     ]
 
 
 def _released(scene: Scene, speed: float, spin: float) -> Scene:
-    """The fish let go while they move along their heading [m/s] and turn [rad/s], every second one
-    the other way round."""
+    """The fish released while they move along their heading [m/s] and turn [rad/s], every second
+    one the other way round."""
     heading = scene.start[:, 2]
     side = np.where(np.arange(len(heading)) % 2, -1.0, 1.0)
     velocity = np.stack([speed * np.cos(heading), speed * np.sin(heading), spin * side], axis=1)
@@ -53,19 +53,6 @@ def _pokes(rng: np.random.Generator) -> Surroundings:
     return Surroundings(pokes=tuple(tuple(row) for row in rows.tolist()))
 
 
-def numbers(by_arm: dict[str, Runs]) -> list[dict[str, Any]]:
-    """Per arm: shares, and what the disturbance cost on the same targets."""
-    calm, rows = by_arm[CALM], []
-    for name, runs in by_arm.items():
-        both = min(calm.count, runs.count)
-        close, near = calm.reached[:both], calm.nearest[:both] < NEAR
-        rows.append(
-            {
-                "arm": name,
-                "swims": runs.count,
-                **shares(runs.reached, runs.nearest),
-                "cost_5cm": paired(close, runs.reached[:both]),
-                "cost_20cm": paired(near, runs.nearest[:both] < NEAR),
-            }
-        )
-    return rows
+def numbers(by_condition: Mapping[str, Runs]) -> tuple[ConditionResult, ...]:
+    """Per condition: success rates, and what the disturbance costs on the same targets."""
+    return against(by_condition[CALM], by_condition)

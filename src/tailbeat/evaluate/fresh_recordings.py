@@ -4,17 +4,19 @@ Nothing is fitted to the servo's and the swims' recordings: the twin is asked fo
 shown. The tail's response is measured again.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tailbeat.evaluate.speed_map import SpeedMap, speed_map
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.motor import as_bench, described_servo
 from tailbeat.identify.motor_job import Overlay
-from tailbeat.identify.predict import as_json, predict
+from tailbeat.identify.predict import predict, row
 from tailbeat.identify.protocol import (
     EVERY,
     HELD_OUT_MOTOR,
@@ -28,6 +30,7 @@ from tailbeat.identify.tail import identify_tail
 from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
 from tailbeat.recording import Recording, read_recording, write_recording
 
+SERVOS = ("identified", "idealised")
 IDEAL = "idealised"
 
 
@@ -38,6 +41,49 @@ class Day:
     tail: list[Recording]
     motor: list[Recording]
     fluid: list[Recording]
+
+
+@dataclass(frozen=True)
+class TailRow:
+    """A `number` of the tail: the `twin`'s, and the one measured anew with its 95 % interval
+    (k_eff in N m/rad, friction in N m)."""
+
+    number: str
+    twin: float | None
+    measured: float
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ServoRow:
+    """Free-run error [deg rms] of the twin's servo and of the idealised one on a recording."""
+
+    recording: str
+    identified_rms_deg: float
+    idealised_rms_deg: float
+
+
+@dataclass(frozen=True)
+class SwimRow:
+    """A held-out swim beside the twin's: beat [Hz], speeds [m/s], rms error of the position as a
+    fraction of the path length, heading error [deg]; None where a run has no such number."""
+
+    recording: str
+    beat_frequency: float | None
+    measured_speed: float | None
+    predicted_speed: float | None
+    position_error_share: float | None
+    heading_error_deg: float | None
+
+
+@dataclass(frozen=True)
+class FreshResult:
+    """A twin beside fresh recordings of its fish; `speeds` is None in folders of before."""
+
+    tail: tuple[TailRow, ...]
+    servo: tuple[ServoRow, ...]
+    swims: tuple[SwimRow, ...]
+    speeds: SpeedMap | None = None
 
 
 def record(fish: Fish, out: Path, seed: int) -> None:
@@ -67,22 +113,29 @@ def read(out: Path) -> Day:
     return Day(*([read_recording(path) for path in paths] for paths in found.values()))
 
 
-def numbers(out: Path, twin: Fish) -> dict[str, Any]:
-    """Stiffness and damping measured anew beside the twin's, free-run error of its servo [deg], its
-    error along held-out swims."""
+def numbers(out: Path, pool_fish: Fish, twin: Fish) -> FreshResult:
+    """Measure the fish anew from the recordings, and ask its twin for the same."""
     day = read(out)
     tail = identify_tail([one for one in day.tail if "sweep" in one.name])
-    return {
-        "tail": [
-            {"number": name, "twin": value, "measured": one.value, "interval": list(one.interval)}
-            for name, value, one in (
-                ("k_eff", twin.tail.k_eff, tail.k_eff),
-                ("friction", twin.tail.friction, tail.coulomb),
-            )
-        ],
-        "servo": [_servo_row(one) for one in overlays(day, twin)],
-        "swims": as_json(predict(twin, [as_run(one, twin) for one in day.fluid]))["runs"],
-    }
+    return FreshResult(
+        tail=(
+            TailRow("k_eff", twin.tail.k_eff, tail.k_eff.value, tail.k_eff.interval),
+            TailRow("friction", twin.tail.friction, tail.coulomb.value, tail.coulomb.interval),
+        ),
+        servo=tuple(
+            ServoRow(one.bench.name, *(_rms(one.error_deg(which)) for which in SERVOS))
+            for one in overlays(day, twin)
+        ),
+        swims=tuple(
+            _swim_row(row(one)) for one in predict(twin, [as_run(run, twin) for run in day.fluid])
+        ),
+        speeds=speed_map(pool_fish, [twin.servo], twin),
+    )
+
+
+def _swim_row(found: Mapping[str, Any]) -> SwimRow:
+    names = (field.name for field in fields(SwimRow))
+    return SwimRow(*(found.get(name) for name in names))  # type: ignore[arg-type]
 
 
 def overlays(day: Day, twin: Fish) -> list[Overlay]:
@@ -96,11 +149,6 @@ def overlays(day: Day, twin: Fish) -> list[Overlay]:
         Overlay(bench, "held out", a[0], b[0])
         for bench, a, b in zip(benches, own, other, strict=True)
     ]
-
-
-def _servo_row(one: Overlay) -> dict[str, Any]:
-    rms = {which: _rms(one.error_deg(which)) for which in ("identified", "idealised")}
-    return {"recording": one.bench.name, **{f"{k}_rms_deg": v for k, v in rms.items()}}
 
 
 def _rms(values: Any) -> float:

@@ -1,5 +1,6 @@
-"""Outside what a policy was trained on: where it ends, beside the same swims as trained."""
+"""Conditions that a policy was not trained on, beside the same swims as trained."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -8,10 +9,10 @@ import numpy as np
 from tailbeat.control.actions import Generator
 from tailbeat.control.observation import bearing
 from tailbeat.env.sensors import SensorModel
-from tailbeat.evaluate.reach import paired, shares
+from tailbeat.evaluate.rates import ConditionResult, against
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.scenes import grid, moving
-from tailbeat.evaluate.trial import Arm, Pool
+from tailbeat.evaluate.trial import Condition, Pool
 from tailbeat.fish.description import Servo
 
 SCALES = (1.5, 2.7, 5.3)  # the paper's accident
@@ -19,29 +20,30 @@ SPEEDS = (0.05, 0.10)  # m/s of moving targets
 WEAK = 0.6  # of the servo's gain and torque
 LOST_FRAMES = (0.3, 0.6)  # share of frames without a tag
 SECONDS = 30.0
-AS_TRAINED = "beyond as trained"
+PREFIX = "out of distribution: "
+AS_TRAINED = f"{PREFIX}as trained"
 
 
-def arms(pool: Pool) -> list[Arm]:
+def conditions(pool: Pool) -> list[Condition]:
     """Rear, far and moving targets, wrong scales, a weak servo, lost frames."""
     far = grid(pool.fish, pool.count, pool.seed + 2, 2.5, 4.0, float(np.radians(120)))
     scene = grid(pool.fish, pool.count, pool.seed + 2, 0.5, 2.5, float(np.radians(120)))
     rear = grid(pool.fish, pool.count, pool.seed + 2, 0.5, 2.5, np.pi)
     behind = replace(rear, target=_behind(rear.target, rear.start))
-    found = [pool.arm(AS_TRAINED, scene), pool.arm("beyond rear", behind)]
-    found.append(pool.arm("beyond far", far))
+    found = [pool.condition(AS_TRAINED, scene), pool.condition(f"{PREFIX}rear", behind)]
+    found.append(pool.condition(f"{PREFIX}far", far))
     for speed in SPEEDS:
         gone = moving(scene, speed, SECONDS, pool.seed)
-        found.append(pool.arm(f"beyond target {speed:g} m/s", gone))
+        found.append(pool.condition(f"{PREFIX}target {speed:g} m/s", gone))
     if isinstance(pool.actions, Generator):
         found += [
-            pool.arm(f"beyond scales x{by:g}", scene, actions=_scaled(pool.actions, by))
+            pool.condition(f"{PREFIX}scales x{by:g}", scene, actions=_scaled(pool.actions, by))
             for by in SCALES
         ]
-    found.append(pool.arm("beyond weak servo", scene, servo=_weak(pool)))
+    found.append(pool.condition(f"{PREFIX}weak servo", scene, servo=_weak(pool)))
     for share in LOST_FRAMES:
         blind = replace(SensorModel(), dropped=share)
-        found.append(pool.arm(f"beyond frames lost {share:g}", scene, sensors=blind))
+        found.append(pool.condition(f"{PREFIX}frames lost {share:g}", scene, sensors=blind))
     return found
 
 
@@ -66,19 +68,7 @@ def _weak(pool: Pool) -> Servo:
     return own.model_copy(update={"kp": WEAK * own.kp, "force_limit": WEAK * own.force_limit})
 
 
-def numbers(by_arm: dict[str, Runs]) -> list[dict[str, Any]]:
-    """Per arm: shares, and the difference to the same swims as trained (rear, far: other ones)."""
-    trained, rows = by_arm[AS_TRAINED], []
-    for name, runs in by_arm.items():
-        both = min(trained.count, runs.count)
-        cost = paired(trained.reached[:both], runs.reached[:both])
-        rows.append(
-            {
-                "arm": name,
-                "swims": runs.count,
-                **shares(runs.reached, runs.nearest),
-                "cost_5cm": cost,
-                "lost": int(runs.lost.sum()),
-            }
-        )
-    return rows
+def numbers(by_condition: Mapping[str, Runs]) -> tuple[ConditionResult, ...]:
+    """Per condition: success rates, and the difference to the swims as trained (those to the rear
+    and far have other targets)."""
+    return against(by_condition[AS_TRAINED], by_condition)

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tailbeat.evaluate import runs as store
+from tailbeat.evaluate.runs import as_recordings
+from tailbeat.evaluate.store import read_chunk
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify import coverage as cover
@@ -39,7 +40,7 @@ def read_swims(path: Path) -> list[Recording]:
     """The swims of a file. Raises BadInput where an evaluation's chunk holds none long enough."""
     if path.suffix != ".npz":
         return [read_recording(path)]
-    found = store.as_recordings(store.read_chunk(path), path.stem)
+    found = as_recordings(read_chunk(path), path.stem)
     if not found:
         raise BadInput(f"{path}: no swim of 1 s or more; give another chunk.")
     return found

@@ -1,7 +1,8 @@
 """How much of the motor's motion lies below, inside and above the band: in runs of identification
 and of a policy in its twin and in the pool; forward and reversing gaits apart."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,33 +19,46 @@ Array = NDArray[np.float64]
 Band = tuple[float, float]  # lower and upper edge [Hz]
 WINDOW = 2.0  # s of one gait
 SPEED = 0.02  # m/s: slower than this either way is neither forward nor reversing
-SHARES = ("share_below", "share_below_floor", "share_inside", "share_above")
+IDENTIFICATION = "identification"
 BINS = np.arange(0.25, 12.01, 0.25)  # Hz, of the curves
 
 
-def numbers(by_arm: dict[str, Runs], band: Band) -> list[dict[str, Any]]:
-    """Per arm and gait: shares of the motor's velocity power on either side of a band's edges and
-    between them, and the cumulative curve over `BINS`."""
-    rows = []
-    for name, runs in by_arm.items():
-        speed = surge(runs)
-        for gait, wanted in (("all", None), ("forward", 1), ("reversing", -1)):
-            row = power_shares(windows(runs, speed, wanted), band)
-            rows.append({"runs": name, "gait": gait, **row})
-    return rows
+@dataclass(frozen=True, kw_only=True)
+class PowerShares:
+    """Velocity power of the motor about a band, from `pieces` of swims: the fractions below its
+    upper edge, below its lower edge, inside and above it (None where nothing moves, or where all
+    pieces are too short), and the cumulative fraction at each of `BINS`."""
+
+    pieces: int = 0
+    share_below: float | None = None
+    share_below_floor: float | None = None
+    share_inside: float | None = None
+    share_above: float | None = None
+    cumulative: tuple[float, ...] = ()
 
 
-def identification(fish: Fish, band: Band, seed: int) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class SpectrumRow(PowerShares):
+    """The same of some runs (a condition, or `IDENTIFICATION`) and of one gait."""
+
+    runs: str
+    gait: str
+
+
+def numbers(by_condition: Mapping[str, Runs], band: Band) -> tuple[SpectrumRow, ...]:
+    """A row per condition and gait."""
+    return tuple(
+        SpectrumRow(runs=name, gait=gait, **vars(power_shares(windows(runs, speed, wanted), band)))
+        for name, runs, speed in ((name, runs, surge(runs)) for name, runs in by_condition.items())
+        for gait, wanted in (("all", None), ("forward", 1), ("reversing", -1))
+    )
+
+
+def identification(fish: Fish, band: Band, seed: int) -> SpectrumRow:
     """The same of the swims that a fish's fluid is identified on, recorded in the pool."""
     recordings = record_fluid(fish, seed)
     pairs = ((one.time, one.columns["motor_angle_rad"]) for one in recordings)
-    return {"runs": "identification", "gait": "all", **power_shares(pairs, band)}
-
-
-def complete(row: dict[str, Any]) -> dict[str, Any]:
-    """A row with every column in order; files of earlier versions hold `share_below` alone."""
-    names = ("runs", "gait", "pieces", *SHARES, "cumulative")
-    return {name: row.get(name) for name in names}
+    return SpectrumRow(runs=IDENTIFICATION, gait="all", **vars(power_shares(pairs, band)))
 
 
 def windows(runs: Runs, speed: Any, wanted: int | None) -> Iterable[tuple[Array, Array]]:
@@ -66,11 +80,9 @@ def windows(runs: Runs, speed: Any, wanted: int | None) -> Iterable[tuple[Array,
                 yield time[: length + 1], angle[first : first + length + 1]
 
 
-def power_shares(pairs: Iterable[tuple[Array, Array]], band: Band) -> dict[str, Any]:
-    """Velocity power of some motor angles (time, angle): shares, None where nothing moves, and the
-    cumulative curve over `BINS`. `share_below` is of all that lies below the upper edge,
-    `share_below_floor` of what lies below the lower one. Pieces too short to tell what lies below
-    the lower edge are split as the longer ones are; None if all are too short."""
+def power_shares(pairs: Iterable[tuple[Array, Array]], band: Band) -> PowerShares:
+    """Velocity power of some motor angles (time [s], angle [rad]). Pieces too short to tell what
+    lies below the lower edge are split as the longer ones are."""
     parts, long, count, curve = np.zeros(3), np.zeros(3), 0, np.zeros(BINS.size)
     for time, angle in pairs:
         try:
@@ -86,11 +98,11 @@ def power_shares(pairs: Iterable[tuple[Array, Array]], band: Band) -> dict[str, 
     above = float(parts[2]) / total if total > 0 else None
     below = None if above is None else 1 - above
     slow = None if below is None or not long[:2].any() else below * float(long[0] / long[:2].sum())
-    return {
-        "pieces": count,
-        "share_below": below,
-        "share_below_floor": slow,
-        "share_inside": None if below is None or slow is None else below - slow,
-        "share_above": above,
-        "cumulative": (curve / max(total, 1e-12)).tolist(),
-    }
+    return PowerShares(
+        pieces=count,
+        share_below=below,
+        share_below_floor=slow,
+        share_inside=None if below is None or slow is None else below - slow,
+        share_above=above,
+        cumulative=tuple((curve / max(total, 1e-12)).tolist()),
+    )

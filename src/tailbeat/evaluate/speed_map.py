@@ -1,11 +1,11 @@
 """How fast do twin and plant swim at any beat? Speed over frequency and stroke, side by side.
 
 Above its band the stateless twin is known to go wrong; this shows where and how much, whatever
-comes out. Open water, a sine that fades in over a second, the command held at 50 Hz.
+happens. Open water, a sine that fades in over a second, the command held at 50 Hz.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,33 +23,44 @@ SHAFT_SPEEDS = (3.0, 6.0, 9.0)  # rad/s, commanded: stroke times angular frequen
 SECONDS, JUDGED = 12.0, 4.0
 
 
+@dataclass(frozen=True)
+class SpeedRow:
+    """One beat: the `servo`, the shaft's largest commanded speed [rad/s], frequency [Hz] and stroke
+    [rad]; speeds [m/s] of `plant` and `twin`, negative backwards, None where the twin diverged."""
+
+    servo: str
+    shaft_speed: float
+    frequency: float
+    stroke: float
+    plant: float
+    twin: float | None
+
+
+@dataclass(frozen=True)
+class SpeedMap:
+    """Speeds of a fish by name, in a water by fingerprint."""
+
+    fish: str
+    water: str
+    rows: tuple[SpeedRow, ...]
+
+
 def speed_map(
     fish: Fish, servos: Sequence[str] = ("identified",), twin: Fish | None = None
-) -> dict[str, Any]:
-    """Speed [m/s] of `twin` (the fish's own without one) and plant for every beat; negative is
-    backwards."""
+) -> SpeedMap:
+    """Speeds of `twin` (the fish's own without one) and of the pool's plant at every beat."""
     cases = [
         (servo, rate, frequency, min(rate / (2 * np.pi * frequency), 1.0))
         for servo in servos
         for rate in SHAFT_SPEEDS
         for frequency in FREQUENCIES
     ]
-    plant, free = _plant_speeds(fish, cases), _twin_speeds(twin or fish, cases)
-    rows = [
-        {
-            "servo": servo,
-            "shaft_speed": rate,
-            "frequency": frequency,
-            "stroke": stroke,
-            "plant": float(p),
-            "twin": float(t),
-        }
-        for (servo, rate, frequency, stroke), p, t in zip(cases, plant, free, strict=True)
-    ]
-    return {"fish": fish.name, "water": fingerprint([Water()]), "rows": rows}
+    speeds = zip(_plant_speeds(fish, cases), _twin_speeds(twin or fish, cases), strict=True)
+    rows = [SpeedRow(*case, *pair) for case, pair in zip(cases, speeds, strict=True)]
+    return SpeedMap(fish.name, fingerprint([Water()]), tuple(rows))
 
 
-def speed_map_of(fish: str, servos: Sequence[str] = ()) -> dict[str, Any]:
+def speed_map_of(fish: str, servos: Sequence[str] = ()) -> SpeedMap:
     """Speeds of a fish with some of its servos, by default the one described."""
     described = load_fish(fish)
     chosen = [with_servo(described, name).servo for name in servos or [described.servo]]
@@ -63,7 +74,7 @@ def _command(frequency: float, stroke: float, step: float) -> Array:
 
 
 def _speed(time: Array, pose: Array) -> float:
-    """Net way over the last seconds, along the mean heading [m/s]."""
+    """Net path over the last seconds, along the mean heading [m/s]."""
     late = time >= time[-1] - JUDGED
     way = pose[-1, :2] - pose[late][0, :2]
     heading = pose[late, 2].mean()
@@ -79,9 +90,11 @@ def _plant_speeds(fish: Fish, cases: Sequence[tuple[str, float, float, float]]) 
     return [_speed(swum.time, pose) for pose in swum.q[:, :, :3]]
 
 
-def _twin_speeds(fish: Fish, cases: Sequence[tuple[str, float, float, float]]) -> list[float]:
+def _twin_speeds(
+    fish: Fish, cases: Sequence[tuple[str, float, float, float]]
+) -> list[float | None]:
     calm = fish.simulation.model_copy(update={"step": 0.001})
-    found = []
+    found: list[float | None] = []
     for servo in dict.fromkeys(name for name, *_ in cases):
         own = [case for case in cases if case[0] == servo]
         twin = compile_twin(fish.model_copy(update={"servo": servo, "simulation": calm}))
@@ -89,5 +102,5 @@ def _twin_speeds(fish: Fish, cases: Sequence[tuple[str, float, float, float]]) -
         done = swim([twin] * len(own), [Start.at_rest()] * len(own), commands, 20)
         speeds = [_speed(swum.time, swum.qpos[:, :3]) for swum in done]
         lost = [swum.diverged for swum in done]
-        found += [np.nan if gone else v for v, gone in zip(speeds, lost, strict=True)]
+        found += [None if gone else v for v, gone in zip(speeds, lost, strict=True)]
     return found

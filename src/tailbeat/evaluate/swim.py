@@ -11,8 +11,9 @@ from numpy import float64
 from numpy.typing import NDArray
 
 from tailbeat.control.policy import Policy, load_policy
-from tailbeat.evaluate.evaluation import pool_of, read_json
+from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
 from tailbeat.evaluate.live_swim import as_seen, tour_of
+from tailbeat.evaluate.store import read_json
 from tailbeat.evaluate.tour import Tour, tour
 from tailbeat.evaluate.trial import Pool, Progress
 from tailbeat.files import BadInput
@@ -86,5 +87,5 @@ def _entered(
     if not 1 <= targets <= 100:
         raise BadInput(f"--targets {targets}: allowed are 1 to 100.")
     loaded = load_policy(policy)
-    where = pool_of(loaded, fish, twin, "full", 2, seed)
+    where = pool_of(loaded, EvaluationConfig(fish, twin, "full", episodes=2, seed=seed))
     return loaded, where, draw_targets(targets, seed)

@@ -1,5 +1,6 @@
 """Following a target that goes round a closed path inside the pool's walls."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,7 @@ from tailbeat.control.observation import wrapped
 from tailbeat.env.task import Scene
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.scenes import PATHS, even, follow, lap_length
-from tailbeat.evaluate.trial import Arm, Pool, pools
+from tailbeat.evaluate.trial import Condition, Pool, pools
 from tailbeat.files import BadInput
 from tailbeat.pool.plant import Surroundings
 
@@ -30,6 +31,22 @@ class TargetPath:
     lead: float = np.inf
 
 
+@dataclass(frozen=True)
+class TrackResult:
+    """Swims after a target on one path: its mean speed [m/s], the distance to it and the rms
+    distance to its path [m], how many swims kept it, and how many of the eight's crossed cleanly
+    twice."""
+
+    condition: str
+    swims: int
+    target_speed: float
+    median_distance: float
+    p95_distance: float
+    aside_rms: float
+    kept: int
+    two_crossings: int | None
+
+
 def _target_paths() -> tuple[TargetPath, ...]:
     lengths = {path: lap_length(way) for path, way in PATHS.items()}
     timed = [TargetPath(EIGHT, "eight", 73.0), TargetPath("eight 50 s", "eight", 50.0)]
@@ -44,25 +61,27 @@ def _target_paths() -> tuple[TargetPath, ...]:
     return (*timed, *led)
 
 
-COURSES = _target_paths()
+TARGET_PATHS = _target_paths()
 SETTLING = 5.0  # s that are not judged
 KEPT = 0.6  # m: a fish farther than this from its target has lost it
 CROSSING, ALIGNED = 0.15, np.radians(45)  # m, rad: a clean pass through the eight's middle
 SWIMS = 10
-ARM = "track"
+TRACK = "track"
 MARGIN = 0.4  # m between a path and the walls
 
 
-def arms(pool: Pool) -> list[Arm]:
-    """Ten swims of 73 s per course, each in a water and noise of its own; one arm."""
+def conditions(pool: Pool) -> list[Condition]:
+    """Ten swims of 73 s per path, each in a water and noise of its own; one condition."""
     parts = [
-        follow(pool.fish, PATHS[one.path], one.lap, SECONDS, SWIMS, one.lead) for one in COURSES
+        follow(pool.fish, PATHS[one.path], one.lap, SECONDS, SWIMS, one.lead)
+        for one in TARGET_PATHS
     ]
     whole = Scene(*(np.concatenate([getattr(one, n) for one in parts]) for n in vars(parts[0])))
-    water = len(COURSES) * pools(pool.waters, SWIMS)
+    water = len(TARGET_PATHS) * pools(pool.waters, SWIMS)
     around = (Surroundings(walls=pool.walls),)
     _check_room(pool.walls)
-    return [pool.arm(ARM, whole, water=water, around=around, seconds=SECONDS, stop=False)]
+    given = {"water": water, "around": around, "seconds": SECONDS, "stop": False}
+    return [pool.condition(TRACK, whole, **given)]
 
 
 def _check_room(walls: tuple[float, float]) -> None:
@@ -77,33 +96,32 @@ def _check_room(walls: tuple[float, float]) -> None:
 
 
 def by_path(runs: Runs) -> dict[str, Runs]:
-    """The arm's swims by course."""
-    parts = {one.name: slice(SWIMS * i, SWIMS * (i + 1)) for i, one in enumerate(COURSES)}
+    """The condition's swims by path."""
+    parts = {one.name: slice(SWIMS * i, SWIMS * (i + 1)) for i, one in enumerate(TARGET_PATHS)}
     return {name: runs.part(own) for name, own in parts.items()}
 
 
-def numbers(by_arm: dict[str, Runs]) -> list[dict[str, Any]]:
-    """Per course: speed of the target [m/s], distance to it and to its path [m], how many swims
-    kept it, and of those of the eight how many crossed cleanly twice."""
-    swims = by_path(by_arm[ARM])
-    return [_row(one.name, swims[one.name], one.path) for one in COURSES]
+def numbers(by_condition: Mapping[str, Runs]) -> tuple[TrackResult, ...]:
+    """A result per path of the target."""
+    swims = by_path(by_condition[TRACK])
+    return tuple(_result(one.name, swims[one.name], one.path) for one in TARGET_PATHS)
 
 
-def _row(name: str, runs: Runs, path: str) -> dict[str, Any]:
+def _result(name: str, runs: Runs, path: str) -> TrackResult:
     first = round(SETTLING / PERIOD)
     away, off = runs.distance[:, first:], aside(runs, path)[:, first:]
     crossed = crossings(runs) if path == "eight" else None
     moved = np.hypot(*np.moveaxis(np.diff(runs.target, axis=1), -1, 0))
-    return {
-        "arm": name,
-        "swims": runs.count,
-        "target_speed": float(np.nanmean(moved) / PERIOD),
-        "median_distance": float(np.nanmedian(away)),
-        "p95_distance": float(np.nanpercentile(away, 95)),
-        "aside_rms": float(np.sqrt(np.nanmean(np.square(off)))),
-        "kept": int((np.nanmax(away, axis=1) < KEPT).sum()),
-        "two_crossings": None if crossed is None else int((crossed >= 2).sum()),
-    }
+    return TrackResult(
+        condition=name,
+        swims=runs.count,
+        target_speed=float(np.nanmean(moved) / PERIOD),
+        median_distance=float(np.nanmedian(away)),
+        p95_distance=float(np.nanpercentile(away, 95)),
+        aside_rms=float(np.sqrt(np.nanmean(np.square(off)))),
+        kept=int((np.nanmax(away, axis=1) < KEPT).sum()),
+        two_crossings=None if crossed is None else int((crossed >= 2).sum()),
+    )
 
 
 def aside(runs: Runs, path: str) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel
 from tailbeat.env.task import Scene, Settings, Task
 from tailbeat.env.world import World, seeds_from
-from tailbeat.evaluate import runs as store
+from tailbeat.evaluate import store
 from tailbeat.evaluate.runs import SHOWN, Runs
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
@@ -29,11 +29,11 @@ from tailbeat.pool.water import Water
 
 CHUNK = 125  # swims in one batch, and in one file
 LIMIT = 9.0  # m from the start at which a fish counts as lost
-Progress = Callable[[str, int, int], None]  # arm, swims done, of all
+Progress = Callable[[str, int, int], None]  # condition, swims done, of all
 
 
 @dataclass(frozen=True, eq=False)
-class Arm:
+class Condition:
     """n swims under one condition. Without `water` they are swum in the fish's own twin, with its
     `physics` drawn; `stop` ends a swim at its arrival."""
 
@@ -63,8 +63,8 @@ class Arm:
 @dataclass(frozen=True)
 class Pool:
     """What a policy is tried in: the pool's `fish` and its waters, the `twin` that the policy was
-    trained in, what its actions mean; `count` swims an arm, drawn from `seed`; `walls` (length,
-    width) [m] of the trials that have some, the paper's pool by default."""
+    trained in, what its actions mean; `count` swims per condition, drawn from `seed`; `walls`
+    (length, width) [m] of the trials that have some, the paper's pool by default."""
 
     fish: Fish
     twin: Fish
@@ -74,41 +74,44 @@ class Pool:
     seed: int
     walls: tuple[float, float] = (LENGTH, WIDTH)
 
-    def arm(self, name: str, scene: Scene, **changed: Any) -> Arm:
-        """An arm in the pool's waters, the one after the other."""
+    def condition(self, name: str, scene: Scene, **changed: Any) -> Condition:
+        """A condition in the pool's waters, one after the other."""
         water = changed.pop("water", pools(self.waters, len(scene.start)))
-        return replace(Arm(name, self.fish, scene, self.actions, water), **changed)
+        return replace(Condition(name, self.fish, scene, self.actions, water), **changed)
 
-    def in_twin(self, name: str, scene: Scene) -> Arm:
+    def in_twin(self, name: str, scene: Scene) -> Condition:
         """The same swims in the twin, all noise and randomisation on."""
-        return Arm(name, self.twin, scene, self.actions, None)
+        return Condition(name, self.twin, scene, self.actions, None)
 
 
-def part(arm: Arm, chunk: int) -> Arm:
-    """Some of an arm's swims."""
+def part(condition: Condition, chunk: int) -> Condition:
+    """One chunk of a condition's swims."""
     own = slice(chunk * CHUNK, (chunk + 1) * CHUNK)
-    scene = Scene(*(values[own] for values in vars(arm.scene).values()))
-    around = arm.around if len(arm.around) == 1 else arm.around[own]
-    return replace(arm, scene=scene, water=arm.water and arm.water[own], around=around)
+    scene = Scene(*(values[own] for values in vars(condition.scene).values()))
+    around = condition.around if len(condition.around) == 1 else condition.around[own]
+    water = condition.water and condition.water[own]
+    return replace(condition, scene=scene, water=water, around=around)
 
 
-def swim_all(decide: Decide, arms: Sequence[Arm], out: Path, seed: int, progress: Progress) -> None:
-    """Swim every chunk that is not on disk yet. The same seed gives the same noise in all arms:
-    swim i of one is paired with swim i of another."""
-    total, swum = sum(arm.count for arm in arms), 0
-    for arm in arms:
-        seeds = seeds_from(seed, arm.count)
-        for chunk in range(arm.chunks):
-            path, own = store.chunk_path(out, arm.name, chunk), part(arm, chunk)
+def swim_all(
+    decide: Decide, conditions: Sequence[Condition], out: Path, seed: int, progress: Progress
+) -> None:
+    """Swim every chunk that is not on disk yet. The same seed gives the same noise under all
+    conditions: swim i of one is paired with swim i of another."""
+    total, swum = sum(condition.count for condition in conditions), 0
+    for condition in conditions:
+        seeds = seeds_from(seed, condition.count)
+        for chunk in range(condition.chunks):
+            path, own = store.chunk_path(out, condition.name, chunk), part(condition, chunk)
             if not path.is_file():
                 store.save(swim(decide, own, seeds[chunk * CHUNK :][:CHUNK]), path)
             swum += own.count
-            progress(arm.name, swum, total)
+            progress(condition.name, swum, total)
 
 
-def swim(decide: Decide, arm: Arm, seeds: list[int]) -> Runs:
-    """All swims of an arm together."""
-    world, steps = _world(arm, seeds), round(arm.seconds / PERIOD)
+def swim(decide: Decide, condition: Condition, seeds: list[int]) -> Runs:
+    """All swims of a condition together."""
+    world, steps = _world(condition, seeds), round(condition.seconds / PERIOD)
     log = _Log(world, steps)
     seen, going = world.reset(), np.ones(world.count, bool)
     log.note(world, going, 0)
@@ -119,22 +122,22 @@ def swim(decide: Decide, arm: Arm, seeds: list[int]) -> Runs:
         out = going & (done.terminated & ~done.reached | log.away(world))
         log.reached |= going & done.reached & ~out
         log.lost |= out
-        still = going & ~out & ~(done.reached & arm.stop)
+        still = going & ~out & ~(done.reached & condition.stop)
         if not still.any():
             break
-        if arm.water is not None and still.sum() < going.sum():
+        if condition.water is not None and still.sum() < going.sum():
             world.simulator.keep(still)
         going = still
-    return log.runs(world, arm)
+    return log.runs(world, condition)
 
 
-def _world(arm: Arm, seeds: list[int]) -> World:
+def _world(one: Condition, seeds: list[int]) -> World:
     simulator: Any = None
-    if arm.water is not None:
-        simulator = PoolSimulator(arm.fish, arm.water, arm.around, arm.servo)
-    task = Task(seconds=arm.seconds, limit=LIMIT)
-    settings = Settings(arm.actions, task, sensors=arm.sensors, physics=arm.physics)
-    return World(arm.fish, settings, seeds, simulator=simulator, scene=arm.scene)
+    if one.water is not None:
+        simulator = PoolSimulator(one.fish, one.water, one.around, one.servo)
+    task = Task(seconds=one.seconds, limit=LIMIT)
+    settings = Settings(one.actions, task, sensors=one.sensors, physics=one.physics)
+    return World(one.fish, settings, seeds, simulator=simulator, scene=one.scene)
 
 
 class _Log:
@@ -168,10 +171,10 @@ class _Log:
         offset = world.pose[:, :2] - self.pose[:, 0, :2]
         return np.hypot(offset[:, 0], offset[:, 1]) > LIMIT
 
-    def runs(self, world: World, arm: Arm) -> Runs:
+    def runs(self, world: World, condition: Condition) -> Runs:
         """What was noted, cut behind the last swim's end."""
-        end, kinds = self.last + 1, list(dict.fromkeys(arm.water or ()))
-        water = np.array([kinds.index(one) for one in arm.water or ()] or [-1] * world.count)
+        end, kinds = self.last + 1, list(dict.fromkeys(condition.water or ()))
+        water = np.array([kinds.index(one) for one in condition.water or ()] or [-1] * world.count)
         return Runs(
             self.pose[:, :end], self.target[:, :end], self.motor[:, :end], self.setpoint[:, 1:end],
             self.steps, self.reached, self.lost, self.energy, self.shape[:, :end], water,

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from tailbeat.evaluate.speed_map import SpeedMap
 from tailbeat.files import new_file
 from tailbeat.fish.rollout import Swim
 from tailbeat.identify.gait import distance, head_frame, last_seconds, phase_shift
@@ -110,19 +110,21 @@ def speeds(
         figure.savefig(beside, dpi=130)
 
 
-def speed_map(report: dict[str, Any], path: Path, overwrite: bool = False) -> None:
+def speed_map(report: SpeedMap, path: Path, overwrite: bool = False) -> None:
     """Speed of twin and plant over frequency, one panel per servo, one colour per shaft speed."""
-    servos = list(dict.fromkeys(row["servo"] for row in report["rows"]))
+    servos = list(dict.fromkeys(row.servo for row in report.rows))
     figure = Figure(figsize=(5.5 * len(servos), 4), layout="constrained")
     for axes, servo in zip(np.atleast_1d(figure.subplots(1, len(servos))), servos, strict=True):
-        own = [row for row in report["rows"] if row["servo"] == servo]
-        for colour, rate in enumerate(dict.fromkeys(row["shaft_speed"] for row in own)):
-            rows = [row for row in own if row["shaft_speed"] == rate]
-            beats = [row["frequency"] for row in rows]
-            for name, style in (("plant", "-o"), ("twin", "--s")):
-                speeds = [row[name] for row in rows]
+        own = [row for row in report.rows if row.servo == servo]
+        for colour, rate in enumerate(dict.fromkeys(row.shaft_speed for row in own)):
+            rows = [row for row in own if row.shaft_speed == rate]
+            beats = [row.frequency for row in rows]
+            plant, twin = [row.plant for row in rows], [row.twin for row in rows]
+            for name, speeds, style in (("plant", plant, "-o"), ("twin", twin, "--s")):
                 label = f"{name}, {rate:g} rad/s"
-                axes.plot(beats, speeds, style, ms=4, color=f"C{colour}", label=label)
+                axes.plot(
+                    beats, np.array(speeds, float), style, ms=4, color=f"C{colour}", label=label
+                )
         axes.axhline(0, color="black", lw=0.8)
         axes.set(title=f"servo: {servo}", xlabel="frequency [Hz]", ylabel="speed [m/s]")
         axes.legend(fontsize="small")

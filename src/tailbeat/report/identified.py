@@ -1,10 +1,10 @@
 """The page of an identified fish, and the figures of its stages."""
 
-from collections.abc import Sequence
 from typing import Any
 
 from tailbeat.identify.chain import Drawings
 from tailbeat.report import bench_figures, figures
+from tailbeat.report.tables import markdown
 
 
 def page(report: dict[str, Any], stem: str) -> str:
@@ -12,30 +12,31 @@ def page(report: dict[str, Any], stem: str) -> str:
     stages = report["stages"]
     lines = [f"# {report['fish']}, identified", "", "## Tail", "", f"![tail]({stem}-tail.png)", ""]
     names = ("k_eff", "i_eff", "c_eff", "coulomb")
-    lines += _table(
-        ["number", "value", "unit", "95 % interval"],
-        [[n, *_cells(stages["tail"][n]), _span(stages["tail"][n])] for n in names],
+    lines.append(
+        markdown(
+            ["number", "value", "unit", "95 % interval"],
+            [[n, *_cells(stages["tail"][n]), _span(stages["tail"][n])] for n in names],
+        )
     )
     lines += ["", "## Servo", "", f"![servo]({stem}-motor.png)", ""]
     servo = stages["motor"]["parameters"]
-    lines += _table(
-        ["number", "value", "unit", "95 % interval"],
-        [[n, *_cells(row), _span(row)] for n, row in servo.items()],
+    lines.append(
+        markdown(
+            ["number", "value", "unit", "95 % interval"],
+            [[n, *_cells(row), _span(row)] for n, row in servo.items()],
+        )
     )
     lines += ["", "## Fluid", "", f"![fluid]({stem}-fluid.png)", ""]
-    lines += _table(
-        ["swim", "role", "beat [Hz]", "speed [m/s]", "twin", "path error", "heading [deg]"],
-        [_swim(run, role) for role in ("fit", "validate") for run in stages["fluid"][role]],
+    lines.append(
+        markdown(
+            ["swim", "role", "beat [Hz]", "speed [m/s]", "twin", "path error", "heading [deg]"],
+            [_swim(run, role) for role in ("fit", "validate") for run in stages["fluid"][role]],
+        )
     )
     warnings = [*stages["tail"]["warnings"], *stages["motor"]["warnings"]]
     undecided = ", ".join(stages["fluid"]["undecided"]) or "none"
     lines += ["", f"Not decided by the swims: {undecided}.", ""]
     return "\n".join([*lines, *(f"- {warning}" for warning in warnings)]) + "\n"
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    rule = "|" + "---|" * len(head)
-    return [f"| {' | '.join(head)} |", rule, *(f"| {' | '.join(row)} |" for row in rows)]
 
 
 def _cells(row: dict[str, Any]) -> list[str]:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 from tailbeat.control.actions import PERIOD
-from tailbeat.evaluate.evaluation import provenance
+from tailbeat.evaluate.provenance import provenance
 from tailbeat.evaluate.swim import Counting, Swum
 from tailbeat.evaluate.tour import WALLS, Tour, as_json
 from tailbeat.evaluate.trial import Progress
@@ -20,7 +20,8 @@ from tailbeat.files import new_file, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import outline
 from tailbeat.pool.water import fingerprint
-from tailbeat.report import page as pages
+from tailbeat.report import html
+from tailbeat.report.html import Section
 from tailbeat.report.swim_figures import BLUE, GREEN, ORANGE, RED
 
 FILM_RATE = 12.5  # frames per second
@@ -41,13 +42,11 @@ def write(swum: Swum, out: Path, counting: Counting) -> dict[str, Any]:
     write_json(out / "summary.json", data, overwrite=True)
     with counting() as progress:
         film(swum.tour, own, out / "swim.mp4", progress)
-    drawn = pages.figure(picture(swum.tour, own), out, "swim")
-    rows = [{"": k, "value": v} for k, v in {**data["provenance"], **contract.training}.items()]
-    sections = [
-        ("The swim", [drawn, pages.video(out / "swim.mp4"), pages.table(data["targets"])]),
-        ("Where this comes from", [pages.table(rows)]),
-    ]
-    pages.write(out, sections, data, f"{own.name} in the virtual pool")
+    drawn = html.figure(picture(swum.tour, own), out, "swim")
+    blocks = (drawn, html.film(out / "swim.mp4"), html.table(data["targets"]))
+    origin = html.values({**vars(data["provenance"]), **contract.training})
+    sections = [Section("The swim", blocks), Section("Where this comes from", (origin,))]
+    html.write(out, sections, data, f"{own.name} in the virtual pool")
     return data
 
 

@@ -1,0 +1,92 @@
+"""Success rates with their 95 % intervals, and differences of two over the same targets."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+from scipy.stats import binomtest
+
+from tailbeat.evaluate.runs import NEAR, Runs
+
+Z95 = 1.96  # standard deviations either side
+LEVEL = float(2 * ndtr(Z95) - 1)  # 95 %, as these standard deviations have it
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuccessRates:
+    """Fractions of targets that the fish came within 5 and 20 cm of, with their 95 % Wilson
+    intervals (low, high)."""
+
+    within_5cm: float
+    interval_5cm: tuple[float, float]
+    within_20cm: float
+    interval_20cm: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Difference of two success rates over the same targets, with its 95 % interval (low, high)."""
+
+    difference: float
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConditionResult(SuccessRates):
+    """Swims under one condition: how many, how many were lost, and the success rates less those of
+    the reference condition."""
+
+    condition: str
+    swims: int
+    lost: int
+    cost_5cm: Difference
+    cost_20cm: Difference
+
+
+def success(reached: Flags, nearest: Any) -> SuccessRates:
+    """Success rates from who arrived (n,) and the closest approaches (n,) [m]."""
+    near = nearest < NEAR
+    return SuccessRates(
+        within_5cm=float(reached.mean()),
+        interval_5cm=wilson(int(reached.sum()), reached.size),
+        within_20cm=float(near.mean()),
+        interval_20cm=wilson(int(near.sum()), near.size),
+    )
+
+
+def against(reference: Runs, conditions: Mapping[str, Runs]) -> tuple[ConditionResult, ...]:
+    """A result per condition, each compared with the reference swim by swim."""
+    return tuple(_against(reference, name, runs) for name, runs in conditions.items())
+
+
+def _against(reference: Runs, name: str, runs: Runs) -> ConditionResult:
+    both = min(reference.count, runs.count)
+    close, near = reference.reached[:both], reference.nearest[:both] < NEAR
+    return ConditionResult(
+        condition=name,
+        swims=runs.count,
+        lost=int(runs.lost.sum()),
+        **vars(success(runs.reached, runs.nearest)),
+        cost_5cm=paired(close, runs.reached[:both]),
+        cost_20cm=paired(near, runs.nearest[:both] < NEAR),
+    )
+
+
+def paired(first: Flags, second: Flags) -> Difference:
+    """Success rate of `second` (n,) less that of `first` (n,) over the same targets; the interval
+    is normal, from the pairs that differ."""
+    n, gained = first.size, int((second & ~first).sum())
+    gone = int((first & ~second).sum())
+    gap = (gained - gone) / n
+    half = float(Z95 * np.sqrt(max(gained + gone - n * gap**2, 0.0)) / n)
+    return Difference(gap, (gap - half, gap + half))
+
+
+def wilson(hits: int, count: int) -> tuple[float, float]:
+    """95 % interval of a success rate, Wilson's (1927)."""
+    low, high = binomtest(hits, count).proportion_ci(LEVEL, method="wilson")
+    return float(low), float(high)

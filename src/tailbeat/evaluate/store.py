@@ -1,0 +1,164 @@
+"""A folder of runs on disk: its description, and the swims of every condition.
+
+A condition is swum in chunks, each a file of its own, written beside and renamed: a trial that was
+cut short is read up to its end and says so.
+"""
+
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from tailbeat.evaluate.runs import Runs
+from tailbeat.files import BadInput, leaves, new_file, plain, write_json
+
+DESCRIPTION = "run.json"
+# Names in folders of earlier versions.
+DESCRIPTION_BEFORE = "plan.json"
+RENAMED, RENAMED_FILE = ("beyond ", "out of distribution: "), ("beyond-", "out-of-distribution-")
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class RunDescription:
+    """What a folder's runs are made of: digest of the `policy`, kind of its `actions`, its `band`
+    [Hz] and `training` as its contract says; the `twin` it was trained in; `fish` and `water` of
+    the pool with their digests; the seed, swims per condition (`episodes`), walls (length, width)
+    [m], and how many swims each of the `conditions` has."""
+
+    policy: str
+    actions: str
+    band: tuple[float, float]
+    training: Mapping[str, object]
+    twin: str
+    fish: str
+    fish_digest: str
+    water: str
+    waters: int
+    seed: int
+    episodes: int
+    walls: tuple[float, float]
+    conditions: Mapping[str, int]
+
+
+def begin(out: Path, wanted: RunDescription) -> None:
+    """Note what is asked for; raises BadInput where the folder holds other runs."""
+    if not has_runs(out):
+        if out.exists() and any(out.iterdir()):
+            raise BadInput(f"{out}: holds something else; choose a new folder.")
+        write_json(out / DESCRIPTION, wanted)
+        return
+    held, asked = (leaves("", plain(one)) for one in (read_description(out), wanted))
+    names = sorted(set(held) | set(asked), key=lambda name: (name.startswith("conditions"), name))
+    wrong = [name for name in names if held.get(name) != asked.get(name)]
+    if wrong:
+        said = [f"{name} was {held.get(name)}, now {asked.get(name)}" for name in wrong[:3]]
+        more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
+        raise BadInput(
+            f"{out}: holds other runs: {'; '.join(said)}{more}; ask for the same, or choose a new"
+            f" folder."
+        )
+
+
+def has_runs(out: Path) -> bool:
+    """Whether a folder holds the description of runs."""
+    return any((out / name).is_file() for name in (DESCRIPTION, DESCRIPTION_BEFORE))
+
+
+def read_description(out: Path) -> RunDescription:
+    """What a folder's runs were asked to be. Raises BadInput."""
+    path, before = out / DESCRIPTION, out / DESCRIPTION_BEFORE
+    if path.is_file():
+        return read_record(RunDescription, path)
+    if not before.is_file():
+        raise BadInput(f"{out}: no runs here ({DESCRIPTION} is missing); evaluate into it first.")
+    held = read_json(before)
+    held["conditions"] = {k.replace(*RENAMED): n for k, n in held.pop("arms", {}).items()}
+    return as_record(RunDescription, held, before)
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file of ours holds. Raises BadInput."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        raise BadInput(f"{path}: not readable JSON; evaluate into a new folder.") from None
+
+
+def read_record(kind: type[T], path: Path) -> T:
+    """What a JSON file of ours holds, as a record of the given kind. Raises BadInput."""
+    return as_record(kind, read_json(path), path)
+
+
+def as_record(kind: type[T], held: Any, path: Path) -> T:
+    """What a file held as a record of the given kind. Raises BadInput naming the first fault."""
+    try:
+        return TypeAdapter(kind).validate_python(held)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise BadInput(f"{path}: {where}: {first['msg']}; evaluate into a new folder.") from None
+
+
+def chunk_path(out: Path, condition: str, chunk: int) -> Path:
+    """Where one chunk of a condition lies; a file that an earlier version named is found too."""
+    stem = condition.replace(":", "").replace(" ", "-").replace("/", "-per-")
+    paths = [
+        out / "runs" / f"{name}.{chunk:03d}.npz"
+        for name in (stem.replace(RENAMED_FILE[1], RENAMED_FILE[0]), stem)
+    ]
+    return paths[0] if paths[0].is_file() else paths[1]
+
+
+def save(runs: Runs, path: Path) -> None:
+    """Write one chunk."""
+    with new_file(path, overwrite=True) as beside:
+        np.savez_compressed(beside, **vars(runs))
+
+
+def load(out: Path, condition: str, chunks: int) -> tuple[Runs, bool]:
+    """All chunks of a condition that are there, and whether some are missing. Raises BadInput if
+    none is."""
+    paths = [chunk_path(out, condition, chunk) for chunk in range(chunks)]
+    found = [path for path in paths if path.is_file()]
+    if not found:
+        raise BadInput(f"{out}: no swims of {condition!r} here; run the evaluation again.")
+    return joined([read_chunk(path) for path in found]), len(found) < chunks
+
+
+def read_chunk(path: Path) -> Runs:
+    """One chunk's swims. Raises BadInput."""
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file; give a chunk that `tailbeat evaluate` wrote.")
+    try:
+        with np.load(path) as held:
+            return Runs(**{field.name: held[field.name] for field in fields(Runs)})
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise BadInput(f"{path}: cannot be read; delete it and evaluate again.") from error
+
+
+def joined(parts: Sequence[Runs]) -> Runs:
+    """Chunks as one; shorter ones are filled with NaN."""
+    longest = max(part.motor.shape[1] for part in parts)
+    values = {
+        field.name: np.concatenate(
+            [_filled(field.name, getattr(part, field.name), longest) for part in parts]
+        )
+        for field in fields(Runs)
+    }
+    return Runs(**values)
+
+
+def _filled(name: str, values: Any, longest: int) -> Any:
+    if values.ndim == 1:
+        return values
+    missing = longest - (name == "setpoint") - values.shape[1]
+    if not missing:
+        return values
+    tail = np.full((len(values), missing, *values.shape[2:]), np.nan, dtype=np.float32)
+    return np.concatenate([values, tail], axis=1)
