@@ -47,8 +47,9 @@ from tailbeat.operator.client import (
     turn,
 )
 from tailbeat.operator.snapshot import body
+from tailbeat.robot.devices import Devices
 from tailbeat.robot.imu import connect as connect_imu
-from tailbeat.robot.loop import Devices, Loop
+from tailbeat.robot.loop import Loop
 from tailbeat.robot.safety import SafetyLimits
 from tailbeat.robot.servo import connect as connect_servo
 
@@ -148,7 +149,7 @@ def lab() -> Iterator[Lab]:
     made.loop = Loop(POLICY, devices, lambda row: None, WIDE)
     ticking = threading.Thread(target=tick, daemon=True)
     ticking.start()
-    until(lambda: receiver.clock.offset(0) is not None and made.loop.seen)
+    until(lambda: receiver.clock.offset(0) is not None and made.loop.poses.seen)
     yield made
     ended.set()
     for thread in (ticking, serving):

@@ -11,7 +11,8 @@ from tailbeat.emulators.own_devices import own_devices
 from tailbeat.link.status import State
 from tailbeat.processes import temporary
 from tailbeat.robot.log import read_rows
-from tailbeat.robot.session import drive
+from tailbeat.robot.results import drive_json
+from tailbeat.robot.session import DriveConfig, drive
 
 MINUTE = 60.0
 
@@ -30,9 +31,9 @@ def latency(
     with temporary() as folder:
         log = Path(folder) / "latency.mcap"
         with own_devices(fish, seed) as (ports, key):
-            told = drive(policy, ports, key, None, MINUTE * minutes, log, say, each=each)
+            told = drive(DriveConfig(policy, ports, key, log, seconds=MINUTE * minutes), say, each)
         rows = read_rows(log)
     late = 1e3 * np.array([row["late_s"] for row in rows])
     tenth = max(late.size // 10, 1)
     drift = float(np.median(late[-tenth:]) - np.median(late[:tenth]))
-    return {**told, "armed_anew": holds[0], "drift_ms": drift}
+    return {**drive_json(told), "armed_anew": holds[0], "drift_ms": drift}

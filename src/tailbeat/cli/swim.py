@@ -153,7 +153,9 @@ def drive(
     itself."""
     need_robot()
     from tailbeat.emulators.own_devices import own_devices
+    from tailbeat.link.reasons import Reason
     from tailbeat.robot import session
+    from tailbeat.robot.results import drive_json
 
     log = session.log_in(log)
     for path in filter(None, (log, json)):
@@ -172,14 +174,12 @@ def drive(
     else:
         bench = _given(servo, imu, listen, station, key, page)
     with bench as (ports, secret):
-        done = session.drive(
-            policy, ports, secret, aim, seconds, log, output.say, by_itself=not wait, stay=stay
-        )
-    output.tables({"drive": [done]})
+        config = session.DriveConfig(policy, ports, secret, log, aim, seconds, not wait, stay)
+        done = session.drive(config, output.say)
+    output.tables({"drive": [drive_json(done)]})
     if json is not None:
-        write_json(json, done)
-    by_hand = done.get("swum_s", 1) > 0 and done["ended"] in session.BY_HAND
-    if done["ended"] != "swimming" and not (stay and by_hand):
+        write_json(json, drive_json(done))
+    if done.reason is not Reason.SWIMMING and not (stay and done.by_hand):
         raise typer.Exit(1)
 
 

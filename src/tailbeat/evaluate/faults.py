@@ -26,6 +26,7 @@ from tailbeat.fish.description import Fish
 from tailbeat.link import datagrams as link
 from tailbeat.robot.log import read_rows
 from tailbeat.robot.ports import Ports
+from tailbeat.robot.session import DriveConfig
 
 Drive = Callable[..., Any]  # `robot.session.drive`
 Row = dict[str, Any]
@@ -127,7 +128,7 @@ LOOP_FAULTS: dict[str, Callable[[Any], None]] = {
 }
 
 
-def _run(pipe: Connection, drive: Drive, words: tuple[Any, ...], patience: float) -> None:
+def _run(pipe: Connection, drive: Drive, config: DriveConfig, patience: float) -> None:
     """The loop's process: says each line with its time, and breaks what it is told to."""
     late = [False]
 
@@ -142,7 +143,7 @@ def _run(pipe: Connection, drive: Drive, words: tuple[Any, ...], patience: float
             pipe.send(("broken", time.monotonic(), name))
             LOOP_FAULTS.get(name, lambda own: None)(own)
 
-    drive(*words, lambda line: pipe.send(("said", time.monotonic(), line)), each=each)
+    drive(config, lambda line: pipe.send(("said", time.monotonic(), line)), each=each)
 
 
 def _be_patient(own: Any, patience: float) -> None:
@@ -246,8 +247,8 @@ def swimming(bench: Bench, policy: str, drive: Drive) -> Iterator[Swim]:
     log = bench.folder / f"{bench.swims}.mcap"
     ports = Ports(str(bench.folder / "servo"), str(bench.folder / "imu"), robot, laptop)
     ours, theirs = bench.context.Pipe()
-    words = (policy, ports, bench.key, None, 1e3, log)
-    process = bench.context.Process(target=_run, args=(theirs, drive, words, bench.patience))
+    config = DriveConfig(policy, ports, bench.key, log, seconds=1e3)
+    process = bench.context.Process(target=_run, args=(theirs, drive, config, bench.patience))
     process.start()
     theirs.close()
     swim = Swim(process, ours, log, [])

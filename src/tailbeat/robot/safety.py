@@ -161,6 +161,11 @@ def arm(before: SafetyStatus, health: Health, limits: SafetyLimits) -> SafetySta
     return SafetyStatus(State.ARMED, Reason.ARMED)
 
 
+def arming_failed(why: str) -> SafetyStatus:
+    """DISARMED, because a device refused to arm."""
+    return SafetyStatus(State.DISARMED, Reason.ARMING_FAILED, note=why)
+
+
 def _status(state: State, rule: Rule, health: Health) -> SafetyStatus:
     return SafetyStatus(state, rule.reason, rule.value(health), rule.note(health))
 

@@ -5,10 +5,13 @@ p99.9, and as small after a day as after a minute.
 """
 
 import ctypes
+import gc
 import os
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 BIN = 1e-5  # s
@@ -72,6 +75,18 @@ def sleep_until(due: float) -> None:
         time.sleep(left - SPIN)
     while time.monotonic() < due:
         pass
+
+
+@contextmanager
+def without_collection() -> Iterator[None]:
+    """No garbage is collected inside: a collection takes longer than a period may."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
 
 
 def claim() -> list[str]:

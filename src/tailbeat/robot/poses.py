@@ -1,0 +1,122 @@
+"""The camera's frames as the loop believes them: poses, their age, and the laptop's clock."""
+
+import math
+import time
+from collections import deque
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.link import datagrams as link
+from tailbeat.link.clock import SECOND
+from tailbeat.link.datagrams import Frame, Receiver
+from tailbeat.robot import plausible
+from tailbeat.robot.plausible import Bounds
+from tailbeat.robot.safety import SafetyLimits
+
+FRAMES = 3
+ASK_EVERY = 0.25  # s between two questions for the laptop's clock
+
+
+@dataclass(eq=False)
+class Poses:
+    """Frames with the fish in them, `seen`, newest last; `jumps` counts implausible ones in a row.
+    `target` [m], if set, stands in for the target's tag. `clock_step` [s] is by how much the
+    laptop's clock jumped since arming."""
+
+    receiver: Receiver
+    bounds: Bounds
+    target: tuple[float, float] | None = None
+    seen: deque[Frame] = field(default_factory=lambda: deque(maxlen=FRAMES))
+    jumps: int = 0
+    jumped_at: int = 0  # ns, capture of the newest implausible frame
+    clock_step: float = 0.0
+    compared: int = -1  # sequence of the last echo looked at
+    asked: float = -math.inf  # s, when the laptop was asked for its clock
+    questions: int = 0
+
+    def update(self, limits: SafetyLimits) -> None:
+        """Take what the receiver has: compare the clocks, then keep the newer frames."""
+        self._compare_clocks(limits)
+        for frame in reversed(self.receiver.frames):
+            newer = not self.seen or frame.captured > self.seen[-1].captured
+            if frame.fish is not None and newer:
+                self._take(frame)
+
+    def _take(self, frame: Frame) -> None:
+        """Keep a newer frame if the fish can have moved there since the last one."""
+        if self.seen and not plausible.pose_follows(self.seen[-1], frame, self.bounds):
+            self.jumps += frame.captured > self.jumped_at
+            self.jumped_at = max(frame.captured, self.jumped_at)
+            return
+        self.jumps = 0
+        self.seen.append(frame)
+
+    def _compare_clocks(self, limits: SafetyLimits) -> None:
+        """After a jump of the laptop's clock only the echoes since count, and the stamps of the
+        frames are put on the new clock unless they are on it already."""
+        receiver = self.receiver
+        if receiver.told == self.compared:
+            return
+        self.compared = receiver.told
+        step = plausible.clock_step(receiver.clock.echoes, self.bounds)
+        if not step:
+            return
+        self.clock_step += step / SECOND
+        newest = receiver.clock.echoes[-1]
+        receiver.clock.echoes.clear()
+        receiver.clock.echoes.append(newest)
+        receiver.frames.clear()  # else frames of a clock set back would be refused as old
+        self._shift(step, limits)
+
+    def _shift(self, step: int, limits: SafetyLimits) -> None:
+        """Put frames on a clock that jumped by `step` [ns]."""
+        now = time.monotonic_ns()
+        for _ in range(len(self.seen)):
+            frame = self.seen.popleft()
+            age = self.receiver.age(frame, now) or 0.0
+            shifted = replace(frame, captured=max(frame.captured + step, 0))
+            on_it = -limits.clock_doubt < age < limits.pose_hold
+            self.seen.append(frame if on_it else shifted)
+
+    def question(self, now: float) -> bytes | None:
+        """A datagram that asks for the laptop's clock, where one is due at `now` [s]."""
+        if now - self.asked < ASK_EVERY:
+            return None
+        self.asked, self.questions = now, self.questions + 1
+        receiver = self.receiver
+        stamp = time.monotonic_ns()
+        return link.ask_datagram(receiver.key, receiver.nonce, self.questions, stamp)
+
+    def age(self, now_ns: int) -> float | None:
+        """Seconds since the newest pose was captured; None where there is none."""
+        return self.receiver.age(self.seen[-1], now_ns) if self.seen else None
+
+    def pose(self) -> tuple[float, float, float]:
+        """The newest x, y [m] and yaw [rad], or NaN."""
+        newest = self.seen[-1].fish if self.seen else None
+        return newest or (math.nan, math.nan, math.nan)
+
+    def has_target(self) -> bool:
+        """Whether the newest pose comes with a target."""
+        return bool(self.seen) and self.target_of(self.seen[-1]) is not None
+
+    def newest_target(self) -> tuple[float, float] | None:
+        """Where the robot swims to [m], as far as it is known."""
+        return self.target_of(self.seen[-1]) if self.seen else self.target
+
+    def target_of(self, frame: Frame) -> tuple[float, float] | None:
+        """The set target, else the one in the frame."""
+        return self.target or frame.target
+
+    def frames(self, now_ns: int) -> NDArray[np.float64]:
+        """The three newest frames (3, 6) as the policy sees them, newest first: x, y, yaw, target
+        x, y, age. A frame without the target has that of the newest one."""
+        rows = []
+        newest = self.target_of(self.seen[-1])
+        for frame in reversed(self.seen):
+            target = self.target_of(frame) or newest or (0.0, 0.0)
+            age = self.receiver.age(frame, now_ns)
+            rows.append([*(frame.fish or ()), *target, math.nan if age is None else age])
+        return np.array(rows + [rows[-1]] * (FRAMES - len(rows)))

@@ -1,0 +1,96 @@
+"""What servo and IMU said last, and how much of it is believed."""
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tailbeat.control.band import Monitor, Shares
+from tailbeat.robot import plausible
+from tailbeat.robot.imu import Imu, ImuFault, YawRate
+from tailbeat.robot.plausible import Bounds, Gate
+from tailbeat.robot.servo import Servo, ServoFault, ServoState
+
+CURRENT_TIME = 0.5  # s over which the servo's current is averaged
+FOLLOWING = 0.5  # s within which a shaft that is asked to move must have moved
+REOPEN_EVERY = 0.5  # s between two tries to open a port whose cable was out
+NEVER = YawRate(-math.inf, 0.0)
+UNKNOWN = Shares(math.nan, math.nan, math.nan)
+
+
+@dataclass(eq=False)
+class Sensors:
+    """The newest reading of each device, None or minus infinity before the first; `imu_fault` is
+    the kind of its last fault or "". `servo_gone` and `imu_gone`: the port is not there."""
+
+    period: float
+    bounds: Bounds
+    monitor: Monitor
+    servo: ServoState | None = None
+    yaw: YawRate = NEVER
+    gate: Gate = field(default_factory=Gate)
+    shares: Shares = UNKNOWN
+    imu_fault: str = ""
+    servo_gone: bool = False
+    imu_gone: bool = False
+    reopened: float = -math.inf  # s, the last try
+    currents: deque[float] = field(init=False)  # A, of the last half second
+    travelled: deque[tuple[float, float]] = field(init=False)  # rad: asked, seen
+
+    def __post_init__(self) -> None:
+        self.currents = deque(maxlen=round(CURRENT_TIME / self.period))
+        self.travelled = deque(maxlen=round(FOLLOWING / self.period))
+
+    def read(self, servo: Servo, imu: Imu, sent: float) -> None:
+        """Read both devices; `sent` [rad] is the last setpoint. Silence shows in ages."""
+        try:
+            self._take(servo.read(), sent)
+        except ServoFault as fault:
+            self.servo_gone = fault.kind == "gone"
+        try:
+            self._believe(imu.read())
+            self.imu_gone, self.imu_fault = False, ""
+        except ImuFault as fault:
+            self.imu_gone, self.imu_fault = fault.kind == "gone", fault.kind
+
+    def _take(self, reading: ServoState, sent: float) -> None:
+        self.servo, self.servo_gone = reading, False
+        self.currents.append(reading.current)
+        self.monitor.add(reading.time, reading.angle)
+        self.travelled.append((sent, reading.angle))
+
+    def _believe(self, yaw: YawRate | None) -> None:
+        if yaw is None:
+            return
+        self.gate, believed = plausible.gated(self.gate, yaw.rate, self.bounds)
+        if believed:
+            self.yaw = yaw
+
+    def current(self) -> float:
+        """Mean absolute current of the last half second [A]."""
+        return float(np.mean(np.abs(self.currents))) if self.currents else 0.0
+
+    def follows(self) -> bool:
+        """Whether the shaft moves when it is asked to; True before half a second of readings."""
+        whole = len(self.travelled) == self.travelled.maxlen
+        asked, seen = zip(*self.travelled, strict=True) if whole else ((), ())
+        return plausible.shaft_follows(asked, seen, self.bounds)
+
+    def look_at_band(self) -> None:
+        """Where the tail's power lies; it takes longer than a decision."""
+        self.shares = self.monitor.shares() or UNKNOWN
+
+    def reopen(self, servo: Servo, imu: Imu, now: float) -> None:
+        """Open a port again whose cable was out, or whose IMU repeats itself, twice a second."""
+        broken = self.servo_gone or self.imu_gone or self.imu_fault == "frozen"
+        if not broken or now - self.reopened < REOPEN_EVERY:
+            return
+        self.reopened = now
+        try:
+            if self.servo_gone:
+                servo.reopen()
+            else:
+                imu.reopen()
+        except (ServoFault, ImuFault):
+            pass  # again in a moment
