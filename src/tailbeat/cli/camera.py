@@ -10,14 +10,14 @@ from tailbeat.cli.extras import need_camera
 from tailbeat.cli.options import JsonOption, SeedOption
 from tailbeat.files import BadInput, refuse_existing, write_json
 
-FishTag = Annotated[int, typer.Option("--fish-tag", help="Id of the fish's tag, 36h11.")]
+FishTag = Annotated[int, typer.Option("--fish-tag", help="Id of the fish's tag (family 36h11).")]
 TargetTag = Annotated[int, typer.Option("--target-tag", help="Id of the target's tag.")]
-SquareOption = Annotated[float, typer.Option(help="Side of the board's squares [m], measured.")]
-CAMERAS = "unix:/path (a virtual camera), /dev/video0, or a film's file"
+SquareOption = Annotated[float, typer.Option(help="Side of the board's squares [m], as measured.")]
+CAMERAS = "/dev/video0, unix:/path (a virtual camera) or a video file"
 
 
 def tags(
-    out: Annotated[Path, typer.Option("--out", help="The sheet to write, .pdf, .svg or .png.")],
+    out: Annotated[Path, typer.Option("--out", help="Sheet to write: .pdf, .svg or .png.")],
     fish_tag: FishTag = 0,
     target_tag: TargetTag = 1,
     side: Annotated[float, typer.Option(help="Side of the tags' black squares [m].")] = 0.08,
@@ -44,16 +44,24 @@ def calibrate(
     survey: Annotated[
         Path, typer.Option(help="Table of surveyed points: x_m,y_m,z_m and tag, or u_px,v_px.")
     ],
-    picture: Annotated[str, typer.Option(help=f"Where they are seen: a picture, {CAMERAS}.")],
-    out: Annotated[Path, typer.Option("--out", help="The calibration to write, .json.")],
+    picture: Annotated[
+        str, typer.Option(help=f"Picture of the surveyed points: a picture file, {CAMERAS}.")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Calibration to write, .json.")],
     fish_height: Annotated[
-        float, typer.Option(help="Of the fish's tag above the water's surface [m]; below: < 0.")
+        float, typer.Option(help="Height of the fish's tag above the water [m]; negative below.")
     ] = -0.03,
-    target_height: Annotated[float, typer.Option(help="The same of the target's tag.")] = 0.0,
-    fish_side: Annotated[float, typer.Option(help="Side of its black square [m].")] = 0.08,
-    target_side: Annotated[float, typer.Option(help="Side of its black square [m].")] = 0.08,
+    target_height: Annotated[
+        float, typer.Option(help="Height of the target's tag above the water [m].")
+    ] = 0.0,
+    fish_side: Annotated[float, typer.Option(help="Side of the fish's black square [m].")] = 0.08,
+    target_side: Annotated[
+        float, typer.Option(help="Side of the target's black square [m].")
+    ] = 0.08,
     square: SquareOption = 0.026,
-    count: Annotated[int, typer.Option(help="Views taken from a film or a camera.")] = 20,
+    count: Annotated[
+        int, typer.Option(help="Number of views taken from a video or a camera.")
+    ] = 20,
     json: JsonOption = None,
 ) -> None:
     """Find the camera's lens and its place over the pool. docs/camera.md says how."""
@@ -74,13 +82,19 @@ def calibrate(
 
 def track(
     camera: Annotated[str, typer.Option(help=f"{CAMERAS}.")],
-    calibration: Annotated[Path, typer.Option(help="A file of tailbeat calibrate.")],
+    calibration: Annotated[Path, typer.Option(help="Calibration made by `tailbeat calibrate`.")],
     fish_tag: FishTag = 0,
     target_tag: TargetTag = 1,
-    seconds: Annotated[float, typer.Option(help="How long; 0: until Ctrl-C.")] = 0.0,
-    oldest: Annotated[float, typer.Option(help="Days a calibration may be old.")] = 30.0,
-    exposure: Annotated[float, typer.Option(help="The camera's [s]; half is taken off.")] = 0.002,
-    latency: Annotated[float, typer.Option(help="From exposure's end to stamp [s].")] = 0.0,
+    seconds: Annotated[float, typer.Option(help="How long [s]; 0: until Ctrl-C.")] = 0.0,
+    oldest: Annotated[
+        float, typer.Option(help="Age up to which a calibration is accepted [days].")
+    ] = 30.0,
+    exposure: Annotated[
+        float, typer.Option(help="Exposure time [s]; half of it is subtracted from the stamp.")
+    ] = 0.002,
+    latency: Annotated[
+        float, typer.Option(help="Time from the end of the exposure to the stamp [s].")
+    ] = 0.0,
     json: JsonOption = None,
 ) -> None:
     """Print the poses of fish and target from a camera, live. Exit code 1 if the fish was never
@@ -100,13 +114,16 @@ def track(
 
 
 def camera(
-    socket: Annotated[Path | None, typer.Option(help="Film a swim: the socket to make.")] = None,
+    socket: Annotated[Path | None, typer.Option(help="Socket to make: frames of a swim.")] = None,
     pictures: Annotated[
-        Path | None, typer.Option(help="Take what calibrate needs: the folder to make.")
+        Path | None,
+        typer.Option(help="Folder to make: the pictures that `tailbeat calibrate` needs."),
     ] = None,
-    fish: Annotated[str, typer.Option("--fish", help="A file or a shipped fish.")] = "pulley-fish",
-    seconds: Annotated[float, typer.Option(help="How long; 0: until Ctrl-C.")] = 0.0,
-    count: Annotated[int, typer.Option(help="Views of the board.")] = 20,
+    fish: Annotated[
+        str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")
+    ] = "pulley-fish",
+    seconds: Annotated[float, typer.Option(help="How long [s]; 0: until Ctrl-C.")] = 0.0,
+    count: Annotated[int, typer.Option(help="Number of views of the board.")] = 20,
     seed: SeedOption = 0,
 ) -> None:
     """Emulate a camera above the pool: frames at a socket, or pictures to calibrate with."""

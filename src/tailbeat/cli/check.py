@@ -24,10 +24,10 @@ SAFE_AFTER_KILL = 0.5  # s, asked for
 def faults(
     policy: PolicyOption = SHIPPED,
     fish: PoolFish = "pulley-fish",
-    only: Annotated[list[str] | None, typer.Option(help="Faults by name; default: all.")] = None,
-    kills: Annotated[int, typer.Option(help="Kill the loop so often, at random moments.")] = 0,
+    only: Annotated[list[str] | None, typer.Option(help="Names of faults; default: all.")] = None,
+    kills: Annotated[int, typer.Option(help="How often to kill the loop, at random moments.")] = 0,
     table: Annotated[
-        Path | None, typer.Option("--table", help="Also write the table here, Markdown.")
+        Path | None, typer.Option("--table", help="Markdown file to write the table to.")
     ] = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
@@ -57,8 +57,10 @@ def faults(
 def latency(
     policy: PolicyOption = SHIPPED,
     fish: PoolFish = "pulley-fish",
-    minutes: Annotated[float, typer.Option(help="How long.")] = 10.0,
-    allowed: Annotated[float, typer.Option(help="Lateness p99.9 asked for, ms.")] = 2.0,
+    minutes: Annotated[float, typer.Option(help="How long to measure [min].")] = 10.0,
+    allowed: Annotated[
+        float, typer.Option(help="Largest p99.9 of the lateness that passes [ms].")
+    ] = 2.0,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -81,8 +83,8 @@ def latency(
 
 def torque_off(
     servo: ServoPort,
-    ident: Annotated[int, typer.Option("--id", help="The servo's id.")] = 1,
-    baud: Annotated[int, typer.Option(help="Its baud rate.")] = 1_000_000,
+    ident: Annotated[int, typer.Option("--id", help="Id of the servo on its bus.")] = 1,
+    baud: Annotated[int, typer.Option(help="Baud rate of the bus.")] = 1_000_000,
 ) -> None:
     """Turn the servo's torque off. Exit code 2 if the servo does not confirm it."""
     need_robot()
@@ -94,20 +96,22 @@ def torque_off(
 
 def doctor(
     emulated: Annotated[
-        bool, typer.Option("--emulated", help="Look at an emulated bench, started for this.")
+        bool, typer.Option("--emulated", help="Examine emulated devices, started for this.")
     ] = False,
     policy: PolicyOption = SHIPPED,
     fish: PoolFish = "pulley-fish",
-    servo: Annotated[str, typer.Option("--servo", help="The servo's serial port.")] = "",
-    imu: Annotated[str, typer.Option("--imu", help="The IMU's serial port.")] = "",
-    listen: Annotated[str, typer.Option(help="host:port to listen on for poses.")] = "",
+    servo: Annotated[str, typer.Option("--servo", help="Serial port of the servo.")] = "",
+    imu: Annotated[str, typer.Option("--imu", help="Serial port of the IMU.")] = "",
+    listen: Annotated[str, typer.Option(help="host:port on which to listen for poses.")] = "",
     station: Annotated[str, typer.Option(help="host:port of the station.")] = "",
-    key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
-    camera: Annotated[str, typer.Option(help="Its camera: /dev/video0, unix:/path.")] = "",
+    key: Annotated[Path | None, typer.Option("--key", help="File of the shared key.")] = None,
+    camera: Annotated[
+        str, typer.Option(help="The station's camera: /dev/video0 or unix:/path.")
+    ] = "",
     calibration: Annotated[
         Path | None, typer.Option(help="Its calibration, made by `tailbeat calibrate`.")
     ] = None,
-    logs: Annotated[Path, typer.Option(help="Folder that logs are written to.")] = Path(),
+    logs: Annotated[Path, typer.Option(help="Folder of the logs.")] = Path(),
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -145,15 +149,15 @@ def doctor(
 
 
 def unit(
-    out: Annotated[Path, typer.Option("--out", help="The unit to write, .service.")],
+    out: Annotated[Path, typer.Option("--out", help="Unit to write, .service.")],
     policy: Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")],
     servo: ServoPort,
-    imu: Annotated[str, typer.Option("--imu", help="The IMU's serial port.")],
-    listen: Annotated[str, typer.Option(help="host:port to listen on for poses.")],
+    imu: Annotated[str, typer.Option("--imu", help="Serial port of the IMU.")],
+    listen: Annotated[str, typer.Option(help="host:port on which to listen for poses.")],
     station: Annotated[str, typer.Option(help="host:port of the station.")],
-    key: Annotated[Path, typer.Option("--key", help="The shared key.")],
-    logs: Annotated[Path, typer.Option(help="Folder for the logs, one for each start.")],
-    user: Annotated[str, typer.Option(help="Whom it runs as, not root.")] = "fish",
+    key: Annotated[Path, typer.Option("--key", help="File of the shared key.")],
+    logs: Annotated[Path, typer.Option(help="Folder of the logs, one for each start.")],
+    user: Annotated[str, typer.Option(help="User that runs the service, not root.")] = "fish",
 ) -> None:
     """Write a systemd unit that runs `tailbeat drive`, disarmed until ordered."""
     from tailbeat.robot.systemd import write_unit

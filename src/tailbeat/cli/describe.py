@@ -9,7 +9,7 @@ from tailbeat.cli import output
 from tailbeat.cli.options import JsonOption
 
 
-def new_fish(path: Annotated[Path, typer.Argument(help="The TOML file to write.")]) -> None:
+def new_fish(path: Annotated[Path, typer.Argument(help="TOML file to write.")]) -> None:
     """Write a commented fish to start from."""
     from tailbeat.fish import store
 
@@ -19,7 +19,7 @@ def new_fish(path: Annotated[Path, typer.Argument(help="The TOML file to write."
 
 def show(
     fish: Annotated[str, typer.Argument(help="A TOML file or a shipped fish's name.")],
-    picture: Annotated[Path | None, typer.Option(help="Where the PNG goes.")] = None,
+    picture: Annotated[Path | None, typer.Option(help="Picture to write, .png.")] = None,
     viewer: Annotated[bool, typer.Option(help="Open MuJoCo's viewer.")] = False,
     json: JsonOption = None,
 ) -> None:

@@ -13,8 +13,10 @@ from tailbeat.files import refuse_existing, write_json
 def protocol(
     kind: Annotated[str, typer.Argument(help="tail, motor or fluid.")],
     fish: FishOption,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the command recordings.")],
-    speed: Annotated[float, typer.Option(help="Shaft speed never asked beyond, rad/s.")] = 4.0,
+    out: Annotated[Path, typer.Option("--out", help="Folder of the command recordings.")],
+    speed: Annotated[
+        float, typer.Option(help="Largest shaft speed in the commands [rad/s].")
+    ] = 4.0,
     json: JsonOption = None,
 ) -> None:
     """Write the commands that the test bench plays. docs/bench.md says how to record them."""
@@ -30,9 +32,10 @@ def protocol(
 def record(
     kind: Annotated[str, typer.Argument(help="tail, motor or fluid.")],
     fish: FishOption,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the recordings.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder of the recordings.")],
     commands: Annotated[
-        list[Path] | None, typer.Option("--commands", help="Play these; default: the protocol's.")
+        list[Path] | None,
+        typer.Option("--commands", help="Commands to play; default: the protocol's."),
     ] = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
@@ -49,8 +52,8 @@ def record(
 
 def import_fishsim(
     csv: Annotated[Path, typer.Argument(help="A marker file of srl-ethz/fishsim.")],
-    out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
-    frame_rate: Annotated[float, typer.Option(help="Frames per second of the film.")] = 60.0,
+    out: Annotated[Path, typer.Option("--out", help="Recording to write, .csv or .parquet.")],
+    frame_rate: Annotated[float, typer.Option(help="Frames per second of the video [Hz].")] = 60.0,
     json: JsonOption = None,
 ) -> None:
     """Convert marker tracks in pixels to a recording in metres."""
@@ -67,7 +70,7 @@ def import_fishsim(
 
 def import_xl330(
     log: Annotated[Path, typer.Argument(help="A pendulum log of Rhoban/bam, JSON.")],
-    out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
+    out: Annotated[Path, typer.Option("--out", help="Recording to write, .csv or .parquet.")],
     json: JsonOption = None,
 ) -> None:
     """Convert a servo's pendulum log to a recording. Gain and load go into its metadata."""

@@ -7,15 +7,17 @@ import typer
 
 SHIPPED = "pulley-fish-pool-generator"  # the policy that is taken by default
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
-SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed of all random numbers.")]
 FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]
-PoolFish = Annotated[str, typer.Option("--fish", help="The pool's fish: a file or a name.")]
+PoolFish = Annotated[
+    str,
+    typer.Option("--fish", help="Fish in the virtual pool: a TOML file or a shipped fish's name."),
+]
 TwinOption = Annotated[
-    str | None, typer.Option("--twin", help="The fish the policy was trained on, if not shipped.")
+    str | None,
+    typer.Option("--twin", help="Fish that the policy was trained on, if it is not shipped."),
 ]
 PolicyFile = Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")]
 PolicyOption = Annotated[str, typer.Option("--policy", help="A policy, .onnx, or a shipped name.")]
-ServoPort = Annotated[str, typer.Option("--servo", help="The servo's serial port.")]
-PageOption = Annotated[
-    str, typer.Option("--page", help="host:port to show the operator's page at.")
-]
+ServoPort = Annotated[str, typer.Option("--servo", help="Serial port of the servo.")]
+PageOption = Annotated[str, typer.Option("--page", help="host:port of the operator page.")]
