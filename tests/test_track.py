@@ -14,7 +14,7 @@ import cv2
 
 from camera_views import FISH, TARGET, true_calibration
 from support import tailbeat, tailbeat_process
-from tailbeat.cli import camera
+from tailbeat.cli import develop
 from tailbeat.emulators.camera import Renderer, Scene
 from tailbeat.emulators.drawing import Picture
 from tailbeat.emulators.lab import pictures
@@ -200,4 +200,4 @@ def test_the_verbs_print_write_and_refuse(tmp_path: Path):
     assert done.returncode == 2, done.stdout
     assert "no such camera" in done.stderr and "Traceback" not in done.stderr
     with pytest.raises(BadInput, match="give --socket or --pictures"):
-        camera.camera()
+        develop.camera()

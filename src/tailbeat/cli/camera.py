@@ -1,4 +1,4 @@
-"""Print tags, calibrate a camera, track with it, emulate one."""
+"""Print tags, calibrate a camera, track with it."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,8 +7,8 @@ import typer
 
 from tailbeat.cli import output
 from tailbeat.cli.extras import need_camera
-from tailbeat.cli.options import JsonOption, SeedOption
-from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.cli.options import JsonOption
+from tailbeat.files import refuse_existing, write_json
 
 FishTag = Annotated[int, typer.Option("--fish-tag", help="Id of the fish's tag (family 36h11).")]
 TargetTag = Annotated[int, typer.Option("--target-tag", help="Id of the target's tag.")]
@@ -111,29 +111,3 @@ def track(
         write_json(json, done)
     if not done["fish_seen"]:
         raise typer.Exit(1)
-
-
-def camera(
-    socket: Annotated[Path | None, typer.Option(help="Socket to make: frames of a swim.")] = None,
-    pictures: Annotated[
-        Path | None,
-        typer.Option(help="Folder to make: the pictures that `tailbeat calibrate` needs."),
-    ] = None,
-    fish: Annotated[
-        str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")
-    ] = "pulley-fish",
-    seconds: Annotated[float, typer.Option(help="How long [s]; 0: until Ctrl-C.")] = 0.0,
-    count: Annotated[int, typer.Option(help="Number of views of the board.")] = 20,
-    seed: SeedOption = 0,
-) -> None:
-    """Emulate a camera above the pool: frames at a socket, or pictures to calibrate with."""
-    if (socket is None) == (pictures is None):
-        raise BadInput("camera: give --socket or --pictures, one of them.")
-    need_camera()
-    from tailbeat.emulators import lab, scripted
-
-    if pictures is not None:
-        lab.pictures(pictures, count, seed)
-        output.say(f"wrote {pictures}: views/, pool.png, survey.csv")
-    if socket is not None:
-        scripted.film(socket, fish, seconds, seed, lambda line: print(line, flush=True))

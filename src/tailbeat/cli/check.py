@@ -1,4 +1,4 @@
-"""Check devices, faults and timing."""
+"""Check devices, faults and timing; keys, logs and the service."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -171,3 +171,23 @@ def unit(
     words += ["--log", str(logs.resolve())]
     write_unit(out, user, servo, words)
     output.say(f"wrote {out}; copy it to /etc/systemd/system, then systemctl daemon-reload")
+
+
+def key(path: Annotated[Path, typer.Argument(help="The key file to write.")]) -> None:
+    """Write the key that station and fish share. Copy it to both; only its owner can read it."""
+    from tailbeat.link.datagrams import make_key
+
+    make_key(path)
+    output.say(f"wrote {path}; copy it to both machines")
+
+
+def export(
+    log: Annotated[Path, typer.Argument(help="A log of `tailbeat drive`, .mcap.")],
+    out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
+) -> None:
+    """Convert a drive's log to a recording that identification reads. A log that was cut off is
+    read up to its end."""
+    from tailbeat.robot.log_export import export as export_log
+
+    recording = export_log(log, out)
+    output.say(f"wrote {out}: {recording.time.size} rows")

@@ -1,4 +1,4 @@
-"""Evaluate and compare policies, write the page, measure speed."""
+"""Evaluate and compare policies, map speeds, write the page."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -6,9 +6,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tailbeat.cli import output, progress, results
-from tailbeat.cli.options import JsonOption, PolicyFile, PoolFish, SeedOption, TwinOption
+from tailbeat.cli.options import (
+    FishOption,
+    JsonOption,
+    PolicyFile,
+    PoolFish,
+    SeedOption,
+    TwinOption,
+)
 from tailbeat.evaluate.names import NAMES
 from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.report.tables import as_rows
 
 if TYPE_CHECKING:
     from tailbeat.evaluate.comparison import Comparison
@@ -92,6 +100,26 @@ def compare(
     _page(out, fish, twin, done, json)
 
 
+def speed_map(
+    fish: FishOption,
+    out: Annotated[Path, typer.Option("--out", help="The figure to write, .png.")],
+    servo: Annotated[list[str] | None, typer.Option(help="Servo variants; repeat.")] = None,
+    json: JsonOption = None,
+) -> None:
+    """Compare the speeds of twin and virtual pool over frequency and stroke. The map reaches far
+    beyond the identified band."""
+    from tailbeat.evaluate.speed_map import speed_map_of
+    from tailbeat.report import figures
+
+    for path in filter(None, (out, json)):
+        refuse_existing(path)
+    report = speed_map_of(fish, servo or [])
+    figures.speed_map(report, out)
+    if json is not None:
+        write_json(json, report)
+    output.tables({f"speed [m/s], water {report.water}": as_rows(report.rows)})
+
+
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder of an evaluation or a comparison.")],
     fish: PoolFish = "pulley-fish",
@@ -119,17 +147,3 @@ def _page(
     output.say(f"page: {path}")
     if json is not None:
         write_json(json, done)
-
-
-def benchmark(
-    env: Annotated[bool, typer.Option(help="Also environment and updates, against SB3's.")] = True,
-    json: JsonOption = None,
-) -> None:
-    """Measure speed and accuracy on this machine. The step is compared with a bare engine loop.
-    Pool, environment, updates and camera follow."""
-    from tailbeat.benchmarks import suite
-
-    result = suite.benchmark(env)
-    results.benched(result)
-    if json is not None:
-        write_json(json, result)

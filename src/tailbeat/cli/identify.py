@@ -8,7 +8,6 @@ import typer
 from tailbeat.cli import output, progress, results
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
 from tailbeat.files import refuse_existing, write_json
-from tailbeat.report.tables import as_rows
 
 OutFish = Annotated[Path, typer.Option("--out", help="The identified fish to write.")]
 AddedOption = Annotated[
@@ -192,23 +191,3 @@ def coverage(
     results.covered(result)
     if not result["covered"]:
         raise typer.Exit(1)
-
-
-def speed_map(
-    fish: FishOption,
-    out: Annotated[Path, typer.Option("--out", help="The figure to write, .png.")],
-    servo: Annotated[list[str] | None, typer.Option(help="Servo variants; repeat.")] = None,
-    json: JsonOption = None,
-) -> None:
-    """Compare the speeds of twin and virtual pool over frequency and stroke. The map reaches far
-    beyond the identified band."""
-    from tailbeat.evaluate.speed_map import speed_map_of
-    from tailbeat.report import figures
-
-    for path in filter(None, (out, json)):
-        refuse_existing(path)
-    report = speed_map_of(fish, servo or [])
-    figures.speed_map(report, out)
-    if json is not None:
-        write_json(json, report)
-    output.tables({f"speed [m/s], water {report.water}": as_rows(report.rows)})

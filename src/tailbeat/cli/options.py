@@ -21,3 +21,4 @@ PolicyFile = Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped o
 PolicyOption = Annotated[str, typer.Option("--policy", help="A policy, .onnx, or a shipped name.")]
 ServoPort = Annotated[str, typer.Option("--servo", help="Serial port of the servo.")]
 PageOption = Annotated[str, typer.Option("--page", help="host:port of the operator page.")]
+TargetOption = Annotated[str, typer.Option("--target", help="Place of the target: x,y [m].")]

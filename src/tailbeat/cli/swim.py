@@ -1,4 +1,4 @@
-"""Swim in the virtual pool or with the robot."""
+"""Swim in the virtual pool or with the robot; run the poolside station."""
 
 import sys
 from contextlib import AbstractContextManager, nullcontext
@@ -21,8 +21,6 @@ from tailbeat.files import BadInput, refuse_existing, write_json
 from tailbeat.link.addresses import address
 from tailbeat.link.places import TARGET, place
 from tailbeat.robot.ports import Ports
-
-TargetOption = Annotated[str, typer.Option("--target", help="Where the target is: x,y [m].")]
 
 
 def swim(
@@ -97,31 +95,6 @@ def _tour(
     output.tables({f"{done['fish']} in the virtual pool, {done['policy']}": done["targets"]})
     output.say(f"{done['within_5cm']} of {targets} within 5 cm; page: {out / 'report.html'}")
     return done
-
-
-def emulate(
-    key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
-    robot: Annotated[str, typer.Option("--robot", help="host:port where the loop listens.")] = "",
-    camera: Annotated[
-        Path | None, typer.Option("--camera", help="Film at this socket; then no poses are sent.")
-    ] = None,
-    fish: PoolFish = "pulley-fish",
-    target: TargetOption = TARGET,
-    page: PageOption = "",
-    seed: SeedOption = 0,
-) -> None:
-    """Emulate servo, IMU and camera of a fish in real time. Servo and IMU are on pseudo-terminals.
-    Poses are sent over the network, or `tailbeat station --camera` finds them in pictures."""
-    if camera is None and (key is None or not robot):
-        raise BadInput("emulate: give --key and --robot for poses, or --camera for pictures.")
-    need_robot()
-    from tailbeat.emulators import serve
-
-    say = lambda line: print(line, flush=True)  # noqa: E731
-    if camera is not None:
-        serve.filmed_rig(fish, camera, target, seed, say)
-    elif key is not None:
-        serve.rig(fish, key, robot, target, page, seed, say)
 
 
 def drive(
@@ -250,23 +223,3 @@ def station(
         write_json(json, {"targets": rows, "armed_anew": leader.rearmed if leader else 0})
     if tour is not None and tour.target is not None:
         raise typer.Exit(1)
-
-
-def key(path: Annotated[Path, typer.Argument(help="The key file to write.")]) -> None:
-    """Write the key that station and fish share. Copy it to both; only its owner can read it."""
-    from tailbeat.link.datagrams import make_key
-
-    make_key(path)
-    output.say(f"wrote {path}; copy it to both machines")
-
-
-def export(
-    log: Annotated[Path, typer.Argument(help="A log of `tailbeat drive`, .mcap.")],
-    out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
-) -> None:
-    """Convert a drive's log to a recording that identification reads. A log that was cut off is
-    read up to its end."""
-    from tailbeat.robot.log_export import export as export_log
-
-    recording = export_log(log, out)
-    output.say(f"wrote {out}: {recording.time.size} rows")

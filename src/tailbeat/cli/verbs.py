@@ -123,7 +123,8 @@ PANELS = {
         Verb(
             "evaluate",
             "evaluate:evaluate",
-            "Evaluate a policy in the virtual pool: targets, disturbances, tracks, other fish.",
+            "Evaluate a policy in the virtual pool: targets, disturbances, tracks,"
+            " out of distribution.",
             "runs/mine/policy.onnx --fish pulley-fish --twin mine.toml --out runs/evaluation",
         ),
         Verb(
@@ -134,7 +135,7 @@ PANELS = {
         ),
         Verb(
             "speed-map",
-            "identify:speed_map",
+            "evaluate:speed_map",
             "Compare the speeds of twin and virtual pool over frequency and stroke.",
             "--fish mine.toml --out speeds.png",
         ),
@@ -218,13 +219,13 @@ PANELS = {
         ),
         Verb(
             "key",
-            "swim:key",
+            "check:key",
             "Write the key that station and fish share.",
             "fish.key",
         ),
         Verb(
             "export",
-            "swim:export",
+            "check:export",
             "Convert a drive's log to a recording that identification reads.",
             "swim.mcap --out swim.csv",
         ),
@@ -232,19 +233,19 @@ PANELS = {
     "Develop": (
         Verb(
             "emulate",
-            "swim:emulate",
+            "develop:emulate",
             "Emulate servo, IMU and camera of a fish in real time.",
             "--fish pulley-fish --key fish.key --robot 127.0.0.1:5151",
         ),
         Verb(
             "camera",
-            "camera:camera",
+            "develop:camera",
             "Emulate a camera above the pool: frames at a socket, or pictures to calibrate with.",
             "--socket camera.sock",
         ),
         Verb(
             "benchmark",
-            "evaluate:benchmark",
+            "develop:benchmark",
             "Measure speed and accuracy on this machine.",
             "--no-env",
         ),

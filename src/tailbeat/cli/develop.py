@@ -1,0 +1,77 @@
+"""Emulate devices and a camera, measure speed."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tailbeat.cli import output, results
+from tailbeat.cli.extras import need_camera, need_robot
+from tailbeat.cli.options import JsonOption, PageOption, PoolFish, SeedOption, TargetOption
+from tailbeat.files import BadInput, write_json
+from tailbeat.link.places import TARGET
+
+
+def emulate(
+    key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
+    robot: Annotated[str, typer.Option("--robot", help="host:port where the loop listens.")] = "",
+    camera: Annotated[
+        Path | None, typer.Option("--camera", help="Film at this socket; then no poses are sent.")
+    ] = None,
+    fish: PoolFish = "pulley-fish",
+    target: TargetOption = TARGET,
+    page: PageOption = "",
+    seed: SeedOption = 0,
+) -> None:
+    """Emulate servo, IMU and camera of a fish in real time. Servo and IMU are on pseudo-terminals.
+    Poses are sent over the network, or `tailbeat station --camera` finds them in pictures."""
+    if camera is None and (key is None or not robot):
+        raise BadInput("emulate: give --key and --robot for poses, or --camera for pictures.")
+    need_robot()
+    from tailbeat.emulators import serve
+
+    say = lambda line: print(line, flush=True)  # noqa: E731
+    if camera is not None:
+        serve.filmed_rig(fish, camera, target, seed, say)
+    elif key is not None:
+        serve.rig(fish, key, robot, target, page, seed, say)
+
+
+def camera(
+    socket: Annotated[Path | None, typer.Option(help="Socket to make: frames of a swim.")] = None,
+    pictures: Annotated[
+        Path | None,
+        typer.Option(help="Folder to make: the pictures that `tailbeat calibrate` needs."),
+    ] = None,
+    fish: Annotated[
+        str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")
+    ] = "pulley-fish",
+    seconds: Annotated[float, typer.Option(help="How long [s]; 0: until Ctrl-C.")] = 0.0,
+    count: Annotated[int, typer.Option(help="Number of views of the board.")] = 20,
+    seed: SeedOption = 0,
+) -> None:
+    """Emulate a camera above the pool: frames at a socket, or pictures to calibrate with."""
+    if (socket is None) == (pictures is None):
+        raise BadInput("camera: give --socket or --pictures, one of them.")
+    need_camera()
+    from tailbeat.emulators import lab, scripted
+
+    if pictures is not None:
+        lab.pictures(pictures, count, seed)
+        output.say(f"wrote {pictures}: views/, pool.png, survey.csv")
+    if socket is not None:
+        scripted.film(socket, fish, seconds, seed, lambda line: print(line, flush=True))
+
+
+def benchmark(
+    env: Annotated[bool, typer.Option(help="Also environment and updates, against SB3's.")] = True,
+    json: JsonOption = None,
+) -> None:
+    """Measure speed and accuracy on this machine. The step is compared with a bare engine loop.
+    Pool, environment, updates and camera follow."""
+    from tailbeat.benchmarks import suite
+
+    result = suite.benchmark(env)
+    results.benched(result)
+    if json is not None:
+        write_json(json, result)
