@@ -25,7 +25,7 @@ benchmark: $(READY)  ## measure speed on this machine
 	$(TAILBEAT) bench $(ARGS)
 
 test: check browser  ## check, then every test that is neither slow nor needs a GPU
-	$(VENV)/bin/pytest -n logical --dist loadgroup $(ARGS)
+	$(VENV)/bin/pytest -n logical $(ARGS)
 
 check: $(READY)  ## lint, format and types, changing nothing
 	$(VENV)/bin/ruff check

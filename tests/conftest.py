@@ -2,8 +2,10 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
+from xdist.scheduler import LoadScopeScheduling
 
 import tailbeat  # noqa: F401  first: it chooses the engine's GL library
 
@@ -29,18 +31,22 @@ def no_engine_warning():
     assert after == before, f"the engine warned: {after[len(before) :]}"
 
 
-@pytest.hookimpl(tryfirst=True)  # before the plugin reads the groups
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Say which tests share a process of `pytest -n`: those that measure time, one after another,
-    and those that share a module's fixture, which is then made once."""
-    if hasattr(config, "workerinput"):  # one of the processes of `pytest -n`
-        for item in items:
-            if (group := _group(item)) is not None:
-                item.add_marker(pytest.mark.xdist_group(group))
+class TogetherOrApart(LoadScopeScheduling):
+    """Which tests one process of `pytest -n` runs together, told by their files.
+
+    All that measure time, one after another; and those of a file with a fixture of module scope,
+    which is then made once. The others go to whichever process is idle.
+    """
+
+    def _split_scope(self, nodeid: str) -> str:
+        name = nodeid.partition("::")[0]
+        text = (ROOT / name).read_text()
+        if "pytestmark = pytest.mark.realtime" in text:
+            return "realtime"
+        return name if 'scope="module"' in text else nodeid
 
 
-def _group(item: pytest.Item) -> str | None:
-    if item.get_closest_marker("realtime"):
-        return "realtime"
-    shared = (made[-1].scope == "module" for made in item._fixtureinfo.name2fixturedefs.values())  # type: ignore[attr-defined]
-    return item.path.stem if any(shared) else None
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> TogetherOrApart:
+    """The plugin's own groups (`--dist loadgroup`) do nothing with pytest 9.2: xdist 3.8 writes
+    them into an attribute that pytest no longer reads."""
+    return TogetherOrApart(config, log)
