@@ -66,9 +66,11 @@ draggable(aim, () => may);
 
 // ---- what comes in ----
 
-function say(text, bad = false) {
-  byId("said").textContent = text;
-  byId("said").classList.toggle("bad", bad);
+// What the server answered to this page, and what became of the last order, anyone's: each has its
+// own line, so that news of an order cannot overwrite a refusal.
+function say(text, bad = false, line = "said") {
+  byId(line).textContent = text;
+  byId(line).classList.toggle("bad", bad);
 }
 
 function answered(text) {
@@ -101,7 +103,7 @@ let told = null;
 function show(snapshot) {
   now = snapshot;
   draw(now);
-  if (told !== null && now.said !== told) say(now.said, now.said.includes("not taken"));
+  if (told !== null && now.said !== told) say(now.said, now.said.includes("not taken"), "sent");
   told = now.said;
   state();
   gauges();
