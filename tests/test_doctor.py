@@ -22,8 +22,8 @@ from tailbeat.emulators.imu import serve as serve_imu
 from tailbeat.emulators.servo import Dynamixel
 from tailbeat.emulators.servo import serve as serve_servo
 from tailbeat.link import datagrams as link
-from tailbeat.robot import doctor, examine
-from tailbeat.robot.doctor import ADVICE, BAD, OK, WARN, Finding
+from tailbeat.robot import doctor, doctor_computer, doctor_devices, doctor_link
+from tailbeat.robot.findings import ADVICE, BAD, OK, WARN, Finding
 
 pytestmark = pytest.mark.realtime
 
@@ -47,19 +47,19 @@ def bench() -> Iterator[Bench]:
 
 
 def of_servo(bench: Bench) -> dict[str, Finding]:
-    servo, answer = doctor.find_servo(bench.servo, deadline=PATIENT)
+    servo, answer = doctor_devices.find_servo(bench.servo, deadline=PATIENT)
     if servo is None:
         return {answer.name: answer}
-    found = doctor.check_servo(servo)
+    found = doctor_devices.check_servo(servo)
     servo.port.close()
     return {one.name: one for one in [answer, *found]}
 
 
 def of_imu(bench: Bench) -> dict[str, Finding]:
-    imu, answer = doctor.find_imu(bench.imu, deadline=PATIENT)
+    imu, answer = doctor_devices.find_imu(bench.imu, deadline=PATIENT)
     if imu is None:
         return {answer.name: answer}
-    found = doctor.check_imu(imu)
+    found = doctor_devices.check_imu(imu)
     imu.close()
     return {one.name: one for one in [answer, *found]}
 
@@ -100,7 +100,7 @@ def test_a_servo_at_another_baud_rate_is_found_there_and_one_without_power_is_no
     assert "register 8" in found.do
     bench.device.put(8, 3)
     bench.device.faults.mute = 10**6
-    servo, answer = doctor.find_servo(bench.servo, deadline=0.01)
+    servo, answer = doctor_devices.find_servo(bench.servo, deadline=0.01)
     assert servo is None and answer.verdict == BAD and "nothing answers" in answer.found
     bench.device.faults.mute = 0
 
@@ -123,18 +123,18 @@ def test_an_imu_that_is_wrong_is_found(bench):
 
 
 def test_ports_that_are_absent_held_or_slow_are_found(bench, tmp_path):
-    (absent,) = doctor.check_port("port", str(tmp_path / "none"))
+    (absent,) = doctor_devices.check_port("port", str(tmp_path / "none"))
     assert absent.verdict == BAD and "by-id" in absent.do
     handle = os.open(bench.servo, os.O_RDWR | os.O_NOCTTY)
     fcntl.flock(handle, fcntl.LOCK_EX)
-    (held,) = doctor.check_port("port", bench.servo)
+    (held,) = doctor_devices.check_port("port", bench.servo)
     assert held.verdict == BAD and "in use" in held.found
     os.close(handle)
     timer = tmp_path / Path(bench.servo).name / "device" / "latency_timer"
     timer.parent.mkdir(parents=True)
     for waits, verdict in ((16, BAD), (2, WARN), (1, OK)):
         timer.write_text(f"{waits}\n")
-        _, slow = doctor.check_port("port", bench.servo, tmp_path)
+        _, slow = doctor_devices.check_port("port", bench.servo, tmp_path)
         assert slow.verdict == verdict and slow.found == f"{waits} ms"
 
 
@@ -142,11 +142,15 @@ def test_ports_that_are_absent_held_or_slow_are_found(bench, tmp_path):
 
 
 def test_keys_that_are_absent_open_to_others_or_short_are_found(tmp_path):
-    assert doctor.check_key(None).verdict == doctor.check_key(tmp_path / "none").verdict == BAD
+    assert (
+        doctor_link.check_key(None).verdict
+        == doctor_link.check_key(tmp_path / "none").verdict
+        == BAD
+    )
     link.make_key(tmp_path / "key")
-    assert doctor.check_key(tmp_path / "key").verdict == OK
+    assert doctor_link.check_key(tmp_path / "key").verdict == OK
     (tmp_path / "key").chmod(0o644)
-    assert "others may read" in doctor.check_key(tmp_path / "key").found
+    assert "others may read" in doctor_link.check_key(tmp_path / "key").found
 
 
 KEY = bytes(32)
@@ -190,7 +194,9 @@ def test_what_is_wrong_between_laptop_and_fish_is_found(key, see, skip, slow, ex
     thread = threading.Thread(target=laptop, args=words, daemon=True)
     thread.start()
     receiver = link.Receiver(KEY, (5.5, 2.7))
-    found = {one.name: one for one in doctor.check_link(ours, theirs.getsockname(), receiver, 1.0)}
+    found = {
+        one.name: one for one in doctor_link.check_link(ours, theirs.getsockname(), receiver, 1.0)
+    }
     ended.set()
     thread.join()
     theirs.close()
@@ -202,24 +208,24 @@ def test_what_is_wrong_between_laptop_and_fish_is_found(key, see, skip, slow, ex
 
 
 def test_a_computer_that_is_not_ready_is_found(tmp_path, monkeypatch):
-    assert doctor.check_disk(tmp_path / "none").verdict == BAD
-    monkeypatch.setattr(doctor, "ROOM_BAD", 1e18)
-    assert doctor.check_disk(tmp_path).verdict == BAD
+    assert doctor_computer.check_disk(tmp_path / "none").verdict == BAD
+    monkeypatch.setattr(doctor_computer, "ROOM_BAD", 1e18)
+    assert doctor_computer.check_disk(tmp_path).verdict == BAD
     governor = tmp_path / "cpu0" / "cpufreq" / "scaling_governor"
     governor.parent.mkdir(parents=True)
     governor.write_text("powersave\n")
-    assert doctor.check_governor(tmp_path).verdict == WARN
+    assert doctor_computer.check_governor(tmp_path).verdict == WARN
     wireless = tmp_path / "wireless"
     for level, verdict in ((-90, BAD), (-70, WARN), (-50, OK)):
         wireless.write_text(f"head\nhead\n wlan0: 0000   54.  {level}.  -256  0 0 0\n")
-        assert doctor.check_wireless(wireless).verdict == verdict
+        assert doctor_computer.check_wireless(wireless).verdict == verdict
 
 
 def test_rights_that_are_missing_are_found():
     code = (
         "import os, resource; resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536));"
         "resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0)); os.geteuid = lambda: 1000;"
-        "from tailbeat.robot.doctor import check_scheduling;"
+        "from tailbeat.robot.doctor_computer import check_scheduling;"
         "print([one.verdict for one in check_scheduling()])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -228,9 +234,9 @@ def test_rights_that_are_missing_are_found():
 
 def test_a_policy_that_does_not_fit_is_found(tmp_path):
     (tmp_path / "x.onnx").write_bytes(b"no network")
-    (broken,) = examine.check_policy(str(tmp_path / "x.onnx"), "pulley-fish")
+    (broken,) = doctor.check_policy(str(tmp_path / "x.onnx"), "pulley-fish")
     assert broken.verdict == BAD
-    _, other = examine.check_policy("pulley-fish-pool-generator", "crank-fish")
+    _, other = doctor.check_policy("pulley-fish-pool-generator", "crank-fish")
     assert other.verdict == BAD and other.do
 
 

@@ -11,8 +11,8 @@ pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 from camera_views import FISH, TARGET, true_calibration
 from tailbeat.emulators.camera import Scene
 from tailbeat.emulators.film import Filming, start_camera
-from tailbeat.robot.doctor import Finding
 from tailbeat.robot.doctor_camera import check_camera
+from tailbeat.robot.findings import Finding
 from tailbeat.vision.calibration import write_calibration
 
 pytestmark = pytest.mark.realtime

@@ -17,7 +17,7 @@ INSTALLED_AS = {"cv2": "opencv-python-headless", "serial": "pyserial"}
 INSTALLED_AS |= {"stable_baselines3": "stable-baselines3"}
 LABORATORY = {"mujoco", "numba", "scipy", "matplotlib", "polars", "cma"}
 # The verbs of the robot, and what they import when they run.
-ROBOT = ["tailbeat.cli.app", "tailbeat.robot.session", "tailbeat.robot.examine"]
+ROBOT = ["tailbeat.cli.app", "tailbeat.robot.session", "tailbeat.robot.doctor"]
 ROBOT += ["tailbeat.robot.systemd", "tailbeat.robot.watchdog", "tailbeat.link.datagrams"]
 
 

@@ -126,7 +126,7 @@ def doctor(
     need_robot()
     from tailbeat.emulators.own_devices import own_devices
     from tailbeat.link.addresses import address
-    from tailbeat.robot.examine import Parts, examine, of_camera
+    from tailbeat.robot.doctor import Parts, examine, of_camera
 
     ends = [
         address(text, option) if text else None

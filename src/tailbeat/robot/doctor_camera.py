@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from tailbeat.files import BadInput
-from tailbeat.robot.doctor import Finding, finding
+from tailbeat.robot.findings import Finding, finding
 from tailbeat.vision.calibration import Calibration, read_calibration
 from tailbeat.vision.camera import CameraFault, Picture, open_camera
 from tailbeat.vision.tracker import Sighting, Tracker

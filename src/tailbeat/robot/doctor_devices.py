@@ -1,0 +1,160 @@
+"""Checks of serial ports, servo and IMU: no torque, no register of the servo is written."""
+
+import contextlib
+import fcntl
+import math
+import os
+import statistics
+import time
+from pathlib import Path
+
+from tailbeat.files import BadInput
+from tailbeat.robot import imu as imus
+from tailbeat.robot import servo as servos
+from tailbeat.robot.findings import Finding, finding
+from tailbeat.robot.imu import Imu, ImuFault
+from tailbeat.robot.safety import SafetyLimits
+from tailbeat.robot.servo import Servo, ServoFault
+
+REVERSED, OVERLOAD = 0b1, 0b100000  # bits of drive mode and shutdown
+BAUDS = (57_600, 115_200, 2_000_000, 3_000_000, 4_000_000, 9_600)  # besides 1,000,000
+LIMITS = SafetyLimits()
+FIRMWARE = 42  # older firmware of the X series was not looked at
+READS = 50
+
+# ---- ports --------------------------------------------------------------------------------------
+
+
+def check_port(name: str, path: str, sysfs: Path = Path("/sys/class/tty")) -> list[Finding]:
+    """Whether a serial port is there, may be opened, is free, and answers without delay."""
+    if not Path(path).exists():
+        do = "plug the cable in; see ls -l /dev/serial/by-id"
+        return [finding(name, f"{path}: not there", bad=True, do=do)]
+    if not os.access(path, os.R_OK | os.W_OK):
+        do = "sudo usermod -aG dialout $USER, then log in anew"
+        return [finding(name, f"{path}: no permission", bad=True, do=do)]
+    if not _free(path):
+        return [finding(name, f"{path}: in use", bad=True, do=f"end who holds it: fuser {path}")]
+    timer = sysfs / Path(path).resolve().name / "device" / "latency_timer"
+    if not timer.is_file():
+        return [finding(name, path)]
+    waits, do = int(timer.read_text()), f"echo 1 | sudo tee {timer}; for good, by a udev rule"
+    slow = finding(f"{name}: latency timer", f"{waits} ms", bad=waits > 4, warn=waits > 1, do=do)
+    return [finding(name, path), slow]
+
+
+def _free(path: str) -> bool:
+    """Whether nobody holds the lock that drivers take."""
+    handle = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(handle)
+
+
+# ---- servo --------------------------------------------------------------------------------------
+
+
+def find_servo(path: str, ident: int = 1, deadline: float = 0.05) -> tuple[Servo | None, Finding]:
+    """The servo at a million baud, or at which other rate it answers."""
+    name = "servo answers"
+    try:
+        found = servos.connect(path, ident, deadline=deadline)
+        return found, finding(name, f"id {ident}, 1000000 baud")
+    except BadInput as error:
+        said = str(error)
+    for baud in BAUDS:
+        with contextlib.suppress(BadInput):
+            servos.connect(path, ident, baud, deadline=deadline).port.close()
+            do = "set its baud rate, register 8, to 3 with the maker's Dynamixel Wizard"
+            return None, finding(name, f"at {baud} baud, not at 1000000", bad=True, do=do)
+    return None, finding(name, said, bad=True)
+
+
+def check_servo(servo: Servo, limits: SafetyLimits = LIMITS) -> list[Finding]:
+    """Firmware, supply, temperature, errors, mode, limits, delays, and how long a reading takes."""
+    try:
+        return [*_condition(servo, limits), *_settings(servo), _reading_time(servo)]
+    except ServoFault as fault:
+        return [finding("servo", str(fault), bad=True)]
+
+
+def _condition(servo: Servo, limits: SafetyLimits) -> list[Finding]:
+    state, errors, version = servo.read(), servo.hardware_errors(), servo.get((6, 1))
+    volts, heat = state.voltage, state.temperature
+    sags = not limits.voltage_low <= volts <= limits.voltage_high
+    on, latched = servo.is_on(), servo.stopped_itself()
+    return [
+        finding("servo firmware", str(version), warn=version < FIRMWARE),
+        finding("servo supply", f"{volts:.1f} V", bad=sags, warn=volts < limits.voltage_low + 1),
+        finding("servo temperature", f"{heat:.0f} deg C", bad=heat >= limits.temperature_hold),
+        finding("servo hardware error", ", ".join(errors) or "none", bad=bool(errors)),
+        finding("servo torque", "on" if on else "off", bad=on),
+        finding("servo stopped itself", "yes" if latched else "no", warn=latched),
+    ]
+
+
+def _settings(servo: Servo) -> list[Finding]:
+    """EEPROM; arming sets mode, delay and limits by itself."""
+    mode, delay = servo.get(servos.OPERATING_MODE), servo.get(servos.RETURN_DELAY)
+    low, high = servo.get(servos.LOWEST), servo.get(servos.HIGHEST)
+    drive, homing, shutdown = servo.get((10, 1)), servo.get((20, 4)), servo.get((63, 1))
+    outside = not low < servos.CENTRE < high
+    return [
+        finding("servo mode", str(mode), warn=mode != servos.POSITION_MODE),
+        finding("servo return delay", f"{2 * delay} us", warn=delay > 5),
+        finding("servo limits", f"{low} to {high} counts", bad=outside),
+        finding("servo drive mode", str(drive), bad=bool(drive & REVERSED)),
+        finding("servo homing offset", str(homing), warn=homing != 0),
+        finding("servo shutdown", f"{shutdown:#b}", bad=not shutdown & OVERLOAD),
+    ]
+
+
+def _reading_time(servo: Servo) -> Finding:
+    """A reading must leave room in 20 ms."""
+    took = []
+    for _ in range(READS):
+        began = time.monotonic()
+        servo.read()
+        took.append(1e3 * (time.monotonic() - began))
+    middle = statistics.median(took)
+    found = f"median {middle:.1f} ms, worst {max(took):.1f} ms, {servo.silent} lost"
+    return finding("servo reading time", found, bad=middle > 8, warn=middle > 4 or servo.silent > 0)
+
+
+# ---- IMU ----------------------------------------------------------------------------------------
+
+
+def find_imu(path: str, deadline: float = 0.05) -> tuple[Imu | None, Finding]:
+    """The BNO055, or why none answers."""
+    try:
+        return imus.connect(path, deadline=deadline), finding("IMU answers", "BNO055")
+    except BadInput as error:
+        return None, finding("IMU answers", str(error), bad=True)
+
+
+def check_imu(imu: Imu) -> list[Finding]:
+    """Its own errors, its mode, whether it measures, and its noise at rest."""
+    try:
+        error = imu.registers(imus.STATUS, 2)[1]
+        imu.prepare()
+        mode = imu.registers(imus.MODE, 1)[0] & 0x0F
+        rates = []
+        for _ in range(READS):
+            rates.append(imu.read())
+            time.sleep(0.01)  # it has a new number a hundred times a second
+    except ImuFault as fault:
+        return [finding("IMU", str(fault), bad=True)]
+    came = [one.rate for one in rates if one is not None]
+    still = statistics.pstdev(came) if came else math.nan
+    mean = abs(statistics.fmean(came)) if came else math.nan
+    said = f"turning at {mean:.3f} rad/s, noise {still:.3f} rad/s"
+    return [
+        finding("IMU's own error", str(error), bad=error != 0),
+        finding("IMU mode", str(mode), bad=mode != imus.ACCGYRO),
+        finding("IMU readings", f"{len(came)} of {READS}", bad=len(came) < READS / 2),
+        finding("IMU at rest", said, warn=not (mean < 0.1 and still < 0.1)),
+    ]
