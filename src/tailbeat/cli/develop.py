@@ -13,10 +13,12 @@ from tailbeat.link.places import TARGET
 
 
 def emulate(
-    key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
-    robot: Annotated[str, typer.Option("--robot", help="host:port where the loop listens.")] = "",
+    key: Annotated[Path | None, typer.Option("--key", help="File of the shared key.")] = None,
+    robot: Annotated[
+        str, typer.Option("--robot", help="host:port on which the loop listens.")
+    ] = "",
     camera: Annotated[
-        Path | None, typer.Option("--camera", help="Film at this socket; then no poses are sent.")
+        Path | None, typer.Option("--camera", help="Socket to make: pictures instead of poses.")
     ] = None,
     fish: PoolFish = "pulley-fish",
     target: TargetOption = TARGET,
@@ -64,7 +66,9 @@ def camera(
 
 
 def benchmark(
-    env: Annotated[bool, typer.Option(help="Also environment and updates, against SB3's.")] = True,
+    env: Annotated[
+        bool, typer.Option(help="Also measure environment and updates, beside SB3's.")
+    ] = True,
     json: JsonOption = None,
 ) -> None:
     """Measure speed and accuracy on this machine. The step is compared with a bare engine loop.

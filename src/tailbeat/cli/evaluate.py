@@ -25,18 +25,22 @@ if TYPE_CHECKING:
 
 def evaluate(
     policy: PolicyFile,
-    out: Annotated[Path, typer.Option("--out", help="Folder of the runs; taken up if it exists.")],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder of the runs; an existing one is continued.")
+    ],
     fish: PoolFish = "pulley-fish",
     twin: TwinOption = None,
     pool: Annotated[
-        str, typer.Option(help="ensemble, full, no lag, no stall or no added inertia.")
+        str, typer.Option(help="Water: ensemble, full, no lag, no stall or no added inertia.")
     ] = "ensemble",
     task: Annotated[
-        list[str] | None, typer.Option("--tasks", help=f"Of {', '.join(NAMES)}; default: all.")
+        list[str] | None, typer.Option("--tasks", help=f"Tasks: {', '.join(NAMES)}; default: all.")
     ] = None,
-    episodes: Annotated[int, typer.Option(help="Swims under each condition of a task.")] = 250,
+    episodes: Annotated[
+        int, typer.Option(help="Number of swims under each condition of a task.")
+    ] = 250,
     walls: Annotated[
-        str, typer.Option(help="Of the walled trials, length x width [m].")
+        str, typer.Option(help="Pool of the trials with walls, length x width [m].")
     ] = "5.5x2.7",
     seed: SeedOption = 0,
     json: JsonOption = None,
@@ -76,12 +80,15 @@ def _share(text: str) -> tuple[int, int]:
 
 def compare(
     policies: Annotated[list[str], typer.Argument(help="Policies of several kinds and seeds.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder of the cells; taken up if it exists.")],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder of the cells; an existing one is continued.")
+    ],
     fish: PoolFish = "pulley-fish",
     twin: TwinOption = None,
-    targets: Annotated[int, typer.Option(help="Targets of each cell.")] = 100,
+    targets: Annotated[int, typer.Option(help="Number of targets of each cell.")] = 100,
     share: Annotated[
-        str, typer.Option(help="i/n: swim every n-th cell only, for n processes.")
+        str,
+        typer.Option(help="i/n: swim every n-th cell, from the i-th; n processes share the work."),
     ] = "1/1",
     seed: SeedOption = 0,
     json: JsonOption = None,
@@ -102,8 +109,10 @@ def compare(
 
 def speed_map(
     fish: FishOption,
-    out: Annotated[Path, typer.Option("--out", help="The figure to write, .png.")],
-    servo: Annotated[list[str] | None, typer.Option(help="Servo variants; repeat.")] = None,
+    out: Annotated[Path, typer.Option("--out", help="Figure to write, .png.")],
+    servo: Annotated[
+        list[str] | None, typer.Option(help="Servos of the fish to map; default: its own.")
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Compare the speeds of twin and virtual pool over frequency and stroke. The map reaches far

@@ -9,34 +9,38 @@ from tailbeat.cli import output, progress, results
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
 from tailbeat.files import refuse_existing, write_json
 
-OutFish = Annotated[Path, typer.Option("--out", help="The identified fish to write.")]
+OutFish = Annotated[Path, typer.Option("--out", help="Fish to write, .toml.")]
 AddedOption = Annotated[
     float | None,
-    typer.Option(help="Share of the described added mass that is inertia; default: as described."),
+    typer.Option(
+        help="Fraction of the described added mass that is inertia; default: as described."
+    ),
 ]
 LawOption = Annotated[
     Literal["described", "whole"],
     typer.Option(
         "--law",
-        help="whole: added mass across the parts, lift with a trailing edge (docs/twin.md).",
+        help="Fluid law; whole: added mass across the parts, lift with a trailing edge.",
     ),
 ]
 
 
 def identify_fluid(
     fish: FishOption,
-    fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit; repeat.")],
+    fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit.")],
     out: OutFish,
     validate: Annotated[
-        list[Path] | None, typer.Option("--validate", help="Recordings held out; repeat.")
+        list[Path] | None, typer.Option("--validate", help="Recordings held out.")
     ] = None,
-    zones: Annotated[int, typer.Option(help="1: one coefficient set; 3: one per zone.")] = 3,
-    seeds: Annotated[int, typer.Option(help="Independent searches, the best one kept.")] = 5,
+    zones: Annotated[int, typer.Option(help="1: one set of coefficients; 3: one per zone.")] = 3,
+    seeds: Annotated[
+        int, typer.Option(help="Number of independent searches; the best is kept.")
+    ] = 5,
     seed: SeedOption = 0,
-    generations: Annotated[int, typer.Option(help="CMA-ES generations per seed.")] = 15,
+    generations: Annotated[int, typer.Option(help="CMA-ES generations of each search.")] = 15,
     start_weight: Annotated[
         bool | None,
-        typer.Option(help="Weigh a run's start 4:1; default: when it starts from rest."),
+        typer.Option(help="Weigh the start of a run 4:1; default: if it starts from rest."),
     ] = None,
     added_inertia: AddedOption = None,
     law: LawOption = "described",
@@ -60,10 +64,12 @@ def identify_fluid(
 
 def identify_tail(
     fish: FishOption,
-    sweeps: Annotated[list[Path], typer.Argument(help="Driven sweeps, CSV or Parquet.")],
+    sweeps: Annotated[
+        list[Path], typer.Argument(help="Recordings of driven sweeps, .csv or .parquet.")
+    ],
     out: OutFish,
-    static: Annotated[Path | None, typer.Option(help="A slow pull: the loop it makes.")] = None,
-    ring_down: Annotated[Path | None, typer.Option(help="A released tail.")] = None,
+    static: Annotated[Path | None, typer.Option(help="Recording of a slow pull.")] = None,
+    ring_down: Annotated[Path | None, typer.Option(help="Recording of a released tail.")] = None,
     json: JsonOption = None,
 ) -> None:
     """Fit the tail's stiffness and damping to driven sweeps with shaft torque. Both are spread over
@@ -78,20 +84,26 @@ def identify_tail(
 
 def identify_servo(
     fish: FishOption,
-    fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit; repeat.")],
+    fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit.")],
     out: OutFish,
     validate: Annotated[
-        list[Path] | None, typer.Option("--validate", help="Recordings held out; repeat.")
+        list[Path] | None, typer.Option("--validate", help="Recordings held out.")
     ] = None,
     load: Annotated[
-        str | None, typer.Option(help="tail, pendulum or nothing; default: as recorded, else tail.")
+        str | None,
+        typer.Option(help="Load: tail, pendulum or nothing; default: as recorded, else tail."),
     ] = None,
     gain: Annotated[
-        float | None, typer.Option(help="Gain register the fish will run with; default: middle.")
+        float | None,
+        typer.Option(help="Gain register that the fish will run with; default: the middle one."),
     ] = None,
     gears: Annotated[bool, typer.Option(help="Fit the gears' load-dependent friction.")] = True,
-    cross_validate: Annotated[bool, typer.Option(help="Also leave out each gain in turn.")] = False,
-    seeds: Annotated[int, typer.Option(help="Independent searches, the best one kept.")] = 5,
+    cross_validate: Annotated[
+        bool, typer.Option(help="Also fit with each gain left out in turn.")
+    ] = False,
+    seeds: Annotated[
+        int, typer.Option(help="Number of independent searches; the best is kept.")
+    ] = 5,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -119,10 +131,13 @@ def identify_servo(
 
 def identify_all(
     fish: FishOption,
-    folder: Annotated[Path, typer.Option("--from", help="Folder with all recordings.")],
+    folder: Annotated[
+        Path,
+        typer.Option("--from", help="Folder of all recordings, as `tailbeat record` names them."),
+    ],
     out: OutFish,
-    zones: Annotated[int, typer.Option(help="1: one coefficient set; 3: one per zone.")] = 3,
-    seeds: Annotated[int, typer.Option(help="Independent searches per stage.")] = 3,
+    zones: Annotated[int, typer.Option(help="1: one set of coefficients; 3: one per zone.")] = 3,
+    seeds: Annotated[int, typer.Option(help="Number of independent searches per stage.")] = 3,
     seed: SeedOption = 0,
     generations: Annotated[int, typer.Option(help="CMA-ES generations of the fluid.")] = 15,
     added_inertia: AddedOption = None,
@@ -146,11 +161,11 @@ def identify_all(
 def predict(
     fish: FishOption,
     recordings: Annotated[
-        list[Path], typer.Argument(help="Recordings or logs, CSV or Parquet, or OUT/runs/*.npz.")
+        list[Path], typer.Argument(help="Recordings or logs, .csv or .parquet, or OUT/runs/*.npz.")
     ],
     fitted_on: Annotated[
         list[Path] | None,
-        typer.Option("--fitted-on", help="Fit a naive model of five numbers on these; repeat."),
+        typer.Option("--fitted-on", help="Recordings to fit a naive model of five numbers to."),
     ] = None,
     json: JsonOption = None,
 ) -> None:
@@ -171,10 +186,10 @@ def predict(
 def coverage(
     swims: Annotated[
         list[Path],
-        typer.Argument(help="A policy's swims: logs as CSV or Parquet, or OUT/runs/*.npz."),
+        typer.Argument(help="A policy's swims: logs as .csv or .parquet, or OUT/runs/*.npz."),
     ],
     against: Annotated[
-        list[Path], typer.Option("--against", help="Recordings the fish was identified on; repeat.")
+        list[Path], typer.Option("--against", help="Recordings that the fish was identified on.")
     ],
     fish: FishOption,
     json: JsonOption = None,

@@ -16,21 +16,27 @@ from tailbeat.report.tables import as_rows
 def train(
     fish: FishOption,
     out: Annotated[Path, typer.Option("--out", help="Folder of the run.")],
-    actions: Annotated[str, typer.Option(help="generator, direct or filtered.")] = "generator",
-    recipe: Annotated[str, typer.Option(help="quick, paper or smoke.")] = "quick",
+    actions: Annotated[
+        str, typer.Option(help="Action space: generator, direct or filtered.")
+    ] = "generator",
+    recipe: Annotated[str, typer.Option(help="Recipe: quick, paper or smoke.")] = "quick",
     seed: SeedOption = 0,
-    hours: Annotated[float, typer.Option(help="End after this long, resumably.")] = 12.0,
-    resume: Annotated[bool, typer.Option(help="Go on from the folder's checkpoint.")] = False,
-    device: Annotated[str, typer.Option(help="cpu, or cuda for the updates.")] = "cpu",
-    servo: Annotated[str | None, typer.Option(help="Another of the fish's servos.")] = None,
+    hours: Annotated[
+        float, typer.Option(help="Longest training time [h]; --resume continues it.")
+    ] = 12.0,
+    resume: Annotated[bool, typer.Option(help="Continue from the checkpoint in --out.")] = False,
+    device: Annotated[str, typer.Option(help="Device of the updates: cpu or cuda.")] = "cpu",
+    servo: Annotated[
+        str | None, typer.Option(help="Servo of the fish to train with; default: its own.")
+    ] = None,
     binds: Annotated[
         str | None,
-        typer.Option(help="What the generator's ceiling binds: fundamental (paper) or signal."),
+        typer.Option(help="The ceiling limits: fundamental or signal; default: the recipe's."),
     ] = None,
     floor: Annotated[
-        float, typer.Option(help="Lowest fundamental of the generator, in Hz; 0 lets it stop.")
+        float, typer.Option(help="Lowest fundamental of the generator [Hz]; with 0 it can stop.")
     ] = 0.0,
-    stage: Annotated[str | None, typer.Option(help="Go on in this stage, by hand.")] = None,
+    stage: Annotated[str | None, typer.Option(help="Stage to continue in, chosen by hand.")] = None,
     json: JsonOption = None,
 ) -> None:
     """Train a policy through the stages of a recipe. Exit code 1 if it did not pass them all."""
@@ -68,7 +74,7 @@ def show(file: PolicyFile, json: JsonOption = None) -> None:
 
 def diff(
     first: PolicyFile,
-    second: Annotated[str, typer.Argument(help="Another.")],
+    second: Annotated[str, typer.Argument(help="A second policy, .onnx, or a shipped one's name.")],
     json: JsonOption = None,
 ) -> None:
     """List the fields in which two policies' contracts differ. Exit code 1 if any does."""
@@ -85,11 +91,16 @@ def diff(
 def try_(
     file: PolicyFile,
     fish: FishOption,
-    arc: Annotated[float, typer.Option(help="Half angle of the targets' bearings [deg].")] = 120.0,
-    targets: Annotated[int, typer.Option(help="How many.")] = 1000,
-    exact: Annotated[bool, typer.Option(help="Without noise and randomisation.")] = False,
+    arc: Annotated[
+        float, typer.Option(help="Largest bearing of a target to either side [deg].")
+    ] = 120.0,
+    targets: Annotated[int, typer.Option(help="Number of targets.")] = 1000,
+    exact: Annotated[bool, typer.Option(help="Swim without noise and randomisation.")] = False,
     pools: Annotated[
-        int, typer.Option(help="Swim in so many waters of the virtual pool; give the pool's fish.")
+        int,
+        typer.Option(
+            help="Number of waters of the virtual pool to swim in; --fish is then the pool's."
+        ),
     ] = 0,
     seed: SeedOption = 0,
     json: JsonOption = None,

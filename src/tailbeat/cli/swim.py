@@ -1,9 +1,10 @@
 """Swim in the virtual pool or with the robot; run the poolside station."""
 
+import math
 import sys
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +14,8 @@ from tailbeat.cli.options import (
     SHIPPED,
     JsonOption,
     PageOption,
+    PolicyFile,
+    PolicyOption,
     PoolFish,
     SeedOption,
     TwinOption,
@@ -22,26 +25,39 @@ from tailbeat.link.addresses import address
 from tailbeat.link.places import TARGET, place
 from tailbeat.robot.ports import Ports
 
+if TYPE_CHECKING:
+    from tailbeat.evaluate.swim import Swum
+
+Devices = AbstractContextManager[tuple[Ports, Path]]  # where the devices are, and the key's file
+
 
 def swim(
     fish: Annotated[
-        str | None, typer.Option("--fish", help="Beat this fish open-loop instead, no policy.")
+        str | None, typer.Option("--fish", help="Beat this fish open-loop, without a policy.")
     ] = None,
-    policy: Annotated[str, typer.Option(help="A policy's file or a shipped one's name.")] = SHIPPED,
-    pool_fish: Annotated[str, typer.Option(help="The pool's fish.")] = "pulley-fish",
+    policy: PolicyOption = SHIPPED,
+    pool_fish: Annotated[
+        str, typer.Option(help="Fish in the virtual pool: a TOML file or a shipped fish's name.")
+    ] = "pulley-fish",
     twin: TwinOption = None,
     headless: Annotated[
-        bool, typer.Option("--headless", help="Swim to drawn targets and end, with a page.")
+        bool, typer.Option("--headless", help="Swim to drawn targets, then end with a report.")
     ] = False,
     direct: Annotated[
-        bool, typer.Option("--direct", help="The same without bytes, faster than real time.")
+        bool,
+        typer.Option(
+            "--direct",
+            help="As --headless, but simulated in process, without emulated devices: faster.",
+        ),
     ] = False,
     page: Annotated[
-        str, typer.Option("--page", help="host:port of the operator's page; a tour takes any.")
+        str, typer.Option("--page", help="host:port of the operator page; not used by a tour.")
     ] = "127.0.0.1:8080",
-    targets: Annotated[int, typer.Option(help="Of a tour: how many, one after the other.")] = 8,
+    targets: Annotated[int, typer.Option(help="Number of drawn targets of a tour.")] = 8,
     seed: SeedOption = 0,
-    out: Annotated[Path, typer.Option(help="Folder for page, film, log, summary.")] = Path("runs"),
+    out: Annotated[Path, typer.Option(help="Folder of the report, film, log and summary.")] = Path(
+        "runs"
+    ),
     json: JsonOption = None,
 ) -> None:
     """Swim to targets in the virtual pool, in real time. Fish, camera and station run as on a
@@ -50,73 +66,91 @@ def swim(
     if json is not None:
         refuse_existing(json)
     if fish is not None:
-        from tailbeat.fish.store import load_fish
-        from tailbeat.report.open_loop import open_loop
-
-        done = open_loop(load_fish(fish), out)
-        results.summary(done)
-    elif not (headless or direct) and sys.stdout.isatty():
-        if json is not None:
-            raise BadInput("--json: a swim that you attend has no result; add --headless.")
-        _attend(policy, pool_fish, twin, seed, page, out)
-        return
+        done = _open_loop(fish, out)
+    elif headless or direct or not sys.stdout.isatty():
+        swum = _direct if direct else _live
+        done = _tour(swum(policy, pool_fish, twin, targets, seed, out), out)
+    elif json is None:
+        done = _attend(policy, pool_fish, twin, seed, page, out)
     else:
-        done = _tour(policy, pool_fish, twin, targets, seed, out, direct)
+        raise BadInput("--json: a swim that you attend has no result; add --headless.")
     if json is not None:
         write_json(json, done)
-    if fish is None and done["within_20cm"] < targets:
+    if done.get("within_20cm", targets) < targets:
         raise typer.Exit(1)
 
 
-def _attend(policy: str, fish: str, twin: str | None, seed: int, page: str, out: Path) -> None:
-    """Swim after the target that the operator drags, until Ctrl-C."""
+def _open_loop(fish: str, out: Path) -> dict[str, Any]:
+    """Beat a fish open-loop; picture, film and summary in `out`."""
+    from tailbeat.fish.store import load_fish
+    from tailbeat.report.open_loop import open_loop
+
+    done = open_loop(load_fish(fish), out)
+    results.summary(done)
+    return done
+
+
+def _attend(
+    policy: str, fish: str, twin: str | None, seed: int, page: str, out: Path
+) -> dict[str, Any]:
+    """Swim after the target that the operator drags, until Ctrl-C. The log is all that is left."""
     need_robot()
     need_camera()
     from tailbeat.evaluate.swim import attended
 
     log = attended(policy, fish, twin, seed, page, out, output.say)
     output.say(f"log: {log}; `tailbeat export {log} --out swim.csv` makes a recording of it")
+    return {}
 
 
-def _tour(
-    policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path, direct: bool
-) -> dict[str, Any]:
-    """Swim to drawn targets, draw the page, say what came of it."""
+def _direct(policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path) -> "Swum":
+    """Swim to drawn targets in process, faster than real time; nothing lies in `out` yet."""
     from tailbeat.evaluate import swim as swims
+
+    return swims.direct(policy, fish, twin, targets, seed, progress.counting)
+
+
+def _live(policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path) -> "Swum":
+    """Swim to drawn targets in real time, through emulated devices; the logs are in `out`."""
+    need_robot()
+    need_camera()
+    from tailbeat.evaluate import swim as swims
+
+    return swims.live(policy, fish, twin, targets, seed, out, output.say)
+
+
+def _tour(swum: "Swum", out: Path) -> dict[str, Any]:
+    """Write a tour's report, say what came of it."""
     from tailbeat.report import tour
 
-    if direct:
-        swum = swims.direct(policy, fish, twin, targets, seed, progress.counting)
-    else:
-        need_robot()
-        need_camera()
-        swum = swims.live(policy, fish, twin, targets, seed, out, output.say)
     done = tour.write(swum, out, progress.counting)
-    output.tables({f"{done['fish']} in the virtual pool, {done['policy']}": done["targets"]})
-    output.say(f"{done['within_5cm']} of {targets} within 5 cm; page: {out / 'report.html'}")
+    rows = done["targets"]
+    output.tables({f"{done['fish']} in the virtual pool, {done['policy']}": rows})
+    output.say(f"{done['within_5cm']} of {len(rows)} within 5 cm; page: {out / 'report.html'}")
     return done
 
 
 def drive(
-    policy: Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")],
-    log: Annotated[Path, typer.Option("--log", help="The log to write, .mcap, or a folder.")],
+    policy: PolicyFile,
+    log: Annotated[Path, typer.Option("--log", help="Log to write: .mcap, or an existing folder.")],
     emulated: Annotated[
-        bool, typer.Option("--emulated", help="Start an emulated bench and drive that.")
+        bool, typer.Option("--emulated", help="Drive emulated devices, started for this.")
     ] = False,
-    servo: Annotated[str, typer.Option(help="The servo's serial port.")] = "",
-    imu: Annotated[str, typer.Option(help="The IMU's serial port.")] = "",
-    listen: Annotated[str, typer.Option(help="host:port to listen on for poses.")] = "",
+    servo: Annotated[str, typer.Option(help="Serial port of the servo.")] = "",
+    imu: Annotated[str, typer.Option(help="Serial port of the IMU.")] = "",
+    listen: Annotated[str, typer.Option(help="host:port on which to listen for poses.")] = "",
     station: Annotated[str, typer.Option(help="host:port of the station.")] = "",
-    key: Annotated[Path | None, typer.Option("--key", help="The shared key.")] = None,
+    key: Annotated[Path | None, typer.Option("--key", help="File of the shared key.")] = None,
     fish: PoolFish = "pulley-fish",
     target: Annotated[
-        str | None, typer.Option("--target", help="x,y [m] instead of the target's tag.")
+        str | None, typer.Option("--target", help="Target x,y [m], instead of the target's tag.")
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option(help="How long; 30 by default, with orders until Ctrl-C.")
+        float | None,
+        typer.Option(help="How long [s]; default: 30, or until Ctrl-C with --wait or --page."),
     ] = None,
     wait: Annotated[
-        bool, typer.Option("--wait", help="Stay disarmed until ordered; else arm and swim.")
+        bool, typer.Option("--wait", help="Stay disarmed until the operator page orders otherwise.")
     ] = False,
     page: PageOption = "",
     seed: SeedOption = 0,
@@ -125,7 +159,6 @@ def drive(
     """Drive the fish fifty times a second: arm, swim, turn torque off. Exit code 1 if it stopped
     itself."""
     need_robot()
-    from tailbeat.emulators.own_devices import own_devices
     from tailbeat.link.reasons import Reason
     from tailbeat.robot import session
     from tailbeat.robot.results import drive_json
@@ -133,21 +166,15 @@ def drive(
     log = session.log_in(log)
     for path in filter(None, (log, json)):
         refuse_existing(path)
-    aim = None if target is None else place(target)
-    stay = wait or bool(page)
-    if seconds is None:
-        seconds = float("inf") if stay else 30.0
-    if not seconds > 0:
-        raise BadInput(f"--seconds {seconds:g}: give a time above 0.")
+    aim, stay = None if target is None else place(target), wait or bool(page)
+    lasts = _duration(seconds, stay)
     if emulated:
-        bench: AbstractContextManager[tuple[Ports, Path]] = own_devices(
-            fish, seed, target or TARGET, page, output.say
-        )
-        aim = None if stay else aim  # the tag floats there; the operator may drag it
+        devices = _emulated(fish, seed, target or TARGET, page)
+        aim = None if stay else aim  # the target's tag floats there; the operator may drag it
     else:
-        bench = _given(servo, imu, listen, station, key, page)
-    with bench as (ports, secret):
-        config = session.DriveConfig(policy, ports, secret, log, aim, seconds, not wait, stay)
+        devices = _given(servo, imu, listen, station, key, page)
+    with devices as (ports, secret):
+        config = session.DriveConfig(policy, ports, secret, log, aim, lasts, not wait, stay)
         done = session.drive(config, output.say)
     output.tables({"drive": [drive_json(done)]})
     if json is not None:
@@ -156,9 +183,23 @@ def drive(
         raise typer.Exit(1)
 
 
-def _given(
-    servo: str, imu: str, listen: str, station: str, key: Path | None, page: str
-) -> AbstractContextManager[tuple[Ports, Path]]:
+def _duration(seconds: float | None, stay: bool) -> float:
+    """How long a drive lasts [s]: as given, without end if it waits for orders, else 30."""
+    if seconds is None:
+        return math.inf if stay else 30.0
+    if not seconds > 0:
+        raise BadInput(f"--seconds {seconds:g}: give a time above 0.")
+    return seconds
+
+
+def _emulated(fish: str, seed: int, target: str, page: str) -> Devices:
+    """Ports and key of emulated devices that are started for the drive."""
+    from tailbeat.emulators.own_devices import own_devices
+
+    return own_devices(fish, seed, target, page, output.say)
+
+
+def _given(servo: str, imu: str, listen: str, station: str, key: Path | None, page: str) -> Devices:
     """The fish's own ports and key, as given."""
     if not (servo and imu and listen and station and key):
         raise BadInput("drive: give --servo, --imu, --listen, --station and --key, or --emulated.")
@@ -170,34 +211,39 @@ def _given(
 
 def station(
     robot: Annotated[str, typer.Option("--robot", help="host:port where the fish listens.")],
-    key: Annotated[Path, typer.Option("--key", help="The shared key.")],
-    listen: Annotated[str, typer.Option("--listen", help="host:port of ours, as the fish has it.")],
+    key: Annotated[Path, typer.Option("--key", help="File of the shared key.")],
+    listen: Annotated[
+        str, typer.Option("--listen", help="host:port of this machine for the fish.")
+    ],
     page: PageOption = "127.0.0.1:8080",
     camera: Annotated[
-        str, typer.Option("--camera", help="Where pictures come from: /dev/video0, unix:/path.")
+        str, typer.Option("--camera", help="Camera: /dev/video0 or unix:/path.")
     ] = "",
     calibration: Annotated[
-        Path | None, typer.Option("--calibration", help="A file of `tailbeat calibrate`.")
+        Path | None, typer.Option("--calibration", help="Calibration made by `tailbeat calibrate`.")
     ] = None,
-    fish_tag: Annotated[int, typer.Option(help="Id of the fish's tag, 36h11.")] = 0,
+    fish_tag: Annotated[int, typer.Option(help="Id of the fish's tag (family 36h11).")] = 0,
     target_tag: Annotated[int, typer.Option(help="Id of the target's tag.")] = 1,
-    exposure: Annotated[float, typer.Option(help="Of the camera [s].")] = 0.002,
+    exposure: Annotated[float, typer.Option(help="Exposure time of the camera [s].")] = 0.002,
     latency: Annotated[
-        float, typer.Option(help="From the exposure's end to the frame's stamp [s].")
+        float, typer.Option(help="Time from the end of the exposure to the stamp [s].")
     ] = 0.0,
     fish: Annotated[
-        str, typer.Option("--fish", help="The fish as drawn: a file or a name.")
+        str, typer.Option("--fish", help="Fish to draw: a TOML file or a shipped fish's name.")
     ] = "pulley-fish",
     targets: Annotated[
-        int, typer.Option("--tour", help="Lead the fish to so many drawn targets, then stop it.")
+        int,
+        typer.Option("--tour", help="Number of drawn targets to lead the fish to."),
     ] = 0,
     begin: Annotated[
         str | None,
-        typer.Option("--begin", help="Arm the fish once; x,y [m] of a target to drag from there."),
+        typer.Option(
+            "--begin", help="Arm the fish once, with the target at x,y [m]; drag it from there."
+        ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of those targets.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the drawn targets.")] = 0,
     json: Annotated[
-        Path | None, typer.Option("--json", help="Write what became of the tour here as JSON.")
+        Path | None, typer.Option("--json", help="Write the tour's result here as JSON.")
     ] = None,
 ) -> None:
     """Run the poolside station: find the fish, send its pose, show the operator page. Exit code 1
