@@ -135,6 +135,6 @@ def test_template_is_a_fish_that_compiles_and_swims_forward(tmp_path):
     fish = load_fish(tmp_path / "mine.toml")
     assert fish.name == "mine"
     done = open_loop(fish, tmp_path / "runs")
-    assert done["speed_m_s"] > 0.005
+    assert done.speed_m_s > 0.005
     with pytest.raises(BadInput, match="exists already"):
         new_fish(tmp_path / "mine.toml")

@@ -37,20 +37,19 @@ POLICY, FISH = "pulley-fish-pool-generator", load_fish("pulley-fish")
 
 
 @pytest.fixture(scope="module")
-def swum(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, list[str]]:
+def swum(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, page.TourReport, list[str]]:
     out, said = tmp_path_factory.mktemp("live"), list[str]()
-    done = page.write(
-        swim.live(POLICY, FISH.name, None, 1, 0, out, said.append), out, progress.counting
-    )
+    config = swim.SwimConfig(POLICY, FISH.name, targets=1)
+    done = page.write(swim.live(config, out, said.append), out, progress.counting)
     return out, done, said
 
 
 def test_a_fish_seen_by_the_camera_alone_swims_towards_its_target(swum):
     out, done, said = swum
     target = draw_targets(1, 0)[0]
-    row = done["targets"][0]
-    assert row["time [s]"] > 0.1, said  # how far it comes is a matter of the machine's load
-    assert row["closest [cm]"] < 100 * np.hypot(*target) + 50, said
+    row = done.targets[0]
+    assert row.seconds > 0.1, said  # how far it comes is a matter of the machine's load
+    assert row.closest < np.hypot(*target) + 0.5, said
     for name in ("report.html", "swim.mp4", "summary.json", "swim.mcap", "figures/swim.svg"):
         assert (out / name).stat().st_size > 1000 or name == "summary.json"
     assert any("lens" in line for line in said) and any("run" in line for line in said)
@@ -60,8 +59,8 @@ def test_the_log_is_read_for_the_targets_that_were_swum_to_alone(swum):
     out, done, _ = swum
     tour = tour_of(out / "swim.mcap", FISH, draw_targets(1, 0))
     assert np.abs(tour.targets - draw_targets(1, 0)).max() < 1e-12 and len(tour.pose) > 5
-    closest = done["targets"][0]["closest [cm]"]
-    assert 100 * tour.nearest[0] >= closest - 1e-3  # logged in single precision
+    closest = done.targets[0].closest
+    assert tour.nearest[0] >= closest - 1e-5  # logged in single precision
     with pytest.raises(BadInput, match="other targets than these"):
         tour_of(out / "swim.mcap", FISH, draw_targets(1, 1))
 

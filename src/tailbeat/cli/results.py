@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from tailbeat.evaluate.evaluation import Evaluation
     from tailbeat.evaluate.rates import ConditionResult
     from tailbeat.evaluate.reach import ReachResult
+    from tailbeat.report.open_loop import OpenLoopReport
 
 
 def tail(report: dict[str, Any]) -> None:
@@ -178,14 +179,10 @@ def covered(result: dict[str, Any]) -> None:
         say("The recordings cover the swims.")
 
 
-def summary(report: dict[str, Any]) -> None:
-    """What the main job did and where it left things."""
-    if "parameters" in report:
-        identified(report)
-    else:
-        plain = {key: value for key, value in report.items() if not isinstance(value, list)}
-        tables({"open-loop swim": [plain]})
-    say(f"rendered: {report['rendered']}; see {report['folder']}/: {', '.join(report['files'])}")
+def open_loop(report: "OpenLoopReport") -> None:
+    """How far and fast the fish swam, and where the files are."""
+    tables({"open-loop swim": as_rows([report], "files")})
+    say(f"rendered: {report.rendered}; see {report.folder}/: {', '.join(report.files)}")
 
 
 def trained(done: dict[str, Any]) -> None:

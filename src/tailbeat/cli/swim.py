@@ -4,7 +4,7 @@ import math
 import sys
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -28,6 +28,7 @@ from tailbeat.robot.ports import Ports
 if TYPE_CHECKING:
     from tailbeat.evaluate.swim import Swum
 
+Asked = tuple[str, str, str | None, int, int]  # policy, pool's fish, twin, targets, seed
 Devices = AbstractContextManager[tuple[Ports, Path]]  # where the devices are, and the key's file
 
 
@@ -66,68 +67,65 @@ def swim(
     if json is not None:
         refuse_existing(json)
     if fish is not None:
-        done = _open_loop(fish, out)
+        _open_loop(fish, out, json)
     elif headless or direct or not sys.stdout.isatty():
-        swum = _direct if direct else _live
-        done = _tour(swum(policy, pool_fish, twin, targets, seed, out), out)
+        swum = (_direct if direct else _live)((policy, pool_fish, twin, targets, seed), out)
+        _tour(swum, out, json)
     elif json is None:
-        done = _attend(policy, pool_fish, twin, seed, page, out)
+        _attend(policy, pool_fish, twin, seed, page, out)
     else:
         raise BadInput("--json: a swim that you attend has no result; add --headless.")
-    if json is not None:
-        write_json(json, done)
-    if done.get("within_20cm", targets) < targets:
-        raise typer.Exit(1)
 
 
-def _open_loop(fish: str, out: Path) -> dict[str, Any]:
+def _open_loop(fish: str, out: Path, json: Path | None) -> None:
     """Beat a fish open-loop; picture, film and summary in `out`."""
     from tailbeat.fish.store import load_fish
     from tailbeat.report.open_loop import open_loop
 
     done = open_loop(load_fish(fish), out)
-    results.summary(done)
-    return done
+    results.open_loop(done)
+    if json is not None:
+        write_json(json, done)
 
 
-def _attend(
-    policy: str, fish: str, twin: str | None, seed: int, page: str, out: Path
-) -> dict[str, Any]:
+def _attend(policy: str, fish: str, twin: str | None, seed: int, page: str, out: Path) -> None:
     """Swim after the target that the operator drags, until Ctrl-C. The log is all that is left."""
     need_robot()
     need_camera()
-    from tailbeat.evaluate.swim import attended
+    from tailbeat.evaluate.swim import SwimConfig, attended
 
-    log = attended(policy, fish, twin, seed, page, out, output.say)
+    log = attended(SwimConfig(policy, fish, twin, 1, seed), page, out, output.say)
     output.say(f"log: {log}; `tailbeat export {log} --out swim.csv` makes a recording of it")
-    return {}
 
 
-def _direct(policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path) -> "Swum":
+def _direct(asked: Asked, out: Path) -> "Swum":
     """Swim to drawn targets in process, faster than real time; nothing lies in `out` yet."""
     from tailbeat.evaluate import swim as swims
 
-    return swims.direct(policy, fish, twin, targets, seed, progress.counting)
+    return swims.direct(swims.SwimConfig(*asked), progress.counting)
 
 
-def _live(policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path) -> "Swum":
+def _live(asked: Asked, out: Path) -> "Swum":
     """Swim to drawn targets in real time, through emulated devices; the logs are in `out`."""
     need_robot()
     need_camera()
     from tailbeat.evaluate import swim as swims
 
-    return swims.live(policy, fish, twin, targets, seed, out, output.say)
+    return swims.live(swims.SwimConfig(*asked), out, output.say)
 
 
-def _tour(swum: "Swum", out: Path) -> dict[str, Any]:
-    """Write a tour's report, say what came of it."""
+def _tour(swum: "Swum", out: Path, json: Path | None) -> None:
+    """Write a tour's report, say what came of it; exit code 1 where a target was missed."""
     from tailbeat.report import tour
 
     done = tour.write(swum, out, progress.counting)
-    rows = done["targets"]
-    output.tables({f"{done['fish']} in the virtual pool, {done['policy']}": rows})
-    output.say(f"{done['within_5cm']} of {len(rows)} within 5 cm; page: {out / 'report.html'}")
-    return done
+    output.tables({f"{done.fish} in the virtual pool, {done.policy}": tour.rows(done.targets)})
+    of = len(done.targets)
+    output.say(f"{done.within_5cm} of {of} within 5 cm; page: {out / 'report.html'}")
+    if json is not None:
+        write_json(json, done)
+    if done.within_20cm < of:
+        raise typer.Exit(1)
 
 
 def drive(

@@ -3,9 +3,9 @@
 The log knows the tag's pose and the motor's angle; the hinges are drawn from those.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from tailbeat.evaluate.tour import Tour
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import guessed_shape
-from tailbeat.operator.tour import ARRIVAL
+from tailbeat.operator.tour import ARRIVAL, TargetResult
 
 Array = NDArray[np.float64]
 TARGET = slice(3, 5)  # of the newest frame in `decided_on`
@@ -44,16 +44,15 @@ def tour_of(log: Path, fish: Fish, targets: Array) -> Tour:
     return Tour(targets, shape, pose, goal, reached, seconds, nearest)
 
 
-def as_seen(tour: Tour, rows: list[dict[str, Any]]) -> Tour:
-    """The same with what the laptop saw of its targets: it turns to the next one at the very frame
-    of an arrival, which the fish's log need not hold. Targets without a row were not come to."""
+def as_seen(tour: Tour, rows: Sequence[TargetResult]) -> Tour:
+    """The same with what the station saw of its targets: it turns to the next one at the very frame
+    of an arrival, which the fish's log need not hold. A target without a row was not reached."""
     count = len(tour.targets)
     reached, nearest = np.zeros(count, dtype=bool), np.full(count, np.inf)
     seconds = np.zeros(count)
     for row in rows:
-        number = row["target"] - 1
-        reached[number], seconds[number] = row["reached"] == "yes", row["time [s]"]
-        nearest[number] = row["closest [cm]"] / 100
+        number = row.target - 1
+        reached[number], seconds[number], nearest[number] = row.reached, row.seconds, row.closest
     return replace(tour, reached=reached, nearest=nearest, seconds=seconds)
 
 

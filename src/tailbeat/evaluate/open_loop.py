@@ -1,6 +1,6 @@
 """A fish that swims open-loop, without a policy."""
 
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,12 +24,22 @@ def beat(fish: Fish, frequency: float) -> tuple[Swim, Twin]:
     return swim([twin], [Start.at_rest()], [command], max(round(0.02 / step), 1))[0], twin
 
 
-def summary(done: Swim) -> dict[str, Any]:
-    """Speed over the last half, and how far the fish got."""
+@dataclass(frozen=True)
+class OpenLoop:
+    """An open-loop swim: its time [s], distance from the start [m], and speed over the last half
+    [m/s]."""
+
+    seconds: float
+    distance_m: float
+    speed_m_s: float
+
+
+def summary(done: Swim) -> OpenLoop:
+    """How far the fish got, and how fast."""
     half = done.time.size // 2
     path = done.qpos[half:, :2]
-    return {
-        "seconds": done.time[-1],
-        "distance_m": float(np.linalg.norm(done.qpos[-1, :2] - done.qpos[0, :2])),
-        "speed_m_s": float(np.linalg.norm(path[-1] - path[0]) / (done.time[-1] - done.time[half])),
-    }
+    return OpenLoop(
+        seconds=float(done.time[-1]),
+        distance_m=float(np.linalg.norm(done.qpos[-1, :2] - done.qpos[0, :2])),
+        speed_m_s=float(np.linalg.norm(path[-1] - path[0]) / (done.time[-1] - done.time[half])),
+    )

@@ -5,7 +5,6 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 from numpy import float64
 from numpy.typing import NDArray
@@ -13,61 +12,78 @@ from numpy.typing import NDArray
 from tailbeat.control.policy import Policy, load_policy
 from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
 from tailbeat.evaluate.live_swim import as_seen, tour_of
-from tailbeat.evaluate.store import read_json
+from tailbeat.evaluate.store import read_record
 from tailbeat.evaluate.tour import Tour, tour
 from tailbeat.evaluate.trial import Pool, Progress
 from tailbeat.files import BadInput
-from tailbeat.operator.tour import draw_targets
+from tailbeat.operator.tour import TargetResult, draw_targets
 
 Say = Callable[[str], None]
 Counting = Callable[[], AbstractContextManager[Progress]]  # opens a bar and closes it
 
 
+@dataclass(frozen=True)
+class SwimConfig:
+    """A `policy` (name or file) swims as the pool's `fish` to so many `targets`, drawn from `seed`;
+    `twin` names the fish it was trained on where that is not a shipped one."""
+
+    policy: str
+    fish: str = "pulley-fish"
+    twin: str | None = None
+    targets: int = 8
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Toured:
+    """What the station writes of a tour: its targets, and how often the fish was armed again."""
+
+    targets: tuple[TargetResult, ...]
+    armed_anew: int
+
+
 @dataclass(frozen=True, eq=False)
 class Swum:
-    """A tour that was swum by `policy` in `pool`, and what was `asked` for."""
+    """A tour that was swum by `policy` in `pool`, and how it was asked for; of a swim in real time
+    its log, and how often the fish was armed again."""
 
     tour: Tour
     policy: Policy
     pool: Pool
-    asked: dict[str, Any]
+    asked: SwimConfig
+    log: Path | None = None
+    armed_anew: int | None = None
 
 
-def direct(
-    policy: str, fish: str, twin: str | None, targets: int, seed: int, counting: Counting
-) -> Swum:
-    """Swim to targets in the pool's plant, without bytes and faster than real time."""
-    loaded, where, drawn = _entered(policy, fish, twin, targets, seed)
+def direct(config: SwimConfig, counting: Counting) -> Swum:
+    """Swim to targets in the pool's plant, in process and faster than real time."""
+    loaded, where, drawn = _entered(config)
     with counting() as progress:
-        swum = tour(loaded, where.fish, where.waters[0], drawn, seed, progress)
-    return Swum(swum, loaded, where, {"policy": policy, "seed": seed})
+        swum = tour(loaded, where.fish, where.waters[0], drawn, config.seed, progress)
+    return Swum(swum, loaded, where, config)
 
 
-def live(
-    policy: str, fish: str, twin: str | None, targets: int, seed: int, out: Path, say: Say
-) -> Swum:
-    """The same in real time, through camera, network, servo and IMU; told from the fish's log."""
+def live(config: SwimConfig, out: Path, say: Say) -> Swum:
+    """Swim in real time, through camera, network, servo and IMU; read back from the fish's log."""
     from tailbeat.emulators.live import swim  # needs OpenCV
 
-    loaded, where, drawn = _entered(policy, fish, twin, targets, seed)
+    loaded, where, drawn = _entered(config)
     log, seen = _room(out), out / "tour.json"
     seen.unlink(missing_ok=True)
-    swim(policy, fish, targets, seed, "127.0.0.1:0", out, say)
-    toured = read_json(seen)
-    swum = as_seen(tour_of(log, where.fish, drawn), toured["targets"])
-    asked = {"policy": policy, "seed": seed, "log": str(log), "armed_anew": toured["armed_anew"]}
-    return Swum(swum, loaded, where, asked)
+    swim(config.policy, config.fish, config.targets, config.seed, "127.0.0.1:0", out, say)
+    toured = read_record(Toured, seen)
+    swum = as_seen(tour_of(log, where.fish, drawn), toured.targets)
+    return Swum(swum, loaded, where, config, log, toured.armed_anew)
 
 
-def attended(
-    policy: str, fish: str, twin: str | None, seed: int, console: str, out: Path, say: Say
-) -> Path:
-    """In real time after the target that the operator drags, until Ctrl-C; the log that is kept."""
+def attended(config: SwimConfig, page: str, out: Path, say: Say) -> Path:
+    """Swim in real time after the target that the operator drags on the page at `host:port`, until
+    Ctrl-C; the log that is kept."""
     from tailbeat.emulators.live import swim  # needs OpenCV
 
-    _entered(policy, fish, twin, 1, seed)
+    _entered(config)
     log = _room(out)
-    swim(policy, fish, 0, seed, console, out, say)
+    swim(config.policy, config.fish, 0, config.seed, page, out, say)
     return log
 
 
@@ -80,12 +96,10 @@ def _room(out: Path) -> Path:
     return log
 
 
-def _entered(
-    policy: str, fish: str, twin: str | None, targets: int, seed: int
-) -> tuple[Policy, Pool, NDArray[float64]]:
+def _entered(config: SwimConfig) -> tuple[Policy, Pool, NDArray[float64]]:
     """What was asked for, checked: the policy, where it swims, its targets."""
-    if not 1 <= targets <= 100:
-        raise BadInput(f"--targets {targets}: allowed are 1 to 100.")
-    loaded = load_policy(policy)
-    where = pool_of(loaded, EvaluationConfig(fish, twin, "full", episodes=2, seed=seed))
-    return loaded, where, draw_targets(targets, seed)
+    if not 1 <= config.targets <= 100:
+        raise BadInput(f"--targets {config.targets}: allowed are 1 to 100.")
+    loaded = load_policy(config.policy)
+    given = EvaluationConfig(config.fish, config.twin, "full", episodes=2, seed=config.seed)
+    return loaded, pool_of(loaded, given), draw_targets(config.targets, config.seed)

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from tailbeat.env.world import World
 from tailbeat.evaluate.trial import Progress
 from tailbeat.fish.description import Fish
 from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.operator.tour import TargetResult
 from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water
@@ -37,19 +37,14 @@ class Tour:
     seconds: Array
     nearest: Array
 
-    def rows(self) -> list[dict[str, Any]]:
-        """One row per target."""
-        return [
-            {
-                "target": number + 1,
-                "x [m]": float(place[0]),
-                "y [m]": float(place[1]),
-                "reached": "yes" if self.reached[number] else "no",
-                "closest [cm]": 100 * float(self.nearest[number]),
-                "time [s]": float(self.seconds[number]),
-            }
-            for number, place in enumerate(self.targets)
-        ]
+    def results(self) -> tuple[TargetResult, ...]:
+        """What became of each target."""
+        columns = (self.targets, self.reached, self.nearest, self.seconds)
+        ends = zip(*(column.tolist() for column in columns), strict=True)
+        return tuple(
+            TargetResult(number, x, y, reached, nearest, seconds)
+            for number, ((x, y), reached, nearest, seconds) in enumerate(ends, 1)
+        )
 
 
 def tour(
@@ -79,15 +74,3 @@ def tour(
         ends.append((bool(done.reached[0]), PERIOD * goal.count(number), nearest))
     reached, seconds, closest = map(np.array, zip(*ends, strict=True))
     return Tour(targets, np.array(shape), np.array(pose), np.array(goal), reached, seconds, closest)
-
-
-def as_json(tour: Tour) -> dict[str, Any]:
-    """What the swim came to."""
-    hits = tour.reached
-    return {
-        "targets": tour.rows(),
-        "within_5cm": int(hits.sum()),
-        "within_20cm": int((tour.nearest < 0.2).sum()),
-        "seconds": PERIOD * len(tour.goal),
-        "median_seconds": float(np.median(tour.seconds[hits])) if hits.any() else None,
-    }

@@ -98,8 +98,8 @@ class Leader:
         if pose is not None:
             tour.see(pose, now)
         for row in tour.rows[done:]:
-            far, took = row["closest [cm]"], row["time [s]"]
-            say(f"target {row['target']} of {len(tour.targets)}: {far:.1f} cm after {took:.1f} s")
+            end = f"{100 * row.closest:.1f} cm after {row.seconds:.1f} s"
+            say(f"target {row.target} of {len(tour.targets)}: {end}")
         sender.target = tour.target or sender.target
 
     def over(self) -> bool:

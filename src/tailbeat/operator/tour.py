@@ -7,7 +7,6 @@ target is reached when the tag comes within the arrival's distance of it, and gi
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +36,19 @@ def draw_targets(count: int, seed: int) -> NDArray[np.float64]:
     raise BadInput(f"{count} targets do not fit into the pool; ask for fewer.")
 
 
+@dataclass(frozen=True)
+class TargetResult:
+    """What became of a target, numbered from 1: its place [m], whether the fish reached it, the
+    closest approach [m], and the time [s] it took or was given."""
+
+    target: int
+    x: float
+    y: float
+    reached: bool
+    closest: float
+    seconds: float
+
+
 @dataclass(eq=False)
 class Tour:
     """`targets` [m] in their order; `rows` of those that are over."""
@@ -46,7 +58,7 @@ class Tour:
     arrival: float = ARRIVAL
     began: float | None = None  # when the present target was first swum to [s]
     nearest: float = math.inf
-    rows: list[dict[str, Any]] = field(default_factory=list)
+    rows: list[TargetResult] = field(default_factory=list)
 
     @property
     def target(self) -> Place | None:
@@ -66,15 +78,6 @@ class Tour:
 
     def _next(self, now: float, reached: bool) -> None:
         assert self.target is not None and self.began is not None
-        x, y = self.target
-        self.rows.append(
-            {
-                "target": len(self.rows) + 1,
-                "x [m]": x,
-                "y [m]": y,
-                "reached": "yes" if reached else "no",
-                "closest [cm]": 100 * self.nearest,
-                "time [s]": now - self.began,
-            }
-        )
+        number, took = len(self.rows) + 1, now - self.began
+        self.rows.append(TargetResult(number, *self.target, reached, self.nearest, took))
         self.began, self.nearest = now, math.inf

@@ -1,6 +1,7 @@
 """Picture, film and page of a tour of targets. Draws what was swum; computes nothing."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 from tailbeat.control.actions import PERIOD
-from tailbeat.evaluate.provenance import provenance
+from tailbeat.evaluate.provenance import Provenance, provenance
+from tailbeat.evaluate.runs import NEAR
 from tailbeat.evaluate.swim import Counting, Swum
-from tailbeat.evaluate.tour import WALLS, Tour, as_json
+from tailbeat.evaluate.tour import WALLS, Tour
 from tailbeat.evaluate.trial import Progress
 from tailbeat.files import new_file, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import outline
+from tailbeat.operator.tour import TargetResult
 from tailbeat.pool.water import fingerprint
 from tailbeat.report import html
 from tailbeat.report.html import Section
@@ -28,30 +31,78 @@ FILM_RATE = 12.5  # frames per second
 SPEED, LONGEST = 4.0, 60.0  # seconds swum per second shown, at least; s that a film lasts at most
 
 
-def write(swum: Swum, out: Path, counting: Counting) -> dict[str, Any]:
+@dataclass(frozen=True)
+class TourReport:
+    """A tour's summary: how it was asked for, the fish and its pool's water, what became of each
+    target, how many the fish came within 5 and 20 cm of, the time of the whole tour and the median
+    time [s] of the targets reached, and where the policy and the numbers come from."""
+
+    policy: str
+    seed: int
+    log: str | None
+    armed_anew: int | None
+    fish: str
+    water: str
+    targets: tuple[TargetResult, ...]
+    within_5cm: int
+    within_20cm: int
+    seconds: float
+    median_seconds: float | None
+    training: Mapping[str, object]
+    provenance: Provenance
+
+
+def write(swum: Swum, out: Path, counting: Counting) -> TourReport:
     """Film, picture, page and summary of a swim; the summary first: a long film takes minutes."""
-    own, contract = swum.pool.fish, swum.policy.contract
-    data = {
-        **swum.asked,
-        "fish": own.name,
-        "water": fingerprint(swum.pool.waters),
-        **as_json(swum.tour),
-        "training": contract.training,
-        "provenance": provenance(),
-    }
+    own, data = swum.pool.fish, summary(swum)
     write_json(out / "summary.json", data, overwrite=True)
     with counting() as progress:
         film(swum.tour, own, out / "swim.mp4", progress)
     drawn = html.figure(picture(swum.tour, own), out, "swim")
-    blocks = (drawn, html.film(out / "swim.mp4"), html.table(data["targets"]))
-    origin = html.values({**vars(data["provenance"]), **contract.training})
+    blocks = (drawn, html.film(out / "swim.mp4"), html.table(rows(data.targets)))
+    origin = html.values({**vars(data.provenance), **data.training})
     sections = [Section("The swim", blocks), Section("Where this comes from", (origin,))]
     html.write(out, sections, data, f"{own.name} in the virtual pool")
     return data
 
 
+def summary(swum: Swum) -> TourReport:
+    """What a swim came to."""
+    tour, hits = swum.tour, swum.tour.reached
+    return TourReport(
+        policy=swum.asked.policy,
+        seed=swum.asked.seed,
+        log=None if swum.log is None else str(swum.log),
+        armed_anew=swum.armed_anew,
+        fish=swum.pool.fish.name,
+        water=fingerprint(swum.pool.waters),
+        targets=tour.results(),
+        within_5cm=int(hits.sum()),
+        within_20cm=int((tour.nearest < NEAR).sum()),
+        seconds=PERIOD * len(tour.goal),
+        median_seconds=float(np.median(tour.seconds[hits])) if hits.any() else None,
+        training=swum.policy.contract.training,
+        provenance=provenance(),
+    )
+
+
+def rows(targets: Iterable[TargetResult]) -> list[dict[str, Any]]:
+    """Rows of a table, a target each."""
+    return [
+        {
+            "target": one.target,
+            "x [m]": one.x,
+            "y [m]": one.y,
+            "reached": "yes" if one.reached else "no",
+            "closest [cm]": 100 * one.closest,
+            "time [s]": one.seconds,
+        }
+        for one in targets
+    ]
+
+
 def picture(tour: Tour, fish: Fish) -> Figure:
-    """The pool from above: the whole way, the targets in their order, the fish now and then."""
+    """The pool from above: the whole path, the targets in their order, the fish now and then."""
     figure = Figure(figsize=(9, 4.8), layout="constrained")
     axes = figure.subplots()
     _draw(axes, tour, fish, len(tour.goal) - 1, len(tour.goal))
