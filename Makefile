@@ -13,7 +13,7 @@ export TAILBEAT_DATA
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help swim benchmark test check format browser clean
+.PHONY: help mutation swim benchmark test check format browser clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /\1\t/' | expand -t 10
@@ -26,6 +26,9 @@ benchmark: $(READY)  ## measure speed on this machine
 
 test: check browser  ## check, then every test that is neither slow nor needs a GPU
 	$(VENV)/bin/pytest -n logical $(ARGS)
+
+mutation: $(READY)  ## change the code in one place at a time; which changes does no test notice? (hours)
+	$(VENV)/bin/python tests/mutation.py $(ARGS)
 
 check: $(READY)  ## lint, format and types, changing nothing
 	$(VENV)/bin/ruff check

@@ -14,6 +14,7 @@ pytest.importorskip("mcap", reason="the robot extra is not installed")
 
 from mcap.reader import make_reader
 
+from support import until
 from tailbeat.files import BadInput
 from tailbeat.recording import read_recording, write_recording
 from tailbeat.robot import log as logs
@@ -86,10 +87,7 @@ def test_a_disk_that_takes_no_more_is_told_and_the_loop_goes_on(tmp_path):
     log.file.close()  # every further write fails, as on a full disk
     for k in range(1, 200):
         log.put(row(k))
-    end = time.monotonic() + 5
-    while not log.failed and time.monotonic() < end:
-        time.sleep(0.01)
-    assert log.failed
+    until(lambda: log.failed)
     log.put(row(999))
     log.close()
 
@@ -106,7 +104,7 @@ def test_a_writer_that_falls_behind_drops_and_counts(tmp_path, monkeypatch):
     began = time.monotonic()
     for k in range(60):
         log.put(row(k))
-    assert time.monotonic() - began < 0.5 and log.dropped >= 45
+    assert time.monotonic() - began < 2.0 and log.dropped >= 10  # to write all takes 3 s
     log.close()
 
 

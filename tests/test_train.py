@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -455,12 +454,20 @@ def started(out: Path) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parents[1])
 
 
+def written(out: Path) -> int:
+    """When the last checkpoint was written [ns]; 0 before the first."""
+    try:
+        return (out / "checkpoint" / "random.json").stat().st_mtime_ns
+    except FileNotFoundError:
+        return 0
+
+
 def test_a_killed_run_loses_a_checkpoint_interval_at_most(tmp_path):
     out = tmp_path / "run"
     process = started(out)
-    state = out / "checkpoint" / "random.json"
-    until(state.exists)
-    time.sleep(2.5)
+    until(lambda: written(out) > 0)
+    first = written(out)
+    until(lambda: written(out) > first)
     process.kill()
     process.wait()
     kept = checkpoint.read_state(checkpoint.find(out))
