@@ -1,6 +1,7 @@
 """What `tailbeat --help` shows, and what it does not import."""
 
 import inspect
+import os
 import re
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from importlib import import_module
 
 import pytest
 
+from support import command
 from tailbeat.cli.app import run, spread_lists
 from tailbeat.cli.group import load, tree
 from tailbeat.cli.verbs import PANELS, Verb
@@ -93,3 +95,14 @@ def test_what_is_not_understood_is_one_sentence(words, answer):
     with pytest.raises(BadInput) as refusal:
         run(words.split())
     assert answer in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [("dr", "drive"), ("identify ", "tail\nservo\nfluid\nall"), ("drive --em", "--emulated")],
+)
+def test_the_shell_completes_verbs_and_options(typed, offered):
+    asked = {"_TAILBEAT_COMPLETE": "complete_bash", "COMP_WORDS": f"tailbeat {typed}"}
+    asked["COMP_CWORD"] = str(len(f"tailbeat {typed}|".split()) - 1)
+    done = subprocess.run(command(), env={**os.environ, **asked}, capture_output=True, text=True)
+    assert done.stdout.strip() == offered, done.stderr

@@ -1,4 +1,4 @@
-"""Start an emulated bench as a process beside this one."""
+"""Start emulated devices as a process beside this one."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -19,28 +19,28 @@ def own_devices(
     fish: str,
     seed: int,
     target: str = TARGET,
-    console: str = "",
+    page: str = "",
     say: Callable[[str], None] = print,
 ) -> Iterator[tuple[Ports, Path]]:
-    """A bench of our own in a process beside, and its key; says where its console is."""
+    """Emulated devices in a process beside, and their key; says where the operator page is."""
     with temporary() as folder:
         key = Path(folder) / "rig.key"
         link.make_key(key)
         listen = link.free_address()
         words = ["emulate", "--fish", fish, "--key", str(key)]
         words += ["--robot", f"{listen[0]}:{listen[1]}"]
-        words += [f"--target={target}", "--seed", str(seed), "--page", console]
+        words += [f"--target={target}", "--seed", str(seed), "--page", page]
         process = start_verb(words, stdout=PIPE)
         assert process.stdout is not None
         try:
             line = process.stdout.readline()
             if not line:
-                raise BadInput("the emulated bench did not start; see what it said above.")
+                raise BadInput("the emulated devices did not start; see what was said above.")
             said = json.loads(line)
-            for told in said["console"]:
+            for told in said["page"]:
                 say(told)
-            laptop = address(said["laptop"], "laptop")
-            yield Ports(said["servo"], said["imu"], listen, laptop), key
+            station = address(said["station"], "station")
+            yield Ports(said["servo"], said["imu"], listen, station), key
         finally:
             process.terminate()
             process.wait(10)

@@ -1,4 +1,4 @@
-"""Serve an emulated bench in real time until told to stop."""
+"""Serve emulated devices in real time until told to stop."""
 
 import gc
 import json
@@ -20,17 +20,17 @@ from tailbeat.robot import timing
 Say = Callable[[str], None]
 
 
-def rig(fish: str, key: Path, robot: str, target: str, console: str, seed: int, say: Say) -> None:
-    """Serve an emulated bench until told to stop; says where it is as one line of JSON."""
+def rig(fish: str, key: Path, robot: str, target: str, page: str, seed: int, say: Say) -> None:
+    """Serve emulated devices until told to stop; says where it is as one line of JSON."""
     there, aim = address(robot, "--robot"), place(target)
     described, secret = load_fish(fish), read_key(key)
-    client = open_console(console)
+    client = open_console(page)
     made = bench.open_rig(described, secret, there, aim, seed)
     ended = told_to_end()
     _hurry(made)
     host, port = made.laptop.socket.getsockname()
-    ports = {"servo": made.ports[0], "imu": made.ports[1], "laptop": f"{host}:{port}"}
-    say(json.dumps({**ports, "console": announce(client) if client else []}))
+    ports = {"servo": made.ports[0], "imu": made.ports[1], "station": f"{host}:{port}"}
+    say(json.dumps({**ports, "page": announce(client) if client else []}))
 
     def over() -> bool:
         if client is not None:
@@ -46,7 +46,7 @@ def rig(fish: str, key: Path, robot: str, target: str, console: str, seed: int, 
 
 
 def filmed_rig(fish: str, camera: Path, target: str, seed: int, say: Say) -> None:
-    """Serve an emulated bench that gives pictures at a socket instead of poses, until told to stop;
+    """Serve emulated devices that gives pictures at a socket instead of poses, until told to stop;
     says where it is as one line of JSON."""
     described, aim = load_fish(fish), place(target)
     eye = start_camera(camera, Filming(seed=seed))
