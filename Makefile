@@ -25,7 +25,7 @@ benchmark: $(READY)  ## measure speed on this machine
 	$(TAILBEAT) bench $(ARGS)
 
 test: check browser  ## check, then every test that is neither slow nor needs a GPU
-	$(VENV)/bin/pytest -n logical $(ARGS)
+	$(VENV)/bin/pytest -n logical --no-loadscope-reorder $(ARGS)
 
 mutation: $(READY)  ## change the code in one place at a time; which changes does no test notice? (hours)
 	$(VENV)/bin/python tests/mutation.py $(ARGS)

@@ -31,6 +31,12 @@ def no_engine_warning():
     assert after == before, f"the engine warned: {after[len(before) :]}"
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """First what takes longest, so that no process of `pytest -n` works alone at the end."""
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
+    items.sort(key=lambda item: item.get_closest_marker("realtime") is None)
+
+
 class TogetherOrApart(LoadScopeScheduling):
     """Which tests one process of `pytest -n` runs together, told by their files.
 

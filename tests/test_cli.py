@@ -173,6 +173,7 @@ def test_the_worked_example_of_the_tail(tmp_path):
     assert again.returncode == 2 and "exists already" in again.stderr
 
 
+@pytest.mark.long
 def test_the_worked_example_of_the_servo(tmp_path):
     out = tmp_path / "fish.toml"
     done = tailbeat(

@@ -52,6 +52,7 @@ def synthetic_runs(noise: float = 0.0):
     ]
 
 
+@pytest.mark.long
 def test_known_coefficients_come_back_or_are_named(tmp_path):
     config = FluidConfig(zones=3, seeds=2, effort=Effort(generations=12))
     found = identify_fluid(PULLEY, synthetic_runs(noise=1e-3), [], config, tmp_path)

@@ -312,6 +312,7 @@ def random_year(count: int, seed: int) -> np.ndarray:
     return swum.lost | (np.abs(swum.q[:, :, 4:]).max(axis=(1, 2)) > np.pi)
 
 
+@pytest.mark.long
 def test_no_fish_is_lost_in_a_random_month():
     assert not random_year(100, seed=0).any()
 

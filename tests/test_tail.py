@@ -29,6 +29,7 @@ def bench_42(seed: int) -> list[Recording]:
     return [slow, fast]
 
 
+@pytest.mark.long
 def test_four_numbers_come_back_and_intervals_hold_them():
     inside = dict.fromkeys(NAMES, 0)
     for seed in range(100):

@@ -359,6 +359,7 @@ def test_a_page_of_runs_cut_short_says_so(evaluated, tmp_path):
     assert "Cut short" in path.read_text()
 
 
+@pytest.mark.long
 def test_a_comparison_pairs_every_policy_with_its_twin_and_is_shared_between_processes(tmp_path):
     config = ComparisonConfig((POLICY,), targets=3)
     for share in ((0, 2), (1, 2)):
