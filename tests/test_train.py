@@ -18,6 +18,7 @@ import pytest
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
 import torch
+from stable_baselines3.common.buffers import NStepReplayBuffer
 
 from support import complaint, until
 from tailbeat.benchmarks import update as update_bench
@@ -37,7 +38,7 @@ from tailbeat.train import checkpoint
 from tailbeat.train import config as config
 from tailbeat.train.config import RunConfig, action_space, check
 from tailbeat.train.recipes import paper, quick, recipe_of, smoke
-from tailbeat.train.replay import FIRST, RelabelBuffer, _seen
+from tailbeat.train.replay import FIRST, RelabelBuffer, Transitions, _seen
 from tailbeat.train.sac import QuickSAC, _products, rounds
 from tailbeat.train.train import train
 
@@ -83,53 +84,54 @@ def fill(following: float) -> tuple[RelabelBuffer, Any]:
     return buffer, np.array(targets)
 
 
-def everything(buffer: RelabelBuffer) -> tuple[Any, dict[str, Any]]:
+def everything(buffer: RelabelBuffer) -> tuple[Any, Transitions]:
     at = tuple(index.ravel() for index in np.indices(buffer.dones.shape))
     return at, buffer._gather(at)
 
 
-def test_steps_in_a_row_are_summed_up_to_an_end(filled):
+def test_steps_in_a_row_make_one_transition_as_in_sb3_s_own_buffer(filled, monkeypatch):
     buffer, _ = filled
-    at, parts = everything(buffer)
-    for first in (0, 77, 1500, 3100):
-        row, fish = at[0][first], at[1][first]
-        total, last = 0.0, row
-        for last in range(row, min(row + RETURNS, 400)):
-            total += buffer.rewards[last, fish]
-            if buffer.dones[last, fish]:
-                break
-        assert parts["reward"][first] == pytest.approx(total, rel=1e-5)
-        assert np.array_equal(parts["next"][first], buffer.next_observations[last, fish])
-    lengths = np.isfinite(parts["way"][..., 0]).sum(axis=1)
-    assert set(lengths) == set(range(1, RETURNS + 1))
+    spaces = buffer.source.observation_space, buffer.source.action_space
+    theirs = NStepReplayBuffer(8 * 400, *spaces, "cpu", n_envs=8, n_steps=RETURNS, gamma=0.99)
+    for name in (*checkpoint.ARRAYS, "pos", "full"):
+        setattr(theirs, name, getattr(buffer, name))
+    rows = np.tile(np.arange(400), 8)
+    monkeypatch.setattr(buffer, "later", 0.0)  # every target stays what it was
+    monkeypatch.setattr(buffer, "anywhere", 0.0)
+    samples: list[Any] = []
+    for one in (buffer, theirs):
+        np.random.seed(0)  # noqa: NPY002 (both draw the fish from it)
+        samples.append(one._get_samples(rows))
+    assert len(samples[1].discounts.unique()) == RETURNS  # transitions of every length
+    for ours, sb3 in zip(*samples, strict=True):
+        assert torch.allclose(ours, sb3, rtol=1e-6, atol=1e-7)
+
+
+def check_the_same_target_changes_nothing(buffer: RelabelBuffer, targets: Any) -> Transitions:
+    at, found = everything(buffer)
+    before = replace(found, **{name: one.copy() for name, one in vars(found).items()})
+    buffer._retarget(found, targets[at])
+    for name in ("seen", "next", "reward", "ended"):
+        assert getattr(found, name) == pytest.approx(getattr(before, name), abs=1e-5), name
+    return before
 
 
 def test_the_same_target_gives_the_same_sight_reward_and_end(filled):
-    buffer, targets = filled
-    at, parts = everything(buffer)
-    before = {name: one.copy() for name, one in parts.items()}
-    buffer._retarget(parts, targets[at])
-    assert before["ended"].sum() >= 1 and buffer.timeouts.sum() > 10
-    for name in ("seen", "next", "reward", "ended"):
-        assert parts[name] == pytest.approx(before[name], abs=1e-5), name
+    before = check_the_same_target_changes_nothing(*filled)
+    assert before.ended.sum() >= 1 and filled[0].timeouts.sum() > 10
 
 
 def test_the_same_target_that_goes_on_gives_the_same_reward_and_no_end(followed):
-    buffer, targets = followed
-    at, parts = everything(buffer)
-    before = {name: one.copy() for name, one in parts.items()}
-    buffer._retarget(parts, targets[at])
-    assert not before["ended"].any() and before["reward"].max() > 0.1  # nearness pays
-    for name in ("seen", "next", "reward", "ended"):
-        assert parts[name] == pytest.approx(before[name], abs=1e-5), name
+    before = check_the_same_target_changes_nothing(*followed)
+    assert not before.ended.any() and before.reward.max() > 0.1  # nearness pays
 
 
 def test_a_place_on_the_way_as_target_is_arrived_at(filled):
     buffer, _ = filled
     at, parts = everything(buffer)
     buffer._retarget(parts, buffer.place[at])
-    assert parts["ended"].all()
-    assert (parts["reward"] > 9.0).all()
+    assert parts.ended.all()
+    assert (parts.reward > 9.0).all()
 
 
 def test_targets_elsewhere_are_seen_where_they_are(filled):

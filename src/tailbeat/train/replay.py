@@ -1,11 +1,12 @@
-"""A replay buffer that makes more of each swim: other targets for the same way.
+"""A replay buffer that uses each swim more than once: other targets for the same path.
 
 A swim says what it would have earned for any target, since reward and observation depend on the
-target by its place alone. So a share of every batch gets a target that the fish came by later, a
-share one anywhere about. Rewards are the environment's, recomputed; arrivals end a transition as
-they do there.
+target's place alone. So a part of every batch gets a target that the fish came by later, a part one
+anywhere about. Rewards are the environment's, recomputed; arrivals end a transition as they do
+there.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,30 @@ AHEAD = 300  # steps within which a later place becomes the target (chosen)
 EXTRA = ("frames", "next_frames", "place", "effort", "episode")
 
 
+@dataclass(frozen=True, eq=False)
+class Transitions:
+    """n transitions of up to k steps: first observation (n, 24) and action (n, size), discounted
+    reward (n,), last observation (n, 24), whether the last step ended the episode (n,). Behind
+    them lie the effort's term of every step (n, k), the tag's place after every step (n, k, 2)
+    [m], NaN after the last, and the frames of both observations (n, 3, 4)."""
+
+    seen: Single
+    next: Single
+    action: Single
+    reward: Single
+    effort: Single
+    ended: Single
+    way: Single
+    frames: Single
+    next_frames: Single
+
+
 class RelabelBuffer(ReplayBuffer):
     """SB3's buffer with `later` and `anywhere`, shares of a batch that get another target. Half of
     the `later` ones lie beside the way by about `misses` [m]: places that the fish all but reached.
 
-    `returns` steps in a row count as one (n-step returns); `discount` is per step.
+    `returns` steps in a row count as one (n-step returns): the sum of their rewards, each times
+    `discount` for every step before it.
     """
 
     def __init__(
@@ -43,6 +63,7 @@ class RelabelBuffer(ReplayBuffer):
     ) -> None:
         super().__init__(*args, **rest)
         self.source, self.discount, self.returns = source, discount, returns
+        self.powers = discount ** np.arange(returns, dtype=np.float32)  # weights of the rewards
         self.later, self.anywhere, self.misses = later, anywhere, misses
         shape = (self.buffer_size, self.n_envs)
         self.frames = np.zeros((*shape, 3, 4), np.float32)
@@ -68,36 +89,34 @@ class RelabelBuffer(ReplayBuffer):
     def _get_samples(self, batch_inds: Any, env: Any = None) -> ReplayBufferSamples:
         fish = np.random.randint(0, self.n_envs, size=len(batch_inds))  # noqa: NPY002 (as SB3)
         at = batch_inds, fish
-        parts = self._gather(at)
-        self._retarget(parts, self._other_targets(at))
-        steps = np.isfinite(parts["way"][..., 0]).sum(axis=1)
-        columns = parts["ended"], parts["reward"], (self.discount**steps).astype(np.float32)
-        order = parts["seen"], parts["action"], parts["next"]
+        found = self._gather(at)
+        self._retarget(found, self._other_targets(at))
+        bootstrap = (self.discount ** np.isfinite(found.way[..., 0]).sum(axis=1)).astype(np.float32)
+        columns = found.ended, found.reward, bootstrap
+        order = found.seen, found.action, found.next
         return ReplayBufferSamples(
             *(self.to_torch(one) for one in (*order, *(column[:, None] for column in columns)))
         )
 
-    def _gather(self, at: Any) -> dict[str, Any]:
-        """`returns` steps in a row as one, or fewer where an episode or the buffer ends: the
-        first sight and action, the sum of rewards, the last sight."""
+    def _gather(self, at: Any) -> Transitions:
+        """`returns` steps in a row as one, or fewer where an episode or the buffer ends."""
         rows = (at[0][:, None] + np.arange(self.returns)) % self.buffer_size
         fish = at[1][:, None]
         same = self.episode[rows, fish] == self.episode[at][:, None]
         follows = rows - at[0][:, None] == np.arange(self.returns)  # not round the ring
         valid = np.logical_and.accumulate(same & follows & self._written(rows), axis=1)
         last = rows[np.arange(len(rows)), valid.sum(axis=1) - 1], at[1]
-        way = np.where(valid[..., None], self.place[rows, fish], np.nan)
-        return {
-            "seen": self.observations[at],
-            "next": self.next_observations[last],
-            "action": self.actions[at],
-            "reward": (self.rewards[rows, fish] * valid).sum(axis=1),
-            "effort": (self.effort[rows, fish] * valid).sum(axis=1),
-            "ended": self.dones[last] * (1 - self.timeouts[last]),
-            "way": way,
-            "frames": self.frames[at],
-            "next_frames": self.next_frames[last],
-        }
+        return Transitions(
+            seen=self.observations[at],
+            next=self.next_observations[last],
+            action=self.actions[at],
+            reward=(self.rewards[rows, fish] * valid * self.powers).sum(axis=1),
+            effort=self.effort[rows, fish] * valid,
+            ended=self.dones[last] * (1 - self.timeouts[last]),
+            way=np.where(valid[..., None], self.place[rows, fish], np.nan),
+            frames=self.frames[at],
+            next_frames=self.next_frames[last],
+        )
 
     def _written(self, rows: Any) -> Any:
         return rows < (self.buffer_size if self.full else self.pos)
@@ -108,23 +127,21 @@ class RelabelBuffer(ReplayBuffer):
         anywhere = np.where(draw < self.later + self.anywhere, self._anywhere(at), np.nan)
         return np.where(draw < self.later, self._beside(self._later(at)), anywhere)
 
-    def _retarget(self, parts: dict[str, Any], targets: Single) -> None:
+    def _retarget(self, found: Transitions, targets: Single) -> None:
         """Give those with a finite target that one instead, in place."""
-        lost = (parts["ended"] > 0) & (parts["reward"] < 0)
+        lost = (found.ended > 0) & (found.reward < 0)
         chosen = np.isfinite(targets[:, 0]) & ~lost
-        target, way = targets[chosen], parts["way"][chosen]
-        parts["seen"][chosen, FIRST:] = _seen(parts["frames"][chosen], target)
-        parts["next"][chosen, FIRST:] = _seen(parts["next_frames"][chosen], target)
-        world = self.source.world
-        away = np.linalg.norm(way - target[:, None], axis=2)
-        follows = self._following(len(away))
-        hit = (away < world.task.arrival) & ~follows[:, None]  # NaN after an end: no hit
+        target, world = targets[chosen], self.source.world
+        found.seen[chosen, FIRST:] = _seen(found.frames[chosen], target)
+        found.next[chosen, FIRST:] = _seen(found.next_frames[chosen], target)
+        away = np.linalg.norm(found.way[chosen] - target[:, None], axis=2)
+        follows = self._following(len(away))[:, None]
+        hit = (away < world.task.arrival) & ~follows  # NaN after an end: no hit
         before = np.cumsum(hit, axis=1) - hit == 0
-        distance, bonus = reward.of_target(world.settings.reward, away, hit, follows[:, None])
-        earned = np.nansum(distance * before, axis=1) + parts["effort"][chosen]
-        earned += np.nansum(bonus * before, axis=1)
-        parts["reward"][chosen] = self.source.reward_scale * earned
-        parts["ended"][chosen] = hit.any(axis=1)
+        distance, bonus = reward.of_target(world.settings.reward, away, hit, follows)
+        earned = (distance + found.effort[chosen] + bonus) * before * self.powers
+        found.reward[chosen] = self.source.reward_scale * np.nansum(earned, axis=1)
+        found.ended[chosen] = hit.any(axis=1)
 
     def _following(self, count: int) -> Any:
         """Which of the new targets go on after an arrival, as many as in the task."""
@@ -160,4 +177,5 @@ def _seen(frames: Single, target: Single) -> Single:
     full = np.empty((len(frames), 3, 6))
     full[..., :3], full[..., 5] = frames[..., :3], frames[..., 3]
     full[..., 3:5] = target[:, None]
-    return np.asarray(relative(full).reshape(len(frames), -1) / SCALES[FIRST:], dtype=np.float32)
+    found = relative(full).reshape(len(frames), len(SCALES) - FIRST) / SCALES[FIRST:]
+    return np.asarray(found, dtype=np.float32)
