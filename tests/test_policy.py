@@ -35,8 +35,8 @@ from tailbeat.env.task import Settings
 from tailbeat.env.vector_env import FishEnv, FishVecEnv
 from tailbeat.files import BadInput
 from tailbeat.fish.store import digest, load_fish
+from tailbeat.train.export import Facts, export
 from tailbeat.train.export import act as act_of_sb3
-from tailbeat.train.export import export
 from tailbeat.train.features import TargetFeatures
 
 FISH = load_fish("pulley-fish-pool")
@@ -62,7 +62,7 @@ def sights(count: int) -> np.ndarray:
 def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SAC, Policy]:
     space = Generator(LOW, HIGH)
     model, path = untrained(space), tmp_path_factory.mktemp("policy") / "policy.onnx"
-    training = {"stage": "exact", "seed": 0}
+    training: Facts = {"stage": "exact", "seed": 0}
     return path, model, export(model, FISH, space, sights(400), training, path)
 
 

@@ -6,7 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -37,6 +37,7 @@ from tailbeat.fish.store import load_fish
 from tailbeat.train import checkpoint
 from tailbeat.train import config as config
 from tailbeat.train.config import RunConfig, action_space, check
+from tailbeat.train.progress import Progress, TrainingRow
 from tailbeat.train.recipes import paper, quick, recipe_of, smoke
 from tailbeat.train.replay import FIRST, RelabelBuffer, Transitions, _seen
 from tailbeat.train.sac import QuickSAC, _products, rounds
@@ -291,7 +292,7 @@ def planned_for(out: Path, **changes: Any) -> RunConfig:
         smoke(), fish=4, updates=1, batch=16, starts=40, buffer=40_000, window=4,
         stages=STAGES[:3],
     )  # fmt: skip
-    run = RunConfig(FISH, action_space("generator", FISH), few, 0, out, hours=0.002)
+    run = RunConfig(FISH, out, few, action_space("generator", FISH), hours=0.002)
     return replace(run, **changes)
 
 
@@ -333,7 +334,7 @@ def test_unknown_names_are_refused():
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("train") / "run"
-    rows: list[dict[str, Any]] = []
+    rows: list[TrainingRow] = []
     progress = train(planned_for(out), False, rows.append)
     assert not progress.finished and progress.seconds > 5
     return out
@@ -354,9 +355,9 @@ def test_a_resumed_run_goes_on_where_it_was(run):
     before = checkpoint.read_state(run / "checkpoint")
     progress = train(planned_for(run, hours=0.001), True, print)
     after = checkpoint.read_state(run / "checkpoint")
-    assert after["updates"] > before["updates"] and after["decisions"] > before["decisions"]
-    assert progress.seconds > before["seconds"]
-    assert progress.history[: len(before["history"])] == before["history"]
+    assert after.updates > before.updates and after.decisions > before.decisions
+    assert progress.seconds > before.progress.seconds
+    assert progress.history[: len(before.progress.history)] == before.progress.history
     ends = np.load(run / "checkpoint" / "buffer.npz")["episode"]
     assert (np.diff(ends, axis=0) >= 0).all()  # no episode spans the interruption
 
@@ -419,7 +420,7 @@ def test_other_settings_are_named_and_full_folders_refused(run):
 
 
 def test_a_run_begun_before_the_floor_is_the_same_run_without_one(tmp_path):
-    held = planned_for(tmp_path).record()
+    held = asdict(planned_for(tmp_path).record())
     del held["actions"]["floor"]
     write_json(tmp_path / "run.json", held)
     check(planned_for(tmp_path), resume=True)
@@ -442,7 +443,7 @@ def test_a_full_disk_is_told_and_the_last_checkpoint_kept(run, monkeypatch):
     kept = checkpoint.read_state(run.out / "checkpoint")
     monkeypatch.setattr(checkpoint, "SPARE", 1e18)  # no disk has so much to spare
     with pytest.raises(BadInput, match="MB free, a checkpoint needs"):
-        checkpoint.save(run, learner(run, env), env.world, {})
+        checkpoint.save(run.out, learner(run, env), env.world, Progress())
     assert checkpoint.read_state(run.out / "checkpoint") == kept
 
 
@@ -474,8 +475,8 @@ def test_a_killed_run_loses_a_checkpoint_interval_at_most(tmp_path):
     process.wait()
     kept = checkpoint.read_state(checkpoint.find(out))
     progress = train(planned_for(out, hours=0.0005), True, print)
-    assert progress.seconds > kept["seconds"] > 0
-    assert load_policy(out / "policy.onnx").contract.training["updates"] >= kept["updates"]
+    assert progress.seconds > kept.progress.seconds > 0
+    assert load_policy(out / "policy.onnx").contract.training["updates"] >= kept.updates
 
 
 SMOKE = """
@@ -483,13 +484,13 @@ import os, signal, sys
 sys.path.insert(0, "tests")
 from test_train import endless
 from tailbeat.train.train import train
-train(endless(sys.argv[1]), False, lambda row: print(row["updates"], flush=True))
+train(endless(sys.argv[1]), False, lambda row: print(row.updates, flush=True))
 """
 
 
 def smoking(out: str) -> RunConfig:
     space = action_space("generator", FISH, smoke().binds)
-    return RunConfig(FISH, space, smoke(), 0, Path(out), hours=1.0, checkpoint_minutes=0.1)
+    return RunConfig(FISH, Path(out), smoke(), space, hours=1.0, checkpoint_minutes=0.1)
 
 
 def endless(out: str) -> RunConfig:
@@ -507,17 +508,17 @@ def test_a_run_killed_and_resumed_goes_on_without_a_drop(tmp_path):
         next(line for line in process.stdout if int(line) > 2400)
         process.kill()
     kept = checkpoint.read_state(checkpoint.find(out))
-    before = [row["success"] for row in kept["history"]]
-    rows: list[dict[str, Any]] = []
+    before = [row.success for row in kept.progress.history]
+    rows: list[TrainingRow] = []
 
-    def report(row: dict[str, Any]) -> None:
+    def report(row: TrainingRow) -> None:
         rows.append(row)
-        if row["updates"] >= 3100:
+        if row.updates >= 3100:
             os.kill(os.getpid(), signal.SIGINT)
 
     progress = train(endless(str(out)), True, report)
-    after = [row["success"] for row in progress.history[len(before) :]]
-    assert kept["updates"] > 600 and rows[0]["updates"] >= kept["updates"]
+    after = [row.success for row in progress.history[len(before) :]]
+    assert kept.updates > 600 and rows[0].updates >= kept.updates
     assert len(before) > 1  # the first row's share is of a handful
     assert min(after) > before[-1] - 0.2  # no drop; 0.06 is the window's own scatter
 
@@ -550,7 +551,7 @@ def test_ctrl_c_leaves_a_checkpoint_and_a_policy(tmp_path):
 
 
 def test_networks_that_leave_the_finite_end_the_run_and_keep_the_checkpoint(run):
-    from tailbeat.train.callback import Progress, TrainingCallback
+    from tailbeat.train.callback import TrainingCallback
     from tailbeat.train.train import environment, learner
 
     run = planned_for(run)

@@ -39,7 +39,8 @@ if TYPE_CHECKING:
     from tailbeat.recording import Recording as Recording
     from tailbeat.recording import read_recording as read_recording
     from tailbeat.recording import write_recording as write_recording
-    from tailbeat.train.config import run_config as run_config
+    from tailbeat.train.config import RunConfig as RunConfig
+    from tailbeat.train.recipes import recipe_of as recipe_of
     from tailbeat.train.train import train as train_policy  # noqa: F401  (`train` is a room)
 
 # Where each public name lives: "module:name".
@@ -50,6 +51,7 @@ _HOMES = {
     "FishVectorEnv": "env.vector_env:FishVectorEnv",
     "Recording": "recording:Recording",
     "Reward": "env.reward:Reward",
+    "RunConfig": "train.config:RunConfig",
     "Settings": "env.task:Settings",
     "Task": "env.task:Task",
     "as_bench": "identify.motor:as_bench",
@@ -67,7 +69,7 @@ _HOMES = {
     "predict": "identify.predict:predict",
     "reach": "evaluate.reach:reach",
     "read_recording": "recording:read_recording",
-    "run_config": "train.config:run_config",
+    "recipe_of": "train.recipes:recipe_of",
     "simulate": "fish.simulate:simulate",
     "train_policy": "train.train:train",
     "with_values": "fish.store:with_values",

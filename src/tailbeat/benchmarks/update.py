@@ -58,7 +58,7 @@ def _filled(recipe: Recipe) -> SAC:
     fish = load_fish(FISH)
     steps = STEPS * recipe.fish
     small = replace(recipe, buffer=2 * steps, starts=2 * steps)
-    run = RunConfig(fish, action_space("generator", fish), small, 0, Path(), 1.0)
+    run = RunConfig(fish, Path(), small, action_space("generator", fish))
     model = learner(run, environment(run))
     model.set_logger(configure(None, []))
     return model.learn(steps, log_interval=steps)

@@ -43,22 +43,26 @@ def train(
     if json is not None:
         refuse_existing(json)
     need_training()
+    from tailbeat.fish.store import load_fish, with_servo
     from tailbeat.report.learning_figures import courses
-    from tailbeat.train.config import run_config
+    from tailbeat.train.config import RunConfig, action_space
+    from tailbeat.train.recipes import recipe_of
     from tailbeat.train.train import result
     from tailbeat.train.train import train as learn
 
     with progress.training() as report:
-        run = run_config(fish, out, actions, recipe, seed, hours, device, servo, binds, floor)
+        described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe)
+        space = action_space(actions, described, binds or chosen.binds, floor)
+        run = RunConfig(described, out, chosen, space, seed, hours, device)
         room = run.recipe.buffer_bytes / 1e6
         output.say(f"replay buffer: {room:.0f} MB of memory and of every checkpoint")
         course = learn(run, resume, report, stage)
-        courses({f"{actions}, seed {seed}": vars(course)}, out / "curve.png")
+        courses({f"{actions}, seed {seed}": course.history}, out / "curve.png")
     done = result(run, course)
     results.trained(done)
     if json is not None:
-        write_json(json, done)
-    if not done["finished"]:
+        write_json(json, asdict(done) | {"folder": str(done.folder), "policy": str(done.policy)})
+    if not done.finished:
         raise typer.Exit(1)
 
 

@@ -5,7 +5,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tailbeat.train.progress import Report, TrainingRow
 
 SHARE_OF_SEARCH = 0.6  # of a seed's time; the polish takes the rest
 EVERY = 30.0  # s between two lines in a pipe
@@ -98,7 +101,7 @@ def _bars(before: str, after: str) -> Any:
 
 
 @contextmanager
-def training() -> Iterator[Callable[[dict[str, Any]], None]]:
+def training() -> Iterator["Report"]:
     """A table that follows a training on a terminal; in a pipe a line now and then."""
     if not sys.stdout.isatty():
         lines = now_and_then()
@@ -110,7 +113,7 @@ def training() -> Iterator[Callable[[dict[str, Any]], None]]:
         yield lambda row: live.update(_course(row))
 
 
-def _course(row: dict[str, Any]) -> Any:
+def _course(row: "TrainingRow") -> Any:
     from rich.table import Table
     from rich.text import Text
 
@@ -120,16 +123,16 @@ def _course(row: dict[str, Any]) -> Any:
     return table
 
 
-def _cells(row: dict[str, Any]) -> dict[str, str]:
-    eta = row["promotion_in"]
+def _cells(row: "TrainingRow") -> dict[str, str]:
+    eta = row.promotion_in
     return {
-        "time": f"{row['seconds'] / 60:.1f} min",
-        "stage": f"{row['stage']} {row['name']}",
-        "success": f"{100 * row['success']:.0f} %",
+        "time": f"{row.seconds / 60:.1f} min",
+        "stage": f"{row.stage} {row.name}",
+        "success": f"{100 * row.success:.0f} %",
         "promotion in": "-" if eta is None else f"{eta / 60:.1f} min",
-        "episode": f"{row['episode_seconds']:.1f} s",
-        "reward": " ".join(f"{name} {row[name]:.0f}" for name in ("distance", "effort", "bonus")),
-        "control steps": f"{row['control_steps']:,} ({row['steps_per_s']:.0f}/s)",
-        "updates": f"{row['updates']:,} ({row['updates_per_s']:.0f}/s)",
-        "fish lost": str(row["lost"]),
+        "episode": f"{row.episode_seconds:.1f} s",
+        "reward": f"distance {row.distance:.0f} effort {row.effort:.0f} bonus {row.bonus:.0f}",
+        "control steps": f"{row.control_steps:,} ({row.steps_per_s:.0f}/s)",
+        "updates": f"{row.updates:,} ({row.updates_per_s:.0f}/s)",
+        "fish lost": str(row.lost),
     }

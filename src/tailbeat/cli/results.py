@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from tailbeat.evaluate.reach import ReachResult
     from tailbeat.report.open_loop import OpenLoopReport
 
+if TYPE_CHECKING:
+    from tailbeat.train.progress import TrainingResult
+
 
 def tail(report: dict[str, Any]) -> None:
     """Shaft numbers, hinges, conditions, and what the data do not support."""
@@ -185,21 +188,21 @@ def open_loop(report: "OpenLoopReport") -> None:
     say(f"rendered: {report.rendered}; see {report.folder}/: {', '.join(report.files)}")
 
 
-def trained(done: dict[str, Any]) -> None:
+def trained(done: "TrainingResult") -> None:
     """Stages passed, and where the policy lies."""
     rows = [
         {
-            "stage": f"{row['stage']} {row['name']}",
-            "passed after [min]": row["seconds"] / 60,
-            "updates": row["updates"],
-            "greedy": row["greedy"]["reached"],
+            "stage": f"{row.stage} {row.name}",
+            "passed after [min]": row.seconds / 60,
+            "updates": row.updates,
+            "greedy": row.greedy.reached if row.greedy else None,
         }
-        for row in done["promotions"]
+        for row in done.promotions
     ]
     tables({"stages passed": rows})
-    if done["stalled"]:
+    if done.stalled:
         say("warning: the stage did not pass in its time; look at curve.json and the films.")
-    say(f"{done['stages_passed']} of {done['stages']} stages; policy: {done['policy']}")
+    say(f"{done.stages_passed} of {done.stages} stages; policy: {done.policy}")
 
 
 def contract(held: dict[str, Any]) -> None:

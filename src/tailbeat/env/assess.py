@@ -16,6 +16,17 @@ Build = Callable[[list[int]], World]
 AT_ONCE = 250  # fish in one batch
 
 
+@dataclass(frozen=True)
+class Summary:
+    """Of some swims: number of targets, fraction reached, and of those that arrived the median time
+    [s] and the median path length over the distance at the start; NaN if none arrived."""
+
+    targets: int
+    reached: float
+    median_seconds: float
+    median_path_ratio: float
+
+
 @dataclass(frozen=True, eq=False)
 class Swims:
     """Of n swims (n,): `reached`, time to the end [s], way swum and first distance [m], bearing of
@@ -29,16 +40,16 @@ class Swims:
     nearest: Array
     seen: NDArray[np.float32]
 
-    def summary(self) -> dict[str, float | int]:
-        """Share reached, and of those the median time and the median way over the distance."""
+    def summary(self) -> Summary:
+        """The four figures of all swims."""
         hits = self.reached
         ratio = self.way[hits] / self.distance[hits]
-        return {
-            "targets": int(hits.size),
-            "reached": float(hits.mean()),
-            "median_seconds": float(np.median(self.seconds[hits])) if hits.any() else float("nan"),
-            "median_path_ratio": float(np.median(ratio)) if hits.any() else float("nan"),
-        }
+        return Summary(
+            targets=int(hits.size),
+            reached=float(hits.mean()),
+            median_seconds=float(np.median(self.seconds[hits])) if hits.any() else float("nan"),
+            median_path_ratio=float(np.median(ratio)) if hits.any() else float("nan"),
+        )
 
 
 def assess(decide: Decide, build: Build, count: int, seed: int) -> Swims:

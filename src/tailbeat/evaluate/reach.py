@@ -102,7 +102,7 @@ def reach(policy: Policy, build: Build, count: int, seed: int) -> SeededTrial:
     swims = assess(partial(decide, policy), build, count, seed)
     sectors = by_sector(swims.bearing, swims.reached, swims.nearest, swims.seconds)
     rates = vars(success(swims.reached, swims.nearest))
-    return SeededTrial(**swims.summary(), **rates, sectors=sectors)  # type: ignore[arg-type]
+    return SeededTrial(**vars(swims.summary()), **rates, sectors=sectors)
 
 
 def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:

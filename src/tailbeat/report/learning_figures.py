@@ -1,24 +1,24 @@
 """Curves of trainings. Draws what the runs kept; computes nothing."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tailbeat.files import new_file
+from tailbeat.train.progress import TrainingRow
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito's
 
 
-def courses(curves: Mapping[str, dict[str, Any]], path: Path) -> None:
+def courses(curves: Mapping[str, Sequence[TrainingRow]], path: Path) -> None:
     """Rolling share of targets acquired, and the stage, over the minutes of each training."""
     figure = Figure(figsize=(8, 5), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
-    for colour, (label, curve) in zip(COLOURS, curves.items(), strict=False):
-        _draw(above, below, curve, label, colour)
+    for colour, (label, rows) in zip(COLOURS, curves.items(), strict=False):
+        _draw(above, below, rows, label, colour)
     above.axhline(95, color="0.6", lw=0.8)
     above.set(ylabel="targets acquired [%]", ylim=(0, 102))
     above.legend(loc="lower right")
@@ -29,9 +29,8 @@ def courses(curves: Mapping[str, dict[str, Any]], path: Path) -> None:
         figure.savefig(beside, dpi=130)
 
 
-def _draw(above: Axes, below: Axes, curve: dict[str, Any], label: str, colour: str) -> None:
-    rows = curve["history"]
-    minutes = [row["seconds"] / 60 for row in rows]
-    shares = [100 * row["success"] or np.nan for row in rows]  # 0: a stage without a verdict yet
+def _draw(above: Axes, below: Axes, rows: Sequence[TrainingRow], label: str, colour: str) -> None:
+    minutes = [row.seconds / 60 for row in rows]
+    shares = [100 * row.success or np.nan for row in rows]  # 0: a stage without a verdict yet
     above.plot(minutes, shares, color=colour, lw=1, label=label)
-    below.step(minutes, [row["stage"] for row in rows], color=colour, where="post")
+    below.step(minutes, [row.stage for row in rows], color=colour, where="post")

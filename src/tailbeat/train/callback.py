@@ -3,9 +3,8 @@
 import shutil
 import time
 from collections import deque
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -16,13 +15,13 @@ from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from tailbeat.control.actions import PERIOD
 from tailbeat.env import curriculum, rendering
 from tailbeat.env.assess import Swims, assess
-from tailbeat.env.reward import TERMS
 from tailbeat.env.vector_env import FishVecEnv
 from tailbeat.env.world import World
 from tailbeat.files import BadInput
 from tailbeat.train import checkpoint
 from tailbeat.train.config import RunConfig
-from tailbeat.train.export import act, export
+from tailbeat.train.export import Facts, act, export
+from tailbeat.train.progress import Progress, Report, TrainingRow
 from tailbeat.train.sac import QuickSAC
 
 REPORT_SECONDS = 5.0
@@ -31,43 +30,18 @@ EXAM, EXAM_SEED = 64, 9_000  # targets of one, always the same
 KEPT = 5  # windows of episodes that are remembered
 RECENT = 24  # rows of the history from which the time to promotion is reckoned
 
-Row = dict[str, Any]
-Report = Callable[[Row], None]
 
+class EpisodeSums(NamedTuple):
+    """One episode: the sums of the reward's terms, and its length [s]."""
 
-@dataclass
-class Progress:
-    """How far a training has come: what a checkpoint holds beside the networks."""
-
-    stage: int = 0
-    seconds: float = 0.0  # of training, in all sessions
-    control_steps: int = 0  # of all fish
-    stage_began: float = 0.0  # in those seconds
-    episodes: int = 0
-    # of this stage's episodes: when they began, in control steps, and whether the fish arrived
-    recent: list[tuple[int, bool]] = field(default_factory=list)
-    history: list[Row] = field(default_factory=list)
-    promotions: list[Row] = field(default_factory=list)
-    finished: bool = False
-    stalled: bool = False
-
-    def clock(self, fish: int) -> int:
-        """Control steps that each of the `fish` has made."""
-        return self.control_steps // fish
-
-    def over(self, fish: int, steps: int) -> list[tuple[int, bool]]:
-        """Of `recent` those that began an episode's `steps` ago or earlier, as `fish` swim at once:
-        none of their fellows is on its way any more."""
-        latest = self.clock(fish) - steps
-        return [(begun, arrived) for begun, arrived in self.recent if begun <= latest]
-
-    def passed(self) -> int:
-        """How many stages; one passed twice, by hand, counts once."""
-        return len({row["name"] for row in self.promotions})
+    distance: float
+    effort: float
+    bonus: float
+    seconds: float
 
 
 class TrainingCallback(BaseCallback):
-    """SB3's callback; `course` is where it left off, setting `stop` ends the training cleanly."""
+    """SB3's callback; `progress` is where it left off; setting `stop` ends the training cleanly."""
 
     model: SAC
 
@@ -75,7 +49,7 @@ class TrainingCallback(BaseCallback):
         super().__init__()
         self.run, self.progress, self.env, self.report = run, progress, env, report
         self.stop = False
-        self.terms: deque[Row] = deque(maxlen=run.recipe.window)
+        self.sums: deque[EpisodeSums] = deque(maxlen=run.recipe.window)
         self.starts: list[int | None] = [None] * env.num_envs  # of episodes begun in this stage
 
     # ---- SB3 calls these ------------------------------------------------------------------------
@@ -126,13 +100,14 @@ class TrainingCallback(BaseCallback):
         pace = TrainFreq(waiting, TrainFrequencyUnit.STEP)
         self.model.train_freq = pace  # type: ignore[assignment]  # SB3 makes one of what it is given
 
-    def _count(self, fish: int, info: Row) -> None:
+    def _count(self, fish: int, info: dict[str, Any]) -> None:
         self.progress.episodes += 1
         begun = self.starts[fish]
         if begun is not None:
             self.progress.recent.append((begun, bool(info["reached"])))
             del self.progress.recent[: -KEPT * self.run.recipe.window]
-            self.terms.append({**info["reward_terms"], "seconds": PERIOD * info["episode"]["l"]})
+            seconds = PERIOD * info["episode"]["l"]
+            self.sums.append(EpisodeSums(**info["reward_terms"], seconds=seconds))
         self.starts[fish] = self.progress.clock(self.env.num_envs)
 
     def _judged(self) -> list[bool]:
@@ -144,7 +119,7 @@ class TrainingCallback(BaseCallback):
 
     def _judge_stage(self) -> None:
         judged = self._judged()
-        if len(judged) == self.run.recipe.window and _share(judged) > curriculum.PROMOTED:
+        if len(judged) == self.run.recipe.window and _fraction(judged) > curriculum.PROMOTED:
             self._promote()
             return
         if self.progress.seconds - self.progress.stage_began > 3600 * self.run.recipe.budget_hours:
@@ -154,7 +129,7 @@ class TrainingCallback(BaseCallback):
     def _promote(self) -> None:
         """Examine, write the policy and a film, then go on to the next stage."""
         progress, stages = self.progress, self.run.recipe.stages
-        row = self._tell() | {"greedy": self._examine().summary()}
+        row = replace(self._tell(), greedy=self._examine().summary())
         progress.promotions.append(row)
         self.write_policy()
         kept = self.run.out / f"stage-{progress.stage + 1:02d}"
@@ -188,7 +163,7 @@ class TrainingCallback(BaseCallback):
         if not hasattr(self, "seen"):
             self._examine()
         stage = self.run.recipe.stages[self.progress.stage]
-        training = {
+        training: Facts = {
             "stage": stage.name,
             "stages_passed": self.progress.passed(),
             "seed": self.run.seed,
@@ -199,45 +174,48 @@ class TrainingCallback(BaseCallback):
             "rounded": isinstance(self.model, QuickSAC) and self.model.rounded,
         }
         run = self.run
-        export(self.model, run.fish, run.actions, self.seen, training, run.out / "policy.onnx")
+        export(self.model, run.fish, run.space(), self.seen, training, run.out / "policy.onnx")
 
     def keep(self) -> None:
         """A checkpoint, now."""
-        state = asdict(self.progress) | {
-            "decisions": self.model.num_timesteps,
-            "updates": self.model._n_updates,
-        }
-        checkpoint.save(self.run.out, self.model, self.env.world, state)
+        checkpoint.save(self.run.out, self.model, self.env.world, self.progress)
         self.due["keep"] = time.monotonic() + 60 * self.run.checkpoint_minutes
 
-    def _tell(self) -> Row:
+    def _tell(self) -> TrainingRow:
         """One row of the history: reported, logged, kept."""
         self._check_finite()
-        now, steps, updates = time.monotonic(), self.progress.control_steps, self.model._n_updates
-        span = max(now - self.last[0], 1e-9)
-        row: Row = {
-            "seconds": self.progress.seconds,
-            "stage": self.progress.stage + 1,
-            "name": self.run.recipe.stages[self.progress.stage].name,
-            "success": _share(self._judged()),
-            "episodes": self.progress.episodes,
-            "control_steps": steps,
-            "updates": updates,
-            "steps_per_s": (steps - self.last[1]) / span,
-            "updates_per_s": (updates - self.last[2]) / span,
-            **{name: _mean(self.terms, name) for name in TERMS},
-            "episode_seconds": _mean(self.terms, "seconds"),
-            "lost": int(self.env.world.simulator.warned.sum()),
-        }
-        self.last = now, steps, updates
+        row = self._row()
+        self.last = time.monotonic(), row.control_steps, row.updates
         self.progress.history.append(row)
-        self.due["report"] = now + REPORT_SECONDS
-        for name, value in row.items():
+        row = replace(row, promotion_in=self._promotion_in())
+        self.progress.history[-1] = row
+        self.due["report"] = time.monotonic() + REPORT_SECONDS
+        for name, value in vars(row).items():
             if isinstance(value, float | int):
                 self.logger.record(f"course/{name}", value)
-        self.logger.dump(steps)
-        self.report(row | {"promotion_in": self._promotion_in()})
+        self.logger.dump(row.control_steps)
+        self.report(row)
         return row
+
+    def _row(self) -> TrainingRow:
+        progress, steps, updates = self.progress, self.progress.control_steps, self.model._n_updates
+        span = max(time.monotonic() - self.last[0], 1e-9)
+        return TrainingRow(
+            seconds=progress.seconds,
+            stage=progress.stage + 1,
+            name=self.run.recipe.stages[progress.stage].name,
+            success=_fraction(self._judged()),
+            episodes=progress.episodes,
+            control_steps=steps,
+            updates=updates,
+            steps_per_s=(steps - self.last[1]) / span,
+            updates_per_s=(updates - self.last[2]) / span,
+            distance=_mean([one.distance for one in self.sums]),
+            effort=_mean([one.effort for one in self.sums]),
+            bonus=_mean([one.bonus for one in self.sums]),
+            episode_seconds=_mean([one.seconds for one in self.sums]),
+            lost=int(self.env.world.simulator.warned.sum()),
+        )
 
     def _check_finite(self) -> None:
         """End a run whose networks left the finite, before they reach a checkpoint."""
@@ -248,21 +226,21 @@ class TrainingCallback(BaseCallback):
             )
 
     def _promotion_in(self) -> float | None:
-        """Seconds until the rolling share passes the mark, by the slope of late; None if it does
-        not rise."""
-        rows = [row for row in self.progress.history if row["stage"] == self.progress.stage + 1]
+        """Seconds until the rolling fraction passes the mark, by its slope over the last rows; None
+        if it does not rise."""
+        rows = [row for row in self.progress.history if row.stage == self.progress.stage + 1]
         if len(rows) < RECENT // 2:
             return None
-        time_, share = np.array([[r["seconds"], r["success"]] for r in rows[-RECENT:]]).T
-        slope = float(np.polyfit(time_ - time_[0], share, 1)[0])
-        missing = curriculum.PROMOTED - float(share[-1])
+        time_, success = np.array([[row.seconds, row.success] for row in rows[-RECENT:]]).T
+        slope = float(np.polyfit(time_ - time_[0], success, 1)[0])
+        missing = curriculum.PROMOTED - float(success[-1])
         return max(missing / slope, 0.0) if slope > 1e-6 else None
 
 
-def _share(judged: list[bool]) -> float:
-    """Rolling share of a stage's targets acquired."""
+def _fraction(judged: list[bool]) -> float:
+    """Rolling fraction of a stage's targets reached."""
     return float(np.mean(judged)) if judged else 0.0
 
 
-def _mean(rows: deque[Row], name: str) -> float:
-    return float(np.mean([row[name] for row in rows])) if rows else float("nan")
+def _mean(values: list[float]) -> float:
+    return float(np.mean(values)) if values else float("nan")

@@ -7,6 +7,7 @@ killed at any moment has one that is whole, and never more than two are on disk.
 import json
 import os
 import shutil
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,28 @@ import numpy as np
 import torch
 from stable_baselines3 import SAC
 
+from tailbeat.env.assess import Summary
 from tailbeat.env.world import World
 from tailbeat.files import BadInput, write_json
+from tailbeat.train.progress import Progress, TrainingRow
 from tailbeat.train.replay import EXTRA, RelabelBuffer
 
 ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 SPARE = 200e6  # bytes that stay free on the disk
 
 
-def save(folder: Path, model: SAC, world: World, state: dict[str, Any]) -> None:
+@dataclass(frozen=True)
+class Saved:
+    """A checkpoint's counters: progress, decisions and updates so far, and of the replay buffer the
+    next row and whether it is full."""
+
+    progress: Progress
+    decisions: int
+    updates: int
+    buffer: tuple[int, bool]
+
+
+def save(folder: Path, model: SAC, world: World, progress: Progress) -> None:
     """Write `checkpoint` into `folder`; raises BadInput if the disk is full, the last one kept."""
     new, last, old = (folder / f"checkpoint{end}" for end in (".new", "", ".old"))
     buffer = model.replay_buffer
@@ -40,7 +54,9 @@ def save(folder: Path, model: SAC, world: World, state: dict[str, Any]) -> None:
     arrays = {name: getattr(buffer, name)[:filled] for name in _arrays(buffer)}
     np.savez(new / "buffer.npz", **arrays)
     torch.save(_learned(model), new / "networks.pt")
-    write_json(new / "state.json", {**state, "buffer": [buffer.pos, buffer.full]})
+    place = buffer.pos, buffer.full
+    counters = {"decisions": model.num_timesteps, "updates": model._n_updates, "buffer": place}
+    write_json(new / "state.json", asdict(progress) | counters)
     write_json(new / "random.json", _random(world))
     shutil.rmtree(old, ignore_errors=True)
     if last.exists():
@@ -61,17 +77,33 @@ def find(folder: Path) -> Path:
     raise BadInput(f"{folder}: no checkpoint to resume from; start anew without --resume.")
 
 
-def read_state(place: Path) -> dict[str, Any]:
-    """Counters, stage and settings of a checkpoint."""
+def read_state(place: Path) -> Saved:
+    """The counters of a checkpoint; raises BadInput if they cannot be read."""
     try:
-        state: dict[str, Any] = json.loads((place / "state.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise BadInput(f"{place}/state.json: cannot be read; the checkpoint is damaged.") from None
-    return state
+        held = json.loads((place / "state.json").read_text(encoding="utf-8"))
+        progress = _progress(held)
+        position, full = held["buffer"]
+        return Saved(progress, held["decisions"], held["updates"], (position, full))
+    except (OSError, ValueError, KeyError, TypeError):
+        raise BadInput(
+            f"{place}/state.json: cannot be read; the checkpoint is damaged. Train anew in another"
+            f" folder."
+        ) from None
 
 
-def load(place: Path, model: SAC, world: World) -> dict[str, Any]:
-    """Put a checkpoint into a fresh model and world; returns its state."""
+def _progress(held: dict[str, Any]) -> Progress:
+    names = [one.name for one in fields(Progress)]
+    rows = {name: [_row(**one) for one in held[name]] for name in ("history", "promotions")}
+    recent = [(begun, arrived) for begun, arrived in held["recent"]]
+    return Progress(**{name: held[name] for name in names} | rows | {"recent": recent})
+
+
+def _row(greedy: dict[str, Any] | None = None, **rest: Any) -> TrainingRow:
+    return TrainingRow(**rest, greedy=None if greedy is None else Summary(**greedy))
+
+
+def load(place: Path, model: SAC, world: World) -> Saved:
+    """Put a checkpoint into a fresh model and world; returns its counters."""
     state = read_state(place)
     buffer = model.replay_buffer
     assert buffer is not None
@@ -80,7 +112,7 @@ def load(place: Path, model: SAC, world: World) -> dict[str, Any]:
             getattr(buffer, name)[: len(arrays[name])] = arrays[name]
     if isinstance(buffer, RelabelBuffer):
         buffer.begin_after(int(buffer.episode.max()))
-    buffer.pos, buffer.full = state["buffer"]
+    buffer.pos, buffer.full = state.buffer
     learned = torch.load(place / "networks.pt", map_location="cpu", weights_only=True)
     model.policy.load_state_dict(learned["policy"])
     for name, optimizer in _optimizers(model).items():

@@ -1,9 +1,8 @@
 """What a training run was asked to do, and whether it can: checked before anything is built."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import psutil
 from torch import cuda
@@ -13,39 +12,54 @@ from tailbeat.env.curriculum import settings_of
 from tailbeat.env.task import Settings, check_settings
 from tailbeat.files import BadInput, leaves, write_json
 from tailbeat.fish.description import Fish
-from tailbeat.fish.store import digest, load_fish, with_servo
-from tailbeat.train.recipes import Recipe, recipe_of
+from tailbeat.fish.store import digest
+from tailbeat.train.recipes import Recipe, quick
 
 ACTIONS = ("generator", "direct", "filtered")
 WORKING_SET = 1.5e9  # bytes that torch, engine and 64 fish take beside the buffer (measured: 1.1e9)
 
 
 @dataclass(frozen=True)
-class RunConfig:
-    """One training run. `hours` is what this session may take."""
+class RunRecord:
+    """What `run.json` holds: the fish's name and digest, action space, recipe, seed."""
 
-    fish: Fish
+    fish: str
+    fish_digest: str
     actions: ActionSpace
     recipe: Recipe
     seed: int
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """One training run.
+
+    `out` is its folder; `actions` None is the generator up to the fish's band, as the recipe binds
+    it; `hours` is what this session may take, `checkpoint_minutes` lie between two checkpoints;
+    `device` is cpu or cuda.
+    """
+
+    fish: Fish
     out: Path
-    hours: float
+    recipe: Recipe = field(default_factory=quick)
+    actions: ActionSpace | None = None
+    seed: int = 0
+    hours: float = 12.0
     device: str = "cpu"
     checkpoint_minutes: float = 5.0
 
+    def space(self) -> ActionSpace:
+        """The action space."""
+        return self.actions or action_space("generator", self.fish, self.recipe.binds)
+
     def settings(self, stage: int) -> Settings:
         """The environment's settings in a stage."""
-        return settings_of(self.recipe.stages[stage], self.actions, self.recipe.task)
+        return settings_of(self.recipe.stages[stage], self.space(), self.recipe.task)
 
-    def record(self) -> dict[str, Any]:
-        """What must be the same when a run is resumed."""
-        return {
-            "fish": self.fish.name,
-            "fish_digest": digest(self.fish),
-            "actions": asdict(self.actions),
-            "recipe": asdict(self.recipe),
-            "seed": self.seed,
-        }
+    def record(self) -> RunRecord:
+        """What must be the same when the run is resumed."""
+        fish = self.fish
+        return RunRecord(fish.name, digest(fish), self.space(), self.recipe, self.seed)
 
 
 def action_space(
@@ -67,25 +81,6 @@ def action_space(
     if binds != "fundamental":
         raise BadInput(f"--binds {binds}: allowed are fundamental, signal.")
     return Generator(low, high, ceiling=fish.band[1], floor=floor)
-
-
-def run_config(
-    fish: str,
-    out: Path,
-    actions: str,
-    recipe: str,
-    seed: int,
-    hours: float,
-    device: str = "cpu",
-    servo: str | None = None,
-    binds: str | None = None,
-    floor: float = 0.0,
-) -> RunConfig:
-    """A run from a fish's, an action space's and a recipe's name. `binds` is the recipe's by
-    default."""
-    described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe)
-    space = action_space(actions, described, binds or chosen.binds, floor)
-    return RunConfig(described, space, chosen, seed, out, hours, device)
 
 
 def check(run: RunConfig, resume: bool) -> None:
@@ -134,7 +129,7 @@ def _check_same(run: RunConfig) -> None:
         raise BadInput(f"{path}: not readable JSON; the run cannot be resumed.") from None
     if held.get("actions.kind") == "generator":
         held.setdefault("actions.floor", 0.0)  # runs begun before the floor have none
-    asked = leaves("", json.loads(json.dumps(run.record())))
+    asked = leaves("", json.loads(json.dumps(asdict(run.record()))))
     wrong = [
         f"{name} was {held.get(name)}, now {asked.get(name)}"
         for name in sorted(set(held) | set(asked))
@@ -146,4 +141,4 @@ def _check_same(run: RunConfig) -> None:
 
 def begin(run: RunConfig) -> None:
     """Make the folder and note what was asked for."""
-    write_json(run.out / "run.json", run.record(), overwrite=True)
+    write_json(run.out / "run.json", asdict(run.record()), overwrite=True)

@@ -1,6 +1,7 @@
 """From SB3's actor to a policy file: the network written out in ONNX, with its contract."""
 
 import platform
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,16 +23,17 @@ from tailbeat.fish.store import digest
 from tailbeat.train.features import TargetFeatures
 
 Single = NDArray[np.float32]
+Facts = Mapping[str, str | int | float]
 GOLDEN = 16  # pairs
 OPSET, IR = 20, 10  # what onnxruntime 1.31 and a Raspberry Pi's both read
 PRODUCED_BY = ("tailbeat", "mujoco", "torch", "stable-baselines3")
 
 
 def export(
-    model: SAC, fish: Fish, actions: ActionSpace, seen: Single, training: dict[str, Any], path: Path
+    model: SAC, fish: Fish, actions: ActionSpace, seen: Single, training: Facts, path: Path
 ) -> Policy:
     """Write the policy and read it back, golden pairs checked; `seen` (k, 24) are observations of
-    real swims, of which the golden ones are taken."""
+    real swims, of which the golden ones are taken; `training` says how it was trained."""
     golden = seen[np.linspace(0, len(seen) - 1, GOLDEN).astype(int)]
     contract = Contract(
         version=VERSION,

@@ -3,7 +3,8 @@
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -14,9 +15,10 @@ from tailbeat.env.vector_env import FishVecEnv
 from tailbeat.files import BadInput, write_json
 from tailbeat.train import checkpoint
 from tailbeat.train import config as config
-from tailbeat.train.callback import Progress, Report, TrainingCallback
+from tailbeat.train.callback import TrainingCallback
 from tailbeat.train.config import RunConfig
 from tailbeat.train.features import TargetFeatures
+from tailbeat.train.progress import Progress, Report, TrainingResult, TrainingRow
 from tailbeat.train.recipes import DEPTH
 from tailbeat.train.replay import RelabelBuffer
 from tailbeat.train.sac import QuickSAC
@@ -24,12 +26,18 @@ from tailbeat.train.sac import QuickSAC
 FOREVER = 10**12
 
 
-def train(run: RunConfig, resume: bool, report: Report, stage: str | None = None) -> Progress:
+def silent(row: TrainingRow) -> None:
+    """Report nothing."""
+
+
+def train(
+    run: RunConfig, resume: bool = False, report: Report = silent, stage: str | None = None
+) -> Progress:
     """Train until the last stage is passed, the hours are over, a stage stalls or Ctrl-C. With a
     `stage` the run goes on in that one, whatever it has passed.
 
     Leaves `policy.onnx`, a checkpoint and `curve.json` in the folder whatever ended it. Raises
-    BadInput before anything is built if the plan will not do, and when the disk is full.
+    BadInput before anything is built if the config will not do, and when the disk is full.
     """
     config.check(run, resume)
     if stage is not None:
@@ -56,27 +64,27 @@ def train(run: RunConfig, resume: bool, report: Report, stage: str | None = None
         )
     callback.keep()
     callback.write_policy()
-    write_json(run.out / "curve.json", progress.__dict__, overwrite=True)
+    write_json(run.out / "curve.json", asdict(progress), overwrite=True)
     return progress
 
 
-def result(run: RunConfig, progress: Progress) -> dict[str, Any]:
-    """What came of a run: its folder, its policy, the stages that it passed."""
-    return {
-        "folder": str(run.out),
-        "policy": str(run.out / "policy.onnx"),
-        "stages_passed": progress.passed(),
-        "stages": sum(not one.by_hand for one in run.recipe.stages),
-        "finished": progress.finished,
-        "stalled": progress.stalled,
-        "hours": progress.seconds / 3600,
-        "promotions": progress.promotions,
-        "last": progress.history[-1] if progress.history else None,
-    }
+def result(run: RunConfig, progress: Progress) -> TrainingResult:
+    """What came of a run."""
+    return TrainingResult(
+        folder=run.out,
+        policy=run.out / "policy.onnx",
+        stages_passed=progress.passed(),
+        stages=sum(not one.by_hand for one in run.recipe.stages),
+        finished=progress.finished,
+        stalled=progress.stalled,
+        hours=progress.seconds / 3600,
+        promotions=tuple(progress.promotions),
+        last=progress.history[-1] if progress.history else None,
+    )
 
 
 def environment(run: RunConfig) -> FishVecEnv:
-    """The plan's fish in its first stage."""
+    """The run's fish in its first stage."""
     recipe = run.recipe
     return FishVecEnv(
         run.fish,
@@ -88,7 +96,7 @@ def environment(run: RunConfig) -> FishVecEnv:
 
 
 def learner(run: RunConfig, env: FishVecEnv) -> SAC:
-    """The plan's SAC, untrained, with an empty buffer."""
+    """The run's SAC, untrained, with an empty buffer."""
     recipe = run.recipe
     more: dict[str, Any] = {}
     if recipe.relabel:
@@ -125,16 +133,15 @@ def learner(run: RunConfig, env: FishVecEnv) -> SAC:
     )
 
 
-def _restored(place: Any, model: SAC, env: FishVecEnv) -> Progress:
-    """Put a checkpoint into model and world; the course so far."""
+def _restored(place: Path, model: SAC, env: FishVecEnv) -> Progress:
+    """Put a checkpoint into model and world; the progress so far."""
     state = checkpoint.load(place, model, env.world)
-    model.num_timesteps, model._n_updates = state["decisions"], state["updates"]
-    names = {one.name for one in fields(Progress)}
-    progress = Progress(**{name: value for name, value in state.items() if name in names})
+    model.num_timesteps, model._n_updates = state.decisions, state.updates
+    progress = state.progress
     # fish still on their way are lost with the world: what is left of their time is arrivals
     progress.recent = progress.over(env.num_envs, env.world.steps_per_episode)
+    progress.stage_began = progress.seconds if progress.stalled else progress.stage_began
     progress.stalled = False  # it may have another budget's time
-    progress.stage_began = progress.seconds if state["stalled"] else progress.stage_began
     return progress
 
 

@@ -1,0 +1,89 @@
+"""How far a training has come: its rows, its state between two sessions, and what came of it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tailbeat.env.assess import Summary
+
+
+@dataclass(frozen=True)
+class TrainingRow:
+    """One report of a training.
+
+    `seconds` of training in all sessions; `stage` counts from 1, `name` is its name; `success` is
+    the rolling fraction of the stage's targets reached. `episodes`, `control_steps` (of all fish)
+    and `updates` count from the beginning; the two rates [1/s] are of the time since the last row.
+    `distance`, `effort`, `bonus` are the mean sums of the reward's terms in recent episodes,
+    `episode_seconds` their mean length [s]. `lost` counts fish whose physics diverged.
+    `promotion_in` estimates the time to the next stage [s], None if success does not rise. At a
+    promotion `greedy` is what the policy reached without exploring.
+    """
+
+    seconds: float
+    stage: int
+    name: str
+    success: float
+    episodes: int
+    control_steps: int
+    updates: int
+    steps_per_s: float
+    updates_per_s: float
+    distance: float
+    effort: float
+    bonus: float
+    episode_seconds: float
+    lost: int
+    promotion_in: float | None = None
+    greedy: Summary | None = None
+
+
+Report = Callable[[TrainingRow], None]
+
+
+@dataclass
+class Progress:
+    """How far a training has come: what a checkpoint holds beside the networks."""
+
+    stage: int = 0
+    seconds: float = 0.0  # of training, in all sessions
+    control_steps: int = 0  # of all fish
+    stage_began: float = 0.0  # in those seconds
+    episodes: int = 0
+    # of this stage's episodes: when they began, in control steps, and whether the fish arrived
+    recent: list[tuple[int, bool]] = field(default_factory=list)
+    history: list[TrainingRow] = field(default_factory=list)
+    promotions: list[TrainingRow] = field(default_factory=list)
+    finished: bool = False
+    stalled: bool = False
+
+    def clock(self, fish: int) -> int:
+        """Control steps that each of the `fish` has made."""
+        return self.control_steps // fish
+
+    def over(self, fish: int, steps: int) -> list[tuple[int, bool]]:
+        """Those of `recent` that began at least an episode's `steps` ago: every episode that began
+        as early has ended."""
+        latest = self.clock(fish) - steps
+        return [(begun, arrived) for begun, arrived in self.recent if begun <= latest]
+
+    def passed(self) -> int:
+        """How many stages; one passed twice, by hand, counts once."""
+        return len({row.name for row in self.promotions})
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """What came of a training: its folder and policy, how many of its stages it passed and whether
+    it passed all, whether the last one took longer than its budget, hours in all sessions, a row
+    for every promotion, and the last row."""
+
+    folder: Path
+    policy: Path
+    stages_passed: int
+    stages: int
+    finished: bool
+    stalled: bool
+    hours: float
+    promotions: tuple[TrainingRow, ...]
+    last: TrainingRow | None
