@@ -21,7 +21,6 @@ from tailbeat.identify.job import (
     FluidConfig,
     as_report,
     identify_fluid,
-    parameter_rows,
     toml_values,
 )
 from tailbeat.identify.predict import as_json, predict
@@ -56,12 +55,12 @@ def synthetic_runs(noise: float = 0.0):
 def test_known_coefficients_come_back_or_are_named(tmp_path):
     config = FluidConfig(zones=3, seeds=2, effort=Effort(generations=12))
     found = identify_fluid(PULLEY, synthetic_runs(noise=1e-3), [], config, tmp_path)
-    rows, known = parameter_rows(found), truth()
-    decided = {path: row for path, row in rows.items() if row["decided_by_data"]}
+    rows, known = found.estimates(), truth()
+    decided = {path: row for path, row in rows.items() if row.decided}
     assert len(decided) >= 4
     for path, row in decided.items():
-        assert row["value"] == pytest.approx(known[path], rel=0.10), path
-    inside = [row["interval"][0] <= known[path] <= row["interval"][1] for path, row in rows.items()]
+        assert row.value == pytest.approx(known[path], rel=0.10), path
+    inside = [row.interval[0] <= known[path] <= row.interval[1] for path, row in rows.items()]
     assert np.mean(inside) >= 0.7  # 12 of 15 when written: local intervals are a little narrow
     undecided = as_report(found, config)["undecided"]
     assert set(undecided) | set(decided) == set(rows) and undecided

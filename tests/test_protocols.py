@@ -9,8 +9,9 @@ import pytest
 from tailbeat.files import BadInput
 from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import load_fish
-from tailbeat.identify.chain import identify_all
-from tailbeat.identify.stages import fluid_config
+from tailbeat.identify.chain import ChainPaths, identify_all
+from tailbeat.identify.job import FluidConfig
+from tailbeat.identify.search import Effort
 from tailbeat.identify.tail import identify_tail
 from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
 from tailbeat.pool.record import record
@@ -20,6 +21,7 @@ from tailbeat.recording import Recording, read_recording, write_recording
 from tailbeat.report.identified import DRAWINGS
 
 FISH = load_fish("pulley-fish")
+LITTLE = FluidConfig(zones=1, seeds=1, effort=Effort(generations=1))
 
 
 @pytest.fixture(scope="module")
@@ -84,14 +86,14 @@ def test_one_folder_one_command(folder, tmp_path):
     for name in ("tail-sweep", "motor-chirp", "motor-steps", "motor-beat", "fluid-01", "fluid-05"):
         (few / f"{name}.csv").write_bytes((folder / f"{name}.csv").read_bytes())
     (few / "fluid-06.csv").write_bytes((folder / "fluid-07.csv").read_bytes())
-    config = fluid_config(zones=1, seeds=1, seed=0, generations=1, start_weight=None)
     out = tmp_path / "mine.toml"
-    report = identify_all("pulley-fish", few, out, config, None, lambda *_: None, DRAWINGS)
-    assert report["summary"]["k_eff"] == pytest.approx(0.98, rel=0.02)
-    assert report["summary"]["servo_mae_deg"] < 0.2
-    assert len(report["summary"]["position_error_share"]) == 1
+    paths = ChainPaths("pulley-fish", few, out)
+    found = identify_all(paths, LITTLE, lambda *_: None, DRAWINGS)
+    assert found.k_eff == pytest.approx(0.98, rel=0.02)
+    assert found.servo_mae_deg is not None and found.servo_mae_deg < 0.2
+    assert len(found.position_error_share) == 1
     fish = load_fish(out)
-    assert fish.tail.k_eff == pytest.approx(report["summary"]["k_eff"], rel=1e-4)
+    assert fish.tail.k_eff == pytest.approx(found.k_eff, rel=1e-4)
     assert fish.servo == "identified" and fish.name == "mine"
     page = (tmp_path / "mine.md").read_text()
     assert "fluid-06 | held out" in page and "mine-tail.png" in page
@@ -114,10 +116,12 @@ def test_given_commands_are_played_and_checked(tmp_path):
 
 
 def test_a_folder_without_a_bench_is_refused(folder, tmp_path):
-    config = fluid_config(1, 1, 0, 1, None)
     with pytest.raises(BadInput, match="begins with tail-sweep"):
         identify_all(
-            "pulley-fish", tmp_path, tmp_path / "f.toml", config, None, lambda *_: None, DRAWINGS
+            ChainPaths("pulley-fish", tmp_path, tmp_path / "f.toml"),
+            LITTLE,
+            lambda *_: None,
+            DRAWINGS,
         )
     with pytest.raises(BadInput, match="exist already"):
         record("tail", "pulley-fish", folder, 0)

@@ -8,9 +8,9 @@ from tailbeat.identify.search import (
     Fit,
     Parameter,
     covariance,
+    estimates,
     intervals,
     search,
-    told_apart,
     trade_offs,
     values,
 )
@@ -35,6 +35,10 @@ def residuals(z: np.ndarray) -> np.ndarray:
     return (a * np.exp(-b * CLOCK) + d * CLOCK - measured) / 0.02
 
 
+def decided(space: tuple[Parameter, ...], fit: Fit) -> list[bool]:
+    return [found.decided for found in estimates(space, [fit]).values()]
+
+
 def test_known_numbers_come_back_inside_their_intervals():
     fit = search(residuals, SPACE, 0, Effort(20, 10, 10))
     found = values(SPACE, fit.z)
@@ -42,7 +46,7 @@ def test_known_numbers_come_back_inside_their_intervals():
         assert low <= truth <= high, name
         if name != "c":
             assert found[name] == pytest.approx(truth, rel=0.1)
-    assert told_apart(SPACE, [fit]) == [True, True, False, True]
+    assert decided(SPACE, fit) == [True, True, False, True]
     assert found["c"] == pytest.approx(1.0, rel=0.01)  # left at its prior
 
 
@@ -83,7 +87,7 @@ def test_numbers_that_trade_against_each_other_are_named():
     fit = search(product, space, 0, Effort(10, 8, 8))
     (a, b, r) = trade_offs(space, fit)[0]
     assert (a, b) == ("a", "b") and r < -0.9
-    assert told_apart(space, [fit]) == [False, False]
+    assert decided(space, fit) == [False, False]
 
 
 def test_diverged_candidates_do_not_win():

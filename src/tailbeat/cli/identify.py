@@ -1,5 +1,6 @@
 """Identify a fish and test what it predicts."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -48,18 +49,17 @@ def identify_fluid(
 ) -> None:
     """Fit the fluid coefficients to recorded swims. Writes the fish and, beside it, a report
     (.json) and a figure (.png). The same command resumes an interrupted search."""
-    from tailbeat.identify import stages
+    from tailbeat.identify import job, stages
+    from tailbeat.identify.search import Effort
     from tailbeat.report.figures import measured_against_twin
 
+    effort, whole = Effort(generations=generations), law == "whole"
+    config = job.FluidConfig(zones, seeds, seed, effort, start_weight, added_inertia, whole)
+    paths = stages.Paths(fish, fit, out, validate or [], json)
     with progress.search_progress() as report:
-        config = stages.fluid_config(
-            zones, seeds, seed, generations, start_weight, added_inertia, law == "whole"
-        )
-        done = stages.fluid(
-            fish, fit, validate or [], out, config, json, report, measured_against_twin
-        )
-    results.identified(done.report)
-    output.say(f"wrote {', '.join(map(str, done.files))}")
+        found = stages.fluid(paths, config, report, measured_against_twin)
+    results.identified(job.as_report(found, config))
+    output.say(f"wrote {', '.join(map(str, paths.written))}")
 
 
 def identify_tail(
@@ -74,12 +74,13 @@ def identify_tail(
 ) -> None:
     """Fit the tail's stiffness and damping to driven sweeps with shaft torque. Both are spread over
     the hinges."""
-    from tailbeat.identify import stages
+    from tailbeat.identify import stages, tail_report
     from tailbeat.report import bench_figures
 
-    done = stages.tail(fish, sweeps, static, ring_down, out, json, bench_figures.tail)
-    results.tail(done.report)
-    output.say(f"wrote {', '.join(map(str, done.files))}")
+    paths = stages.Paths(fish, sweeps, out, json=json)
+    found = stages.tail(paths, static, ring_down, bench_figures.tail)
+    results.tail(tail_report.as_report(found))
+    output.say(f"wrote {', '.join(map(str, paths.written))}")
 
 
 def identify_servo(
@@ -108,25 +109,17 @@ def identify_servo(
     json: JsonOption = None,
 ) -> None:
     """Fit the servo to recorded commands and encoder angles. It runs free against a known load."""
-    from tailbeat.identify import stages
+    from tailbeat.identify import motor_job, motor_report, stages
     from tailbeat.report import bench_figures
 
-    config = stages.motor_config(seeds, seed, gears, gain)
+    config = motor_job.MotorConfig(
+        seeds, seed, gears=gears, gain=gain, load=load, cross_validate=cross_validate
+    )
+    paths = stages.Paths(fish, fit, out, validate or [], json)
     with progress.search_progress() as report:
-        done = stages.motor(
-            fish,
-            fit,
-            validate or [],
-            out,
-            load,
-            config,
-            cross_validate,
-            json,
-            report,
-            bench_figures.motor,
-        )
-    results.motor(done.report)
-    output.say(f"wrote {', '.join(map(str, done.files))}")
+        found = stages.motor(paths, config, report, bench_figures.motor)
+    results.motor(motor_report.as_report(found))
+    output.say(f"wrote {', '.join(map(str, paths.written))}")
 
 
 def identify_all(
@@ -146,15 +139,16 @@ def identify_all(
 ) -> None:
     """Fit tail, servo and fluid to the recordings of one folder. Writes fish, report, page and
     figures; the same command resumes an interrupted search."""
-    from tailbeat.identify import chain, stages
+    from tailbeat.identify import chain, job
+    from tailbeat.identify.search import Effort
     from tailbeat.report.identified import DRAWINGS
 
-    config = stages.fluid_config(
-        zones, seeds, seed, generations, None, added_inertia, law == "whole"
-    )
+    effort, whole = Effort(generations=generations), law == "whole"
+    config = job.FluidConfig(zones, seeds, seed, effort, None, added_inertia, whole)
+    paths = chain.ChainPaths(fish, folder, out, json)
     with progress.search_progress() as report:
-        done = chain.identify_all(fish, folder, out, config, json, report, DRAWINGS)
-    output.tables({"summary": [done["summary"]]})
+        found = chain.identify_all(paths, config, report, DRAWINGS)
+    output.tables({"summary": [asdict(found)]})
     output.say(f"wrote {out} and, beside it, {out.with_suffix('.md').name}")
 
 

@@ -4,7 +4,6 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 import tomlkit
 from pydantic import ValidationError
 
-from tailbeat.files import BadInput, new_file, refuse_existing
+from tailbeat.files import BadInput, new_file
 from tailbeat.fish.description import Fish
 
 
@@ -104,23 +103,6 @@ def check_fish_name(path: Path) -> None:
     """Refuse a fish that would not be a TOML file."""
     if path.suffix != ".toml":
         raise BadInput(f"{path}: a fish is a TOML file; give a name that ends in .toml.")
-
-
-def new_fish_files(out: Path, json: Path | None) -> tuple[Path, Path, Path]:
-    """Fish, report and figure of an identification; refused if one exists."""
-    files = (out, json or out.with_suffix(".json"), out.with_suffix(".png"))
-    for path in files:
-        refuse_existing(path)
-    check_fish_name(out)
-    return files
-
-
-@dataclass(frozen=True)
-class Done:
-    """What an identification wrote."""
-
-    report: dict[str, Any]
-    files: tuple[Path, ...]
 
 
 def write_identified(

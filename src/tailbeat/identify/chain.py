@@ -3,16 +3,17 @@
 import hashlib
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from json import loads as from_json
 from pathlib import Path
 from typing import Any
 
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
-from tailbeat.fish.store import check_fish_name, fish_path, load_fish, write_identified
+from tailbeat.fish.store import check_fish_name, fish_path, load_fish
 from tailbeat.identify import job, stages
+from tailbeat.identify.motor_job import MotorConfig
 from tailbeat.identify.protocol import EVERY, HELD_OUT_MOTOR
-from tailbeat.identify.stages import DrawFluid, DrawMotor, DrawTail, Progress
+from tailbeat.identify.stages import DrawFluid, DrawMotor, DrawTail, Paths, Progress
 
 
 @dataclass(frozen=True)
@@ -65,43 +66,62 @@ def read_folder(folder: Path) -> Folder:
     )
 
 
+@dataclass(frozen=True)
+class ChainPaths:
+    """What the chain reads and writes: a `fish` by its shipped name or file, the `folder` of its
+    recordings, the fish to write at `out`, and its report at `json` (None: beside it)."""
+
+    fish: str
+    folder: Path
+    out: Path
+    json: Path | None = None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The numbers one asks for first: the tail's stiffness `k_eff` [N m/rad] and damping `c_eff`
+    [N m s/rad] at the shaft, and errors on held-out recordings: the servo's angle [deg] and the
+    swims' mean speed [m/s] (None without any), and of each swim its position error as a share of
+    the path and its heading error [deg] (None without a heading)."""
+
+    k_eff: float
+    c_eff: float
+    servo_mae_deg: float | None
+    speed_mae: float | None
+    position_error_share: tuple[float, ...]
+    heading_error_deg: tuple[float | None, ...]
+
+
 def identify_all(
-    fish: str,
-    folder: Path,
-    out: Path,
-    config: job.FluidConfig,
-    json: Path | None,
-    progress: Progress,
-    drawings: Drawings,
-) -> dict[str, Any]:
+    paths: ChainPaths, config: job.FluidConfig, progress: Progress, drawings: Drawings
+) -> Summary:
     """Tail, then motor, then fluid, each fixed before the next; fish, report, page, figures.
 
     Stages that are done are kept beside `out` until all are, and taken up again after a stop.
     """
-    described = load_fish(fish)
-    targets = _targets(out, json)
-    data = read_folder(folder)
-    work = out.parent / f".{out.stem}.chain" / _key(fish, data, config)
-    places = {name: work / f"{name}.toml" for name in ("tail", "motor", "fluid")}
-    reports: dict[str, Any] = {}
-    _stage(places["tail"], lambda path: _tail(fish, data, path, drawings))
-    _stage(places["motor"], lambda path: _motor(places, data, path, config, progress, drawings))
-    _stage(places["fluid"], lambda path: _fluid(places, data, path, config, progress, drawings))
-    for name, path in places.items():
-        reports[name] = _read_json(path.with_suffix(".json"))
-    report = {"fish": described.name, "source": str(fish_path(fish)), "stages": reports}
-    report["summary"] = summary(reports)
-    _publish(places, targets, report, drawings.page(report, out.stem))
-    shutil.rmtree(work.parent, ignore_errors=True)
-    return report
+    job.check(config)
+    described = load_fish(paths.fish)
+    targets = _targets(paths)
+    data = read_folder(paths.folder)
+    work = paths.out.parent / f".{paths.out.stem}.chain"
+    done = work / _key(paths.fish, data, config)
+    places = {name: done / name / paths.out.name for name in ("tail", "motor", "fluid")}
+    _run_stages(paths.fish, data, places, config, progress, drawings)
+    reports = {name: _read_json(path.with_suffix(".json")) for name, path in places.items()}
+    found = _summary(reports)
+    report = {"fish": described.name, "source": str(fish_path(paths.fish)), "stages": reports}
+    report["summary"] = asdict(found)
+    _publish(places, targets, report, drawings.page(report, paths.out.stem))
+    shutil.rmtree(work, ignore_errors=True)
+    return found
 
 
-def _targets(out: Path, json: Path | None) -> dict[str, Path]:
+def _targets(paths: ChainPaths) -> dict[str, Path]:
+    out, stem = paths.out, paths.out.with_suffix("")
     check_fish_name(out)
-    stem = out.with_suffix("")
     targets = {
         "fish": out,
-        "json": json or out.with_suffix(".json"),
+        "json": paths.json or out.with_suffix(".json"),
         "page": out.with_suffix(".md"),
     }
     targets |= {name: Path(f"{stem}-{name}.png") for name in ("tail", "motor", "fluid")}
@@ -121,53 +141,35 @@ def _key(fish: str, data: Folder, config: job.FluidConfig) -> str:
     return digest.hexdigest()[:16]
 
 
-def _stage(done: Path, run: Callable[[Path], Any]) -> None:
-    """A stage's fish is written last, so its presence says that the stage is done."""
-    if done.is_file():
-        return
-    for stale in (done.with_suffix(".json"), done.with_suffix(".png")):
+def _run_stages(
+    fish: str,
+    data: Folder,
+    places: dict[str, Path],
+    config: job.FluidConfig,
+    progress: Progress,
+    drawings: Drawings,
+) -> None:
+    """Each stage starts from the fish that the one before it wrote."""
+    tail, motor, fluid = (places[name] for name in ("tail", "motor", "fluid"))
+    servo = MotorConfig(seeds=config.seeds, first_seed=config.first_seed)
+    if not _done(tail):
+        sweeps = Paths(fish, data.sweeps, tail)
+        stages.tail(sweeps, data.static, data.release, drawings.tail)
+    if not _done(motor):
+        commands = Paths(str(tail), data.motor_fit, motor, data.motor_validate)
+        stages.motor(commands, servo, progress, drawings.motor)
+    if not _done(fluid):
+        swims = Paths(str(motor), data.fluid_fit, fluid, data.fluid_validate)
+        stages.fluid(swims, config, progress, drawings.fluid)
+
+
+def _done(fish: Path) -> bool:
+    """Whether a stage is done: its fish is written last. What an unfinished one left is removed."""
+    if fish.is_file():
+        return True
+    for stale in (fish.with_suffix(".json"), fish.with_suffix(".png")):
         stale.unlink(missing_ok=True)
-    run(done)
-
-
-def _tail(fish: str, data: Folder, out: Path, drawings: Drawings) -> None:
-    stages.tail(fish, data.sweeps, data.static, data.release, out, None, drawings.tail)
-
-
-def _motor(
-    places: dict[str, Path],
-    data: Folder,
-    out: Path,
-    config: job.FluidConfig,
-    progress: Progress,
-    drawings: Drawings,
-) -> None:
-    stages.motor(
-        str(places["tail"]),
-        data.motor_fit,
-        data.motor_validate,
-        out,
-        None,
-        stages.motor_config(config.seeds, config.first_seed, True, None),
-        False,
-        None,
-        progress,
-        drawings.motor,
-    )
-
-
-def _fluid(
-    places: dict[str, Path],
-    data: Folder,
-    out: Path,
-    config: job.FluidConfig,
-    progress: Progress,
-    drawings: Drawings,
-) -> None:
-    fish = str(places["motor"])
-    stages.fluid(
-        fish, data.fluid_fit, data.fluid_validate, out, config, None, progress, drawings.fluid
-    )
+    return False
 
 
 def _read_json(path: Path) -> Any:
@@ -183,17 +185,17 @@ def _publish(
     write_json(targets["json"], report)
     with new_file(targets["page"]) as beside:
         beside.write_text(text, encoding="utf-8")
-    write_identified(places["fluid"], targets["fish"], {"name": targets["fish"].stem}, "")
+    with new_file(targets["fish"]) as beside:
+        shutil.copyfile(places["fluid"], beside)
 
 
-def summary(reports: dict[str, Any]) -> dict[str, Any]:
-    """The numbers one asks for first."""
+def _summary(reports: dict[str, Any]) -> Summary:
     held_out = reports["fluid"]["validate"]
-    return {
-        "k_eff": reports["tail"]["k_eff"]["value"],
-        "c_eff": reports["tail"]["c_eff"]["value"],
-        "servo_mae_deg": reports["motor"]["validate_mae_deg"],
-        "speed_mae": reports["fluid"]["validate_speed_mae"],
-        "position_error_share": [run["position_error_share"] for run in held_out],
-        "heading_error_deg": [run["heading_error_deg"] for run in held_out],
-    }
+    return Summary(
+        reports["tail"]["k_eff"]["value"],
+        reports["tail"]["c_eff"]["value"],
+        reports["motor"]["validate_mae_deg"],
+        reports["fluid"]["validate_speed_mae"],
+        tuple(run["position_error_share"] for run in held_out),
+        tuple(run["heading_error_deg"] for run in held_out),
+    )

@@ -12,8 +12,8 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 from tailbeat.files import BadInput
+from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.response import HALF_TURN, check_angle, check_clipping
-from tailbeat.identify.tail import Estimate
 from tailbeat.recording import Recording, check_continuous, require
 
 Array = NDArray[np.float64]
@@ -132,7 +132,7 @@ def ring_down(recording: Recording) -> RingDown:
     return RingDown(
         recording.name,
         column,
-        Estimate(natural, (natural - reach[0], natural + reach[0])),
+        Estimate(natural, (natural - reach[0], natural + reach[0]), "Hz"),
         Estimate(ratio, (ratio - reach[1], ratio + reach[1])),
         float(time[0]),
         float(time[-1]),

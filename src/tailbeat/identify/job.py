@@ -3,7 +3,7 @@
 import hashlib
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
+from tailbeat.identify.estimate import Estimate, as_row
 from tailbeat.identify.fluid import apply, fluid_space, insensitive, residual_function
 from tailbeat.identify.kinematic import errors_row, fit_kinematic, predict_kinematic, replayable
 from tailbeat.identify.launch import Launched, check_launches, stuck
@@ -25,9 +26,8 @@ from tailbeat.identify.search import (
     Effort,
     Fit,
     Parameter,
-    intervals,
+    estimates,
     search_once,
-    told_apart,
     trade_offs,
     values,
 )
@@ -53,11 +53,36 @@ class FluidConfig:
     whole: bool = False
 
 
+def check(config: FluidConfig) -> None:
+    """Raises BadInput for a config that no identification can have."""
+    seeds, generations, share = config.seeds, config.effort.generations, config.added_inertia
+    if config.zones not in (1, 3):
+        raise BadInput(f"--zones {config.zones}: give 1 (one coefficient set) or 3 (one per zone).")
+    if seeds < 1 or generations < 1:
+        raise BadInput(f"--seeds {seeds} --generations {generations}: both must be 1 or more.")
+    if share is not None and not 0 <= share <= 2:
+        raise BadInput(f"--added-inertia {share:g}: give a share from 0 to 2.")
+    if share is not None and config.whole:
+        raise BadInput("--added-inertia with --law whole, which sets it to 1; leave one out.")
+
+
+@dataclass(frozen=True)
+class SeedResult:
+    """One seed: its cost (sum of squares), mean absolute speed errors on the fitted and the
+    held-out swims [m/s] (None without any), and the value of every free number."""
+
+    seed: int
+    cost: float
+    fit_speed_mae: float
+    validate_speed_mae: float | None
+    values: Mapping[str, float]
+
+
 @dataclass(frozen=True, eq=False)
 class Identified:
     """The outcome: one fit per seed, best first, and the best one's fish, predictions and launch
     checks; `rival` is what five numbers fitted on the same swims make of the held-out ones
-    (`kinematic.py`), empty without replayed swims."""
+    (`kinematic.py`), empty without replayed swims; `spread` has the seeds, best first."""
 
     space: tuple[Parameter, ...]
     idle: tuple[str, ...]
@@ -67,8 +92,12 @@ class Identified:
     validated: tuple[Prediction, ...]
     launched: tuple[Launched, ...]
     rival: tuple[Prediction, ...]
-    spread: tuple[dict[str, Any], ...]
+    spread: tuple[SeedResult, ...]
     seconds: float
+
+    def estimates(self) -> dict[str, Estimate]:
+        """Field -> value, unit, 95 % interval and prior of every free number."""
+        return estimates(self.space, self.fits)
 
 
 def identify_fluid(
@@ -125,7 +154,7 @@ def _conclude(
 ) -> Identified:
     everything = [*fit, *validate]
     found = [predict(apply(fish, values(space, f.z)), everything) for f in fits]
-    spread = tuple(_seed_row(f, p, len(fit), space) for f, p in zip(fits, found, strict=True))
+    spread = tuple(_seed_result(f, p, len(fit), space) for f, p in zip(fits, found, strict=True))
     best = apply(fish, values(space, fits[0].z))
     return Identified(
         space,
@@ -158,47 +187,25 @@ def _rival(fit: Sequence[Run], validate: Sequence[Run]) -> tuple[Prediction, ...
     return tuple(predict_kinematic(fit_kinematic(fit), validate))
 
 
-def _seed_row(
+def _seed_result(
     fit: Fit, found: list[Prediction], fitted: int, space: tuple[Parameter, ...]
-) -> dict[str, Any]:
+) -> SeedResult:
     held_out = found[fitted:]
-    return {
-        "seed": fit.seed,
-        "cost": fit.cost,
-        "fit_speed_mae": speed_mae(found[:fitted]),
-        "validate_speed_mae": speed_mae(held_out) if held_out else None,
-        "values": values(space, fit.z),
-    }
-
-
-def parameter_rows(found: Identified) -> dict[str, dict[str, Any]]:
-    """Per free number: value, unit, 95 % interval, and whether the data decide it."""
-    best = found.fits[0]
-    rows = zip(
-        found.space,
-        values(found.space, best.z).values(),
-        intervals(found.space, found.fits),
-        told_apart(found.space, found.fits),
-        strict=True,
+    return SeedResult(
+        fit.seed,
+        fit.cost,
+        speed_mae(found[:fitted]),
+        speed_mae(held_out) if held_out else None,
+        values(space, fit.z),
     )
-    return {
-        p.path: {
-            "value": value,
-            "unit": p.unit,
-            "interval": list(interval),
-            "decided_by_data": bool(decided),
-            "prior": p.prior,
-        }
-        for p, value, interval, decided in rows
-    }
 
 
 def as_report(found: Identified, config: FluidConfig) -> dict[str, Any]:
     """The JSON report."""
-    rows = parameter_rows(found)
+    known = found.estimates()
     return {
-        "parameters": rows,
-        "undecided": [path for path, row in rows.items() if not row["decided_by_data"]],
+        "parameters": {path: as_row(one) for path, one in known.items()},
+        "undecided": [path for path, one in known.items() if not one.decided],
         "without_effect": list(found.idle),
         "trade_offs": [
             {"parameters": [a, b], "correlation": r}
@@ -206,7 +213,7 @@ def as_report(found: Identified, config: FluidConfig) -> dict[str, Any]:
         ],
         "zones": config.zones,
         "added_inertia": found.fish.added_inertia,
-        "seeds": list(found.spread),
+        "seeds": [asdict(one) for one in found.spread],
         "fit": [row(p) for p in found.fitted],
         "validate": [row(p) for p in found.validated],
         "fit_speed_mae": speed_mae(found.fitted),
@@ -226,12 +233,12 @@ def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[
     swims = ", ".join(recordings) if few else f"{len(recordings)} swims, named on top"
     source = f"identified on {swims}"
     written: dict[str, dict[str, Any]] = {}
-    for path, known in parameter_rows(found).items():
-        remark = source if known["decided_by_data"] else f"{source}; not decided by the data"
+    for path, known in found.estimates().items():
+        remark = source if known.decided else f"{source}; not decided by the data"
         entry = {
-            "value": float(f"{known['value']:.6g}"),
-            "unit": known["unit"],
-            "interval": [float(f"{edge:.4g}") for edge in known["interval"]],
+            "value": float(f"{known.value:.6g}"),
+            "unit": known.unit,
+            "interval": [float(f"{edge:.4g}") for edge in known.interval],
             "source": remark,
         }
         for zone in found.fish.zones if "*" in path else [""]:
@@ -254,15 +261,13 @@ def _assumed(fish: Fish) -> dict[str, Any]:
 
 def heading(found: Identified, config: FluidConfig) -> str:
     """The lines that head an identified fish: what was fitted, how well, with which engine."""
-    report = as_report(found, config)
-    held_out = report["validate_speed_mae"]
     lines = [
         "Identified by `tailbeat identify fluid`; the report beside this file has the details.",
         f"Fitted on {', '.join(p.run.name for p in found.fitted)}, cost {found.fits[0].cost:.3g},"
         f" best of {len(found.fits)} seeds, {config.zones} zone(s).",
-        f"Mean absolute speed error {report['fit_speed_mae']:.4f} m/s fitted"
-        + ("." if held_out is None else f", {held_out:.4f} m/s held out."),
-        f"{report['engine']}, tailbeat {report['tailbeat']}.",
+        f"Mean absolute speed error {speed_mae(found.fitted):.4f} m/s fitted"
+        + (f", {speed_mae(found.validated):.4f} m/s held out." if found.validated else "."),
+        f"mujoco {mujoco.__version__}, tailbeat {version('tailbeat')}.",
     ]
     return "\n".join(lines)
 

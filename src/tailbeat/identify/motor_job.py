@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
+from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.motor import (
     GEARS,
     IDEALISED,
@@ -29,6 +30,7 @@ from tailbeat.identify.search import (
     Effort,
     Fit,
     Parameter,
+    estimates,
     search_once,
     values,
 )
@@ -43,7 +45,9 @@ AT_LEAST = 0.002  # a gears' share below this is none
 
 @dataclass(frozen=True)
 class MotorConfig:
-    """Seeds, effort, and whether gear friction may be fitted beside the compiled servo."""
+    """Seeds from `first_seed` on, effort, whether `gears` may rub beside the compiled servo's
+    friction, the `gain` register the fish will run with (None: the recordings' middle), the `load`
+    on the shaft (None: as recorded, else the tail), and whether to leave out each gain in turn."""
 
     seeds: int = 5
     first_seed: int = 0
@@ -52,6 +56,16 @@ class MotorConfig:
     )
     gears: bool = True
     gain: float | None = None
+    load: str | None = None
+    cross_validate: bool = False
+
+
+def check(config: MotorConfig) -> None:
+    """Raises BadInput for a config that no identification can have."""
+    if config.seeds < 1:
+        raise BadInput(f"--seeds {config.seeds}: give 1 or more.")
+    if config.gain is not None and not config.gain > 0:
+        raise BadInput(f"--gain {config.gain:g}: give the gain register's value, above 0.")
 
 
 @dataclass(frozen=True)
@@ -75,10 +89,33 @@ class Overlay:
         """Angle error (k,) deg."""
         return np.degrees(getattr(self, which) - self.bench.angle)
 
+    def rmse_deg(self, which: str = "identified") -> float:
+        """Root mean square angle error [deg]."""
+        return float(np.sqrt(np.square(self.error_deg(which)).mean()))
+
+    @property
+    def mae_deg(self) -> float:
+        """Mean absolute angle error [deg]."""
+        return float(np.abs(self.error_deg()).mean())
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """What was left out of a fit, and that fit's mean absolute and root mean square error on it
+    [deg]."""
+
+    held_out: str
+    mae_deg: float
+    rmse_deg: float
+
 
 @dataclass(frozen=True, eq=False)
 class ServoFit:
-    """The outcome: one fit per seed, best first, and every recording replayed."""
+    """The outcome: one fit per seed, best first, and every recording replayed.
+
+    `servo` has the seven numbers that the twin compiles, SI, at the `gain` register; `seconds` is
+    how long the search took; `left_out` is there where cross-validation was asked for.
+    """
 
     space: tuple[Parameter, ...]
     fits: tuple[Fit, ...]
@@ -87,6 +124,21 @@ class ServoFit:
     gain: float | None
     warnings: tuple[str, ...]
     seconds: float
+    left_out: tuple[LeftOut, ...] = ()
+
+    def estimates(self) -> dict[str, Estimate]:
+        """Number -> value, unit and 95 % interval; kp at the gain where recordings state gains."""
+        found = estimates(self.space, self.fits)
+        if self.gain is None:
+            return found
+        scale = found["gain_scale"]
+        low, high = (self.gain * edge for edge in scale.interval)
+        return {"kp": Estimate(self.gain * scale.value, (low, high), "N m/rad"), **found}
+
+    def mae_deg(self, role: str) -> float | None:
+        """Mean absolute error over the recordings of a role, `fit` or `validate` [deg]."""
+        errors = [one.mae_deg for one in self.overlays if one.role == role]
+        return float(np.mean(errors)) if errors else None
 
 
 def identify_motor(

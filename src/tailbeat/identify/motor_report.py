@@ -1,7 +1,7 @@
 """What a servo identification says: JSON rows, the fish's fields, and what other gains predict."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -10,9 +10,17 @@ import numpy as np
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
+from tailbeat.identify.estimate import as_row
 from tailbeat.identify.motor import load_doubt
-from tailbeat.identify.motor_job import MotorConfig, Overlay, Progress, ServoFit, identify_motor
-from tailbeat.identify.search import Fit, Parameter, intervals, told_apart, trade_offs, values
+from tailbeat.identify.motor_job import (
+    LeftOut,
+    MotorConfig,
+    Overlay,
+    Progress,
+    ServoFit,
+    identify_motor,
+)
+from tailbeat.identify.search import Fit, Parameter, trade_offs, values
 from tailbeat.identify.shaft import Bench
 
 # What to record when the data trade one number against another.
@@ -27,50 +35,26 @@ SEPARATES = {
 OTHERWISE = "the same commands at a second gain, or with another known load"
 
 
-def parameter_rows(found: ServoFit) -> dict[str, dict[str, Any]]:
-    """Per number: value, unit, 95 % interval, whether the data decide it."""
-    spans = intervals(found.space, found.fits)
-    decided = told_apart(found.space, found.fits)
-    best = values(found.space, found.fits[0].z)
-    rows = {
-        p.path: _row(best[p.path], p.unit, span, bool(known))
-        for p, span, known in zip(found.space, spans, decided, strict=True)
-    }
-    if found.gain is not None:
-        scale = rows["gain_scale"]
-        edges = tuple(found.gain * edge for edge in scale["interval"])
-        kp = _row(found.gain * scale["value"], "N m/rad", edges, scale["decided_by_data"])
-        rows = {"kp": kp, **rows}
-    return rows
-
-
-def _row(value: float, unit: str, interval: Sequence[float], decided: bool) -> dict[str, Any]:
-    return {"value": value, "unit": unit, "interval": list(interval), "decided_by_data": decided}
-
-
-def run_row(overlay: Overlay) -> dict[str, Any]:
-    """Errors of one recording [deg]."""
-    error, ideal = overlay.error_deg(), overlay.error_deg("idealised")
+def _run(overlay: Overlay) -> dict[str, Any]:
     return {
         "recording": overlay.bench.name,
         "role": overlay.role,
         "gain": overlay.bench.gain,
-        "rmse_deg": float(np.sqrt(np.square(error).mean())),
-        "mae_deg": float(np.abs(error).mean()),
-        "idealised_rmse_deg": float(np.sqrt(np.square(ideal).mean())),
+        "rmse_deg": overlay.rmse_deg(),
+        "mae_deg": overlay.mae_deg,
+        "idealised_rmse_deg": overlay.rmse_deg("idealised"),
     }
 
 
 def as_report(found: ServoFit) -> dict[str, Any]:
     """The JSON report."""
-    rows = parameter_rows(found)
-    runs = [run_row(overlay) for overlay in found.overlays]
-    return {
-        "parameters": rows,
+    known = found.estimates()
+    report = {
+        "parameters": {name: as_row(one) for name, one in known.items()},
         "compiled": found.servo,
         "gain": found.gain,
         "load": sorted({overlay.bench.load.kind for overlay in found.overlays}),
-        "undecided": [name for name, row in rows.items() if not row["decided_by_data"]],
+        "undecided": [name for name, one in known.items() if not one.decided],
         "trade_offs": [
             {"parameters": [a, b], "correlation": r, "separated_by": remedy(a, b)}
             for a, b, r in trade_offs(*given_load(found))
@@ -80,17 +64,14 @@ def as_report(found: ServoFit) -> dict[str, Any]:
             {"seed": fit.seed, "cost": fit.cost, "values": values(found.space, fit.z)}
             for fit in found.fits
         ],
-        "runs": runs,
-        **{f"{role}_mae_deg": mean_error(runs, role) for role in ("fit", "validate")},
+        "runs": [_run(overlay) for overlay in found.overlays],
+        **{f"{role}_mae_deg": found.mae_deg(role) for role in ("fit", "validate")},
         "tailbeat": version("tailbeat"),
         "seconds": found.seconds,
     }
-
-
-def mean_error(runs: Sequence[dict[str, Any]], role: str) -> float | None:
-    """Mean absolute error over the recordings of a role [deg]."""
-    errors = [run["mae_deg"] for run in runs if run["role"] == role]
-    return float(np.mean(errors)) if errors else None
+    if found.left_out:
+        report["cross_validation"] = [asdict(one) for one in found.left_out]
+    return report
 
 
 def given_load(found: ServoFit) -> tuple[tuple[Parameter, ...], Fit]:
@@ -109,33 +90,33 @@ def remedy(a: str, b: str) -> str:
 
 def toml_values(found: ServoFit, recordings: Sequence[str]) -> dict[str, dict[str, Any] | str]:
     """Field -> {value, unit, interval, source} for `store.write_identified`."""
-    rows = parameter_rows(found)
+    rows = found.estimates()
     source = f"identified on {', '.join(recordings)}"
     written: dict[str, dict[str, Any] | str] = {"servo": "identified"}
     for name, value in found.servo.items():
         row = rows[name]
-        remark = source if row["decided_by_data"] else f"{source}; not decided by the data"
-        shift = value - row["value"]
+        remark = source if row.decided else f"{source}; not decided by the data"
+        shift = value - row.value
         written[f"servos.identified.{name}"] = {
             "value": float(f"{value:.6g}"),
-            "unit": row["unit"],
-            "interval": [float(f"{edge + shift:.4g}") for edge in row["interval"]],
+            "unit": row.unit,
+            "interval": [float(f"{edge + shift:.4g}") for edge in row.interval],
             "source": remark,
         }
     return written
 
 
-def heading(report: dict[str, Any]) -> str:
+def heading(found: ServoFit) -> str:
     """The lines that head an identified fish."""
-    held_out = report["validate_mae_deg"]
+    held_out = found.mae_deg("validate")
     lines = [
         "Servo identified by `tailbeat identify servo`; the report beside this file has the rest.",
-        f"Mean absolute angle error {report['fit_mae_deg']:.2f} deg fitted"
+        f"Mean absolute angle error {found.mae_deg('fit'):.2f} deg fitted"
         + ("." if held_out is None else f", {held_out:.2f} deg held out."),
-        f"tailbeat {report['tailbeat']}.",
+        f"tailbeat {version('tailbeat')}.",
     ]
-    if report["gain"] is not None:
-        lines.insert(1, f"kp is for gain register {report['gain']:g}; it scales in proportion.")
+    if found.gain is not None:
+        lines.insert(1, f"kp is for gain register {found.gain:g}; it scales in proportion.")
     return "\n".join(lines)
 
 
@@ -144,7 +125,7 @@ def heading(report: dict[str, Any]) -> str:
 
 def cross_validate(
     fish: Fish, benches: Sequence[Bench], config: MotorConfig, scratch: Path, progress: Progress
-) -> list[dict[str, Any]]:
+) -> tuple[LeftOut, ...]:
     """Leave out each gain in turn (each recording where there is one gain): what is predicted?"""
     groups = sorted({_group(bench, benches) for bench in benches})
     if len(groups) < 2:
@@ -154,11 +135,10 @@ def cross_validate(
         kept = [b for b in benches if _group(b, benches) != group]
         out = [b for b in benches if _group(b, benches) == group]
         found = identify_motor(fish, kept, out, config, scratch, progress)
-        runs = [run_row(overlay) for overlay in found.overlays]
-        held = [run for run in runs if run["role"] == "validate"]
-        rmse = float(np.sqrt(np.mean([run["rmse_deg"] ** 2 for run in held])))
-        rows.append({"held_out": group, "mae_deg": mean_error(runs, "validate"), "rmse_deg": rmse})
-    return rows
+        held = [one for one in found.overlays if one.role == "validate"]
+        rmse = float(np.sqrt(np.mean([one.rmse_deg() ** 2 for one in held])))
+        rows.append(LeftOut(group, float(np.mean([one.mae_deg for one in held])), rmse))
+    return tuple(rows)
 
 
 def _group(bench: Bench, benches: Sequence[Bench]) -> str:

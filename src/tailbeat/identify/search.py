@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from tailbeat.files import new_file
+from tailbeat.identify.estimate import Estimate
 
 Array = NDArray[np.float64]
 Residuals = Callable[[Array], Array]
@@ -25,7 +26,6 @@ FAILED = 1e12  # cost of a candidate that diverged
 STEP = 0.02  # finite difference in z
 WIDE_STEP = 0.2  # that of the intervals: about as far as they reach, over the law's small kinks
 NOISE_FLOOR = 0.3
-DECIDED = 0.1  # a 95 % interval within 10 % of the value counts as decided by the data
 ENOUGH = 2e-4  # relative gain below which the polish stops
 RESCALINGS = 2  # rounds of polish with the noise taken from the residuals themselves
 
@@ -271,10 +271,10 @@ def intervals(space: tuple[Parameter, ...], fits: Sequence[Fit]) -> list[tuple[f
     return [(p.from_z(a), p.from_z(b)) for p, a, b in zip(space, low, high, strict=True)]
 
 
-def told_apart(space: tuple[Parameter, ...], fits: Sequence[Fit]) -> list[bool]:
-    """Which parameters the data decide: their 95 % interval lies within 10 % of the value."""
-    found = zip(values(space, fits[0].z).values(), intervals(space, fits), strict=True)
-    return [high - low < 2 * DECIDED * abs(value) for value, (low, high) in found]
+def estimates(space: tuple[Parameter, ...], fits: Sequence[Fit]) -> dict[str, Estimate]:
+    """Field -> the best fit's value with its interval, from fits sorted best first."""
+    found = zip(space, values(space, fits[0].z).values(), intervals(space, fits), strict=True)
+    return {p.path: Estimate(value, span, p.unit, p.prior) for p, value, span in found}
 
 
 def trade_offs(space: tuple[Parameter, ...], fit: Fit, least: float = 0.9) -> list[tuple]:

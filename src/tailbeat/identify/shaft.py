@@ -12,6 +12,7 @@ with speed, and the mean, are ours: of the forms tried they predicted left-out g
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -58,6 +59,16 @@ class Bench:
     gain: float | None = None
 
 
+class Played(NamedTuple):
+    """Samples (k,) of what a shaft is driven with: time [s], command [rad], the command's running
+    integral [rad s], and whether the servo's torque is on."""
+
+    time: Array
+    command: Array
+    integral: Array
+    enabled: NDArray[np.bool_]
+
+
 def free_run(servo: Mapping[str, Array], benches: Sequence[Bench]) -> list[Array]:
     """Shaft angles (n, k) rad of every bench for n servos, from the recorded start, free-running.
 
@@ -74,7 +85,7 @@ def free_run(servo: Mapping[str, Array], benches: Sequence[Bench]) -> list[Array
     integral = np.concatenate([_integral(b) for b in benches])
     edges = np.cumsum([0, *(b.time.size for b in benches)])
     angle = np.full((len(lanes), time.size), np.nan)
-    _run(lanes, load, start, time, command, integral, enabled > 0.5, edges, angle)
+    _run(lanes, load, start, Played(time, command, integral, enabled > 0.5), edges, angle)
     return np.split(angle, edges[1:-1], axis=1)
 
 
@@ -105,30 +116,25 @@ def mean_held(time: Array, command: Array, edges: Array) -> Array:
 
 
 @njit(parallel=True, cache=True)
-def _run(lanes, load, start, time, command, integral, enabled, edges, angle):  # type: ignore[no-untyped-def]
+def _run(lanes, load, start, played, edges, angle):  # type: ignore[no-untyped-def]
     """Every servo on every bench, one lane each."""
     benches = len(load)
     for lane in prange(len(lanes) * benches):
         i, b = lane // benches, lane % benches
         part = slice(edges[b], edges[b + 1])
-        _shaft(
-            lanes[i, b],
-            load[b],
-            start[b],
-            time[part],
-            command[part],
-            integral[part],
-            enabled[part],
-            angle[i, part],
+        own = Played(
+            played.time[part], played.command[part], played.integral[part], played.enabled[part]
         )
+        _shaft(lanes[i, b], load[b], start[b], own, angle[i, part])
 
 
 @njit(cache=True)
-def _shaft(servo, load, start, time, command, integral, enabled, angle):  # type: ignore[no-untyped-def]
+def _shaft(servo, load, start, played, angle):  # type: ignore[no-untyped-def]
     """One lane. Semi-implicit Euler with implicit damping; friction stops the shaft exactly."""
     kp, kv, armature, on_damping, friction, limit, delay, off_damping = servo[:8]
     load_rub, stiction = servo[8:]
     stiffness, damping, load_inertia, load_friction, weight = load
+    time, command, integral, enabled = played
     q, v = start
     angle[0] = q
     held, place, switch, sample = -delay * command[0], 0, 0, 1

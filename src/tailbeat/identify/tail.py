@@ -15,24 +15,12 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from tailbeat.files import BadInput
+from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.response import Condition, measure, split
 from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]
 SAME_FREQUENCY = 0.05  # relative distance below which two conditions count as one frequency
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A number with its 95 % interval."""
-
-    value: float
-    interval: tuple[float, float]
-
-    @property
-    def decided(self) -> bool:
-        """Whether the interval lies within 10 % of the value."""
-        return (self.interval[1] - self.interval[0]) < 0.2 * abs(self.value)
 
 
 @dataclass(frozen=True)
@@ -68,20 +56,22 @@ def identify_tail(recordings: Sequence[Recording]) -> TailFit:
     response = np.array([c.response for c in found])
     deviation = np.array([c.deviation for c in found])
     ones = np.ones_like(omega)
-    (k, i), spare_re = line(np.stack([ones, -(omega**2)], 1), response.real, deviation)
+    (k, i), spare_re = line(
+        np.stack([ones, -(omega**2)], 1), response.real, deviation, ("N m/rad", "kg m^2")
+    )
     if k.value <= 0:
         raise BadInput(
             f"{found[0].recording}: the stiffness comes out as {k.value:.3g} N m/rad; torque and"
             f" angle have opposite signs: torque_nm is what turns the shaft towards larger angles."
         )
     drag = np.stack([omega, 4 / (np.pi * amplitude)], 1)
-    (c, f), spare_im = line(drag, response.imag, deviation)
+    (c, f), spare_im = line(drag, response.imag, deviation, ("N m s/rad", "N m"))
     warnings = _warnings(found, i, c, f)
     return TailFit(tuple(found), k, i, c, f, spare_re, spare_im, tuple(warnings))
 
 
 def line(
-    basis: Array, measured: Array, deviation: Array
+    basis: Array, measured: Array, deviation: Array, units: tuple[str, str] = ("1", "1")
 ) -> tuple[tuple[Estimate, Estimate], float]:
     """Weighted fit of two numbers, and the conditions' scatter beyond their own deviations.
 
@@ -96,7 +86,8 @@ def line(
     quantile = stats.t.ppf(0.975, freedom) if freedom > 0 else stats.norm.ppf(0.975)
     reach = quantile * np.sqrt(np.diag(inverse))
     first, second = (
-        Estimate(float(v), (float(v - r), float(v + r))) for v, r in zip(value, reach, strict=True)
+        Estimate(float(v), (float(v - r), float(v + r)), unit)
+        for v, r, unit in zip(value, reach, units, strict=True)
     )
     return (first, second), excess
 

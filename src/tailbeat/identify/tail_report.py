@@ -7,11 +7,12 @@ from typing import Any
 
 from tailbeat.fish.description import Fish
 from tailbeat.identify.decay import Loop, RingDown
+from tailbeat.identify.estimate import as_row
 from tailbeat.identify.hinges import Hinges, hinges_for
 from tailbeat.identify.response import Condition
-from tailbeat.identify.tail import Estimate, TailFit, frequencies
+from tailbeat.identify.tail import TailFit, frequencies
 
-UNITS = {"k_eff": "N m/rad", "i_eff": "kg m^2", "c_eff": "N m s/rad", "coulomb": "N m"}
+NUMBERS = ("k_eff", "i_eff", "c_eff", "coulomb")
 MISSED = 0.02  # relative difference of the compiled shaft's stiffness that draws a warning
 
 
@@ -45,11 +46,8 @@ def combine(fish: Fish, fit: TailFit, loop: Loop | None, ring: RingDown | None) 
 def as_report(found: TailResult) -> dict[str, Any]:
     """The JSON report."""
     fit, hinges = found.fit, found.hinges
-    report: dict[str, Any] = {
-        name: {**_estimate(getattr(fit, name)), "unit": unit} for name, unit in UNITS.items()
-    }
     return {
-        **report,
+        **{name: as_row(getattr(fit, name)) for name in NUMBERS},
         "joint_stiffness": list(hinges.stiffness),
         "joint_damping": [k * _damping_time(fit) for k in hinges.stiffness],
         "joint_pattern": hinges.pattern,
@@ -64,14 +62,6 @@ def as_report(found: TailResult) -> dict[str, Any]:
         "ring_down": None if found.ring is None else _ring(found.ring),
         "warnings": found.warnings,
         "tailbeat": version("tailbeat"),
-    }
-
-
-def _estimate(estimate: Estimate) -> dict[str, Any]:
-    return {
-        "value": estimate.value,
-        "interval": list(estimate.interval),
-        "decided_by_data": estimate.decided,
     }
 
 
@@ -90,8 +80,8 @@ def _ring(ring: RingDown) -> dict[str, Any]:
     return {
         "recording": ring.recording,
         "column": ring.column,
-        "natural_frequency": _estimate(ring.natural_frequency),
-        "damping_ratio": _estimate(ring.damping_ratio),
+        "natural_frequency": as_row(ring.natural_frequency),
+        "damping_ratio": as_row(ring.damping_ratio),
         "start": ring.start,
         "end": ring.end,
     }

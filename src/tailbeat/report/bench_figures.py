@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tailbeat.files import new_file
+from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.motor_job import Overlay, ServoFit
-from tailbeat.identify.tail import Estimate, TailFit
+from tailbeat.identify.tail import TailFit
 from tailbeat.identify.tail_report import TailResult
 from tailbeat.recording import Recording
 from tailbeat.report.figures import MEASURED, TWIN
