@@ -93,7 +93,7 @@ def test_the_naive_model_recovers_its_own_numbers() -> None:
     found = fit_kinematic(runs)
     assert list(vars(found).values()) == pytest.approx(list(vars(truth).values()), rel=0.05)
     for one in predict_kinematic(found, runs):
-        assert path_errors(one)["position_error_share"] < 0.02
+        assert path_errors(one).position_error_share < 0.02
 
 
 def filmed() -> Recording:

@@ -175,10 +175,10 @@ def test_the_naive_model_stands_beside_every_swim_that_has_a_heading():
     """Two logs of one name count twice; one without heading counts not at all."""
     swum, other = wandering(), replace(record(OTHER, "wandering", 1.5, 0.5), name="wandering")
     runs = [as_run(one, FISH) for one in (swum, without_yaw(swum, 1.0), other)]
-    found = kinematic.beside(as_json(predict(FISH, runs)), runs, runs[:1])
-    assert len(found["naive"]) == 2
+    found = kinematic.beside(predict(FISH, runs), runs[:1])
+    assert len(found.naive) == 2
     errors = [predicted(one)["position_error_share"] for one in (swum, other)]
-    assert found["median_position_error_share"] == pytest.approx(np.mean(errors))
-    assert found["twin_better_share"] in (0.5, 1.0)  # the twin is the first one's truth
+    assert found.median_position_error_share == pytest.approx(np.mean(errors))
+    assert found.twin_better_share in (0.5, 1.0)  # the twin is the first one's truth
     with pytest.raises(BadInput, match="motor_angle_rad and yaw_rad"):
-        kinematic.beside(as_json(predict(FISH, runs[1:2])), runs[1:2], runs[:1])
+        kinematic.beside(predict(FISH, runs[1:2]), runs[:1])

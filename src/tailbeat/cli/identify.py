@@ -165,15 +165,16 @@ def predict(
 ) -> None:
     """Predict recorded swims with the twin and compare with what was measured. Exit code 1 if the
     twin diverged or reached no steady speed. With --fitted-on, compare it with a naive model."""
-    from tailbeat.evaluate.replay import predict_swims
+    from tailbeat.evaluate import replay
 
     if json is not None:
         refuse_existing(json)
-    result = predict_swims(fish, recordings, fitted_on or [])
+    found = replay.predict_swims(fish, recordings, fitted_on or [])
+    result = replay.as_json(found)
     if json is not None:
         write_json(json, result)
     results.predicted(result)
-    if not all(run["settled"] for run in result["runs"]):
+    if not found.settled:
         raise typer.Exit(1)
 
 
@@ -191,12 +192,14 @@ def coverage(
     """Check whether an identification's recordings cover a policy's swims. Say what to record next.
     Exit code 1 if over 5 % of some quantity lies outside the recorded range."""
     from tailbeat.evaluate import replay
+    from tailbeat.identify.coverage import as_json
 
     if json is not None:
         refuse_existing(json)
-    result = replay.coverage(fish, swims, against)
+    found = replay.coverage(fish, swims, against)
+    result = as_json(found)
     if json is not None:
         write_json(json, result)
     results.covered(result)
-    if not result["covered"]:
+    if not found.covered:
         raise typer.Exit(1)

@@ -1,6 +1,7 @@
 """Compare recorded swims with a fish: what its twin predicts, and what its recordings cover."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,31 +10,50 @@ from tailbeat.evaluate.store import read_chunk
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify import coverage as cover
-from tailbeat.identify import kinematic, predict
+from tailbeat.identify import kinematic
+from tailbeat.identify.coverage import Coverage
+from tailbeat.identify.predict import Prediction, predict
+from tailbeat.identify.predict import as_json as predictions_json
 from tailbeat.identify.runs import as_run
 from tailbeat.recording import Recording, read_recording
 
 
-def predict_swims(
-    fish: str, swims: Sequence[Path], fitted_on: Sequence[Path] = ()
-) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What a twin predicts of swims, and beside it the naive model where one was asked for."""
+
+    predictions: tuple[Prediction, ...]
+    rival: kinematic.Rival | None = None
+
+    @property
+    def settled(self) -> bool:
+        """Whether no run diverged and every cruise reached a steady speed."""
+        return all(one.settled for one in self.predictions)
+
+
+def predict_swims(fish: str, swims: Sequence[Path], fitted_on: Sequence[Path] = ()) -> Replay:
     """Measured and predicted figures of recordings, logs or an evaluation's chunks; with
     `fitted_on`, those of the naive model fitted on these recordings too."""
     described = load_fish(fish)
     runs = [as_run(recording, described) for path in swims for recording in read_swims(path)]
-    result = predict.as_json(predict.predict(described, runs))
-    if fitted_on:
-        known = [as_run(read_recording(path), described) for path in fitted_on]
-        result |= kinematic.beside(result, runs, known)
-    return result
+    found = predict(described, runs)
+    if not fitted_on:
+        return Replay(tuple(found))
+    known = [as_run(read_recording(path), described) for path in fitted_on]
+    return Replay(tuple(found), kinematic.beside(found, known))
 
 
-def coverage(fish: str, swims: Sequence[Path], against: Sequence[Path]) -> dict[str, Any]:
+def as_json(replay: Replay) -> dict[str, Any]:
+    """The result of `tailbeat predict`."""
+    rival = {} if replay.rival is None else kinematic.as_json(replay.rival)
+    return {**predictions_json(replay.predictions), **rival}
+
+
+def coverage(fish: str, swims: Sequence[Path], against: Sequence[Path]) -> Coverage:
     """Compare swims, logs or an evaluation's chunks, with the recordings of an identification."""
     described = load_fish(fish)
     played = [recording for path in swims for recording in read_swims(path)]
-    found = cover.coverage(played, [read_recording(path) for path in against], described)
-    return cover.as_json(found)
+    return cover.coverage(played, [read_recording(path) for path in against], described)
 
 
 def read_swims(path: Path) -> list[Recording]:

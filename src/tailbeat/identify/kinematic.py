@@ -7,7 +7,7 @@ smoothed over another, gives turn rate. Whoever cannot beat this has not identif
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 
 from tailbeat.files import BadInput
 from tailbeat.identify.gait import Track
-from tailbeat.identify.predict import Prediction, marker_error, path_errors
+from tailbeat.identify.predict import PathErrors, Prediction, marker_error, path_errors
 from tailbeat.identify.runs import Run
 
 Array = NDArray[np.float64]
@@ -102,34 +102,50 @@ def _predicted(model: Kinematic, run: Run) -> Prediction:
 
 
 def errors_row(prediction: Prediction) -> dict[str, Any]:
-    """The model's errors on one swim."""
-    return {"recording": prediction.run.name, **path_errors(prediction)}
+    """The JSON of the model's errors on one swim."""
+    return {"recording": prediction.run.name, **asdict(path_errors(prediction))}
 
 
-def beside(result: dict[str, Any], runs: Sequence[Run], fitted_on: Sequence[Run]) -> dict[str, Any]:
-    """What the naive model, fitted on `fitted_on`, adds to `predict.as_json` of the same runs:
-    its errors run by run, both medians, and the share of runs on which the twin is the better.
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """What the naive model makes of the runs that have a motor angle and a heading, and medians
+    over these runs: position error as a share of the path, size of the heading error [deg]; and
+    the share of them on which the twin's position error is the smaller."""
+
+    naive: tuple[Prediction, ...]
+    median_position_error_share: float
+    median_heading_error_deg: float
+    naive_median_position_error_share: float
+    naive_median_heading_error_deg: float
+    twin_better_share: float
+
+
+def beside(twin: Sequence[Prediction], fitted_on: Sequence[Run]) -> Rival:
+    """The naive model, fitted on `fitted_on`, beside what the twin predicts of some runs.
 
     Raises BadInput where no run has a motor angle and a heading.
     """
-    if not any(map(replayable, fitted_on)) or not any(map(replayable, runs)):
+    known = [one for one in twin if replayable(one.run)]
+    if not any(map(replayable, fitted_on)) or not known:
         raise BadInput(
             "--fitted-on: the naive model needs swims with motor_angle_rad and yaw_rad; give some."
         )
-    found = predict_kinematic(fit_kinematic(fitted_on), runs)
-    theirs = [path_errors(one) for one in found]
-    ours = [row for row, run in zip(result["runs"], runs, strict=True) if replayable(run)]
-    key = "position_error_share"
-    better = [a[key] < b[key] for a, b in zip(ours, theirs, strict=True)]
-    return {
-        "naive": [errors_row(one) for one in found],
-        "median_position_error_share": _median(ours, key),
-        "median_heading_error_deg": _median(ours, "heading_error_deg"),
-        "naive_median_position_error_share": _median(theirs, key),
-        "naive_median_heading_error_deg": _median(theirs, "heading_error_deg"),
-        "twin_better_share": float(np.mean(better)),
-    }
+    naive = predict_kinematic(fit_kinematic(fitted_on), [one.run for one in known])
+    ours, theirs = ([path_errors(one) for one in group] for group in (known, naive))
+    better = [
+        a.position_error_share < b.position_error_share for a, b in zip(ours, theirs, strict=True)
+    ]
+    return Rival(tuple(naive), *_medians(ours), *_medians(theirs), float(np.mean(better)))
 
 
-def _median(rows: Sequence[dict[str, Any]], key: str) -> float:
-    return float(np.median([abs(row[key]) for row in rows]))
+def _medians(errors: Sequence[PathErrors]) -> tuple[float, float]:
+    shares = [abs(one.position_error_share) for one in errors]
+    return float(np.median(shares)), float(
+        np.median([abs(one.heading_error_deg) for one in errors])
+    )
+
+
+def as_json(rival: Rival) -> dict[str, Any]:
+    """What `tailbeat predict --fitted-on` adds to its result."""
+    medians = {name: value for name, value in vars(rival).items() if name != "naive"}
+    return {"naive": [errors_row(one) for one in rival.naive], **medians}

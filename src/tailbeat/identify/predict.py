@@ -1,7 +1,7 @@
 """What a twin says about swims: measured and predicted figures, run by run."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -67,23 +67,29 @@ def marker_error(run: Run, gait: Gait, track: Track) -> float:
     return float(np.sqrt(np.square(path - run.track.pose[:, :2]).sum(axis=1).mean()))
 
 
-def path_errors(prediction: Prediction) -> dict[str, float]:
-    """Of a replayed run: way swum along the heading [m], position error (rms) as a share of it, and
-    heading error [deg] after 8 s or at the end, a tenth of a second's noise averaged out.
+@dataclass(frozen=True)
+class PathErrors:
+    """Of a replayed run: `distance` along the heading [m], position error (rms) as a share of it,
+    and heading error [deg] after 8 s or at the end, a tenth of a second's noise averaged out.
 
-    Without a recorded heading the way is that over ground, and the heading error is NaN.
+    Without a recorded heading the distance is that over ground, and the heading error is NaN.
     """
+
+    distance: float
+    position_error_share: float
+    heading_error_deg: float
+
+
+def path_errors(prediction: Prediction) -> PathErrors:
+    """How far a replayed run's twin strays from the recorded path."""
     track, found = prediction.run.track, prediction.track
     when = track.time - track.time[0]
     swum = way(track)
     at = min(JUDGED, float(when[-1]) - 0.1)
     around = np.abs(when - at) <= 0.1
     yaw = np.interp(when[around], found.time, found.pose[:, 2]) - track.pose[around, 2]
-    return {
-        "distance": swum,
-        "position_error_share": prediction.marker_error / max(swum, 1e-9),
-        "heading_error_deg": float(np.degrees(yaw.mean())),
-    }
+    share = prediction.marker_error / max(swum, 1e-9)
+    return PathErrors(swum, share, float(np.degrees(yaw.mean())))
 
 
 def as_json(predictions: Sequence[Prediction]) -> dict[str, Any]:
@@ -109,7 +115,7 @@ def row(prediction: Prediction) -> dict[str, Any]:
         "marker_error": prediction.marker_error,
     }
     if prediction.run.motor is not None:
-        found |= path_errors(prediction)
+        found |= asdict(path_errors(prediction))
     for name in ("speed", "stride", "strouhal", "tail_amplitude"):
         found[f"measured_{name}"] = getattr(prediction.run.gait, name)
         found[f"predicted_{name}"] = getattr(prediction.gait, name)
