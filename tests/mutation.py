@@ -41,7 +41,9 @@ ROOMS = {
     "search": Room(
         ("identify/search.py",), ("test_search.py",), needs=("numpy", "scipy.stats", "cma")
     ),
-    "safety": Room(("robot/safety.py",), ("test_runner.py", "test_orders.py")),
+    "safety": Room(
+        ("robot/safety.py",), ("test_safety_limits.py", "test_runner.py", "test_orders.py")
+    ),
     "link": Room(("link/*.py",), ("test_link.py", "test_orders.py", "test_plausible.py")),
     "reward": Room(
         ("env/reward.py",),
@@ -52,7 +54,8 @@ ROOMS = {
     "control": Room(
         ("control/*.py",),
         ("test_control.py", "test_runner.py", "test_policy.py"),
-        needs=("numpy", "torch", "stable_baselines3", "onnx"),
+        "not to_the_bit",
+        ("numpy", "torch", "stable_baselines3", "onnx"),
     ),
 }
 SWAPS: dict[type, type] = {
