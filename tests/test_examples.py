@@ -1,0 +1,49 @@
+"""The scripts of examples/ run as a reader would run them, with short settings."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
+
+
+def said(script: str, *words: str) -> str:
+    """What a script prints."""
+    command = [sys.executable, str(EXAMPLES / script), *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_a_script_is_short_and_shows_what_it_prints(script):
+    text = (EXAMPLES / script).read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 60
+    assert f"python examples/{script}" in text.split('"""')[1]
+
+
+def test_a_fish_swims_from_its_numbers():
+    shown = (EXAMPLES / "swim.py").read_text().split('"""')[1]
+    printed = said("swim.py", "--seconds", "3")
+    assert printed.splitlines()[0] in shown
+    speeds = [float(line.split()[1]) for line in printed.splitlines()[2:]]
+    assert len(speeds) == 4 and min(speeds) > 0.01
+
+
+def test_the_test_bench_is_identified():
+    printed = said("identify.py", "--generations", "3")
+    stiffness = re.search(r"k \[N m/rad\] +(\S+) +(\S+) +(\S+)", printed)
+    assert stiffness and float(stiffness[2]) < 0.98 < float(stiffness[3])
+    (held_out,) = re.findall(r"motor-mixed \(validate\): (\S+) deg", printed)
+    assert float(held_out) < 0.2
+
+
+def test_an_own_algorithm_runs_on_an_own_reward():
+    first, second = said("own_reward.py", "--rounds", "2").splitlines()
+    assert "cm nearer" in first and first.split(":")[1] != second.split(":")[1]
