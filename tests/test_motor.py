@@ -151,7 +151,7 @@ def test_a_gain_never_seen_is_predicted(data, tmp_path):
     runs = [as_bench(import_xl330(log), FISH) for log in logs]
     fit = [run for run in runs if run.gain != 200]
     held = [run for run in runs if run.gain == 200]
-    report = as_report(identify_motor(FISH, fit, held, MotorConfig(seeds=3), tmp_path))
+    report = as_report(identify_motor(FISH, fit, held, MotorConfig(seeds=2), tmp_path))
     assert report["validate_mae_deg"] < 2.5
     assert report["parameters"]["load_friction"]["interval"][0] > 0.05  # gears rub under load
 
