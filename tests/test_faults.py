@@ -18,7 +18,8 @@ pytest.importorskip("mcap", reason="the robot extra is not installed")
 
 from support import command, complaint, tailbeat_process
 from tailbeat.evaluate import faults
-from tailbeat.evaluate.faults import CASES, Bench
+from tailbeat.evaluate.fault_bench import Bench, open_bench
+from tailbeat.evaluate.fault_cases import CASES, Case
 from tailbeat.fish.store import load_fish
 from tailbeat.report.fault_table import markdown
 from tailbeat.robot import session
@@ -31,7 +32,7 @@ QUICK = ("servo cable", "forgeries", "encoder frozen", "watchdog", "clock back",
 
 @pytest.fixture(scope="module")
 def patient() -> Iterator[Bench]:
-    with faults.open_bench(load_fish("pulley-fish"), [session.__name__], patience=4) as bench:
+    with open_bench(load_fish("pulley-fish"), [session.__name__], patience=4) as bench:
         yield bench
 
 
@@ -46,7 +47,7 @@ def test_a_fault_leads_to_its_safe_state_and_says_why(patient, case):
 
 def test_a_fish_that_goes_on_where_it_should_hold_is_not_called_safe(patient, monkeypatch):
     monkeypatch.setattr(faults, "WAIT", 1.0)
-    wrong = faults.Case("nothing is broken", "loop", "nothing", "hold", "no pose for")
+    wrong = Case("nothing is broken", "loop", "nothing", "hold", "no pose for")
     row = faults.measure(wrong, patient, POLICY, DRIVE, tries=1)
     assert not row["ok"]  # it may hold for another reason, and that does not count
 

@@ -5,6 +5,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from tailbeat.evaluate import faults as table
+from tailbeat.evaluate.fault_bench import open_bench
+from tailbeat.evaluate.fault_cases import CASES
 from tailbeat.evaluate.faults import Row
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
@@ -17,14 +19,14 @@ def faults(
     """Every fault, or those whose title or name holds one of the words in `only`, in real time."""
     cases = [
         case
-        for case in table.CASES
+        for case in CASES
         if not only or any(word in f"{case.title} {case.name}" for word in only)
     ]
     if not cases and not kills:
-        names = ", ".join(case.name for case in table.CASES)
+        names = ", ".join(case.name for case in CASES)
         raise BadInput(f"--only {' '.join(only)}: no such fault; give some of {names}.")
     rows, drive = [], session.drive
-    with table.open_bench(load_fish(fish), [session.__name__]) as bench:
+    with open_bench(load_fish(fish), [session.__name__]) as bench:
         for number, case in enumerate(cases, 1):
             rows.append(table.measure(case, bench, policy, drive))
             say(f"{number}/{len(cases)}  {case.title}: {_short(rows[-1])}")

@@ -1,0 +1,224 @@
+"""The processes of the fault table: a test bench that can be broken, and a loop that swims on it.
+
+The emulated devices (`emulators.faults`) run in one process, and the loop, the very function behind
+`tailbeat drive`, in another. Faults of the loop are made in its own process.
+"""
+
+import math
+import multiprocessing
+import os
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from multiprocessing import forkserver
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tailbeat.emulators.faults import serve_broken
+from tailbeat.fish.description import Fish
+from tailbeat.link import datagrams as link
+from tailbeat.robot.ports import Ports
+from tailbeat.robot.session import DriveConfig
+
+Drive = Callable[..., Any]  # `robot.session.drive`
+START = 60.0  # s for a process that imports and compiles
+TIMES = ("pose_hold", "pose_stop", "imu_hold", "servo_hold", "servo_stop", "clock_doubt")
+
+
+class NoNumbers:
+    """A network that gives NaN."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+
+    def run(self, *_: Any) -> list[Any]:
+        """As onnxruntime's."""
+        return [np.full((1, self.size), np.nan, np.float32)]
+
+
+def _fill_disk(own: Any) -> None:
+    """The log's file becomes one that has no space left."""
+    full = os.open("/dev/full", os.O_WRONLY)
+    os.dup2(full, own.put.__self__.file.fileno())
+
+
+def _raise(own: Any) -> None:
+    raise RuntimeError("a bug")
+
+
+def _no_numbers(own: Any) -> None:
+    size = own.policy.session.get_outputs()[0].shape[-1]
+    own.policy = replace(own.policy, session=NoNumbers(size))
+
+
+def _kill_watchdog(own: Any) -> None:
+    os.kill(own.alive.watcher.process.pid, signal.SIGKILL)
+
+
+LOOP_FAULTS: dict[str, Callable[[Any], None]] = {
+    "nan": _no_numbers,
+    "hang": lambda own: time.sleep(30),
+    "exception": _raise,
+    "disk full": _fill_disk,
+    "no watchdog": _kill_watchdog,
+}
+
+
+def _run(pipe: Connection, drive: Drive, config: DriveConfig, patience: float) -> None:
+    """The loop's process: says each line with its time, and breaks what it is told to."""
+    late = [False]
+
+    def each(own: Any) -> None:
+        if own.pace.periods == 0:
+            _be_patient(own, patience)
+        if late[0]:
+            time.sleep(0.025)
+        if pipe.poll():
+            name = pipe.recv()
+            late[0] = name == "overrun"
+            pipe.send(("broken", time.monotonic(), name))
+            LOOP_FAULTS.get(name, lambda own: None)(own)
+
+    drive(config, lambda line: pipe.send(("said", time.monotonic(), line)), each=each)
+
+
+def _be_patient(own: Any, patience: float) -> None:
+    """Times beyond which it holds or stops, longer: for a machine that is busy otherwise."""
+    longer = {name: patience * getattr(own.limits, name) for name in TIMES}
+    most = own.limits.overruns_hold if patience == 1 else 20
+    own.limits = replace(own.limits, overruns_hold=most, **longer)
+    own.devices.servo.deadline *= patience
+    own.devices.imu.deadline *= patience
+
+
+# ---- from outside -------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class Bench:
+    """The bench's process: its pipe, the folder with its ports, and how patient the loop is."""
+
+    pipe: Connection
+    folder: Path
+    key: Path
+    context: Any
+    patience: float
+    swims: int = 0
+
+    def ask(self, *order: Any) -> Any:
+        """An order and its answer."""
+        self.pipe.send(order)
+        return self.pipe.recv()
+
+
+@contextmanager
+def open_bench(fish: Fish, preload: list[str], patience: float = 1.0) -> Iterator[Bench]:
+    """A bench that can be broken, in a process of its own; `preload` names what the loop's
+    processes import once."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([*preload, "tailbeat.robot.loop", "tailbeat.robot.log"])
+    _start_server()
+    with tempfile.TemporaryDirectory(prefix="tailbeat-") as name:
+        folder = Path(name)
+        link.make_key(folder / "key")
+        ours, theirs = context.Pipe()
+        words = (theirs, fish, link.read_key(folder / "key"), folder)
+        process = context.Process(target=serve_broken, args=words, daemon=True)
+        process.start()
+        theirs.close()
+        assert ours.poll(START) and ours.recv() == "ready", "the bench did not start"
+        yield Bench(ours, folder, folder / "key", context, patience)
+        ours.send(("over",))
+        process.join(5)
+
+
+def _start_server() -> None:
+    """The processes' common parent; one fish needs no pool of threads, which would wait for each
+    other on a busy machine."""
+    before = os.environ.get("NUMBA_NUM_THREADS")
+    os.environ["NUMBA_NUM_THREADS"] = "1"
+    try:
+        forkserver.ensure_running()
+    finally:
+        del os.environ["NUMBA_NUM_THREADS"]
+        if before is not None:
+            os.environ["NUMBA_NUM_THREADS"] = before
+
+
+@dataclass(eq=False)
+class Swim:
+    """A loop's process that swims on the bench; `lines` are the states it said, with their time."""
+
+    process: Any
+    pipe: Connection
+    log: Path
+    lines: list[tuple[float, str]]
+    broken: float = math.nan
+
+    def listen(self, seconds: float = 0.02) -> None:
+        """Take in what it says."""
+        try:
+            while self.pipe.poll(seconds):
+                kind, when, text = self.pipe.recv()
+                seconds = 0.0
+                if kind == "said":
+                    self.lines.append((when, text.split(" s  ", 1)[-1]))
+                else:
+                    self.broken = when
+        except (EOFError, OSError):
+            time.sleep(seconds)
+
+    @property
+    def state(self) -> str:
+        """The last one it said."""
+        return self.lines[-1][1].split(":")[0] if self.lines else ""
+
+
+@contextmanager
+def swimming(bench: Bench, policy: str, drive: Drive) -> Iterator[Swim]:
+    """A loop that swims on a fresh rig. Raises RuntimeError where it does not come to swim."""
+    robot = link.free_address()
+    laptop = bench.ask("new", robot)
+    bench.swims += 1
+    log = bench.folder / f"{bench.swims}.mcap"
+    ports = Ports(str(bench.folder / "servo"), str(bench.folder / "imu"), robot, laptop)
+    ours, theirs = bench.context.Pipe()
+    config = DriveConfig(policy, ports, bench.key, log, seconds=1e3)
+    process = bench.context.Process(target=_run, args=(theirs, drive, config, bench.patience))
+    process.start()
+    theirs.close()
+    swim = Swim(process, ours, log, [])
+    try:
+        wait(swim, lambda: swim.state == "run" or not process.is_alive(), START)
+        if swim.state != "run":
+            raise RuntimeError(f"the fish did not come to swim: {swim.lines}")
+        yield swim
+    finally:
+        _end(process)
+        bench.ask("end")
+
+
+def _end(process: Any) -> None:
+    if process.is_alive():
+        os.kill(process.pid, signal.SIGCONT)
+        process.terminate()
+        process.join(3)
+    if process.is_alive():
+        process.kill()
+        process.join()
+
+
+def wait(swim: Swim, done: Callable[[], bool], seconds: float) -> bool:
+    """Listen until it is so; whether it came to that in time."""
+    end = time.monotonic() + seconds
+    while not done():
+        if time.monotonic() > end:
+            return False
+        swim.listen()
+    return True
