@@ -63,9 +63,9 @@ def test_poses_over_the_whole_pool_are_within_five_millimetres_and_a_degree():
     told = watch(Renderer(optics, Conditions(), FISH), Tracker(calibrated(optics)),
                  scattered(80, line, seed=3), APART)  # fmt: skip
     found = errors(told)
-    assert found["position_rms_mm"] < 2.0 and found["target_rms_mm"] < 2.0  # asked: 5
-    assert found["heading_rms_deg"] < 0.5  # asked: 1
-    assert found["fish_seen"] > 0.95 and found["target_seen"] > 0.95
+    assert found.position_rms_mm < 2.0 and found.target_rms_mm < 2.0  # asked: 5
+    assert found.heading_rms_deg < 0.5  # asked: 1
+    assert found.fish_seen > 0.95 and found.target_seen > 0.95
 
 
 def test_a_tag_in_the_corner_is_seen_and_one_afloat_hides_the_fish_beneath(tracker, renderer):

@@ -227,9 +227,9 @@ def test_updates_are_measured_against_sb3_s_of_the_same_size(monkeypatch):
         monkeypatch.setattr(update_bench, name, few)
     threads = torch.get_num_threads()
     rows = update_bench.update_bench()
-    assert rows[0]["of_sb3"] == 1.0
-    assert len({row["batch"] for row in rows}) == 1
-    assert all(row["ms"] * row["of_sb3"] == pytest.approx(rows[0]["ms"]) for row in rows)
+    assert rows[0].of_sb3 == 1.0
+    assert len({row.batch for row in rows}) == 1
+    assert all(row.ms * row.of_sb3 == pytest.approx(rows[0].ms) for row in rows)
     assert torch.get_num_threads() == threads
 
 

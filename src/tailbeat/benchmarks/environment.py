@@ -7,6 +7,7 @@ has everything on.
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -70,29 +71,46 @@ class OrdinaryFish(MujocoEnv):
         return observe(samples)[0]
 
 
-def env_bench(name: str = "pulley-fish-pool") -> dict[str, Any]:
-    """Control steps per second by number of fish, and at 64 against both peers.
+@dataclass(frozen=True)
+class EnvironmentRow:
+    """Control steps per second of so many fish in our environment and in the bare engine, their
+    ratio, and the quartiles of the ratio over the turns: what a shared machine does to it."""
 
-    The environment and the bare engine take turns, best of each; `pairs` are the quartiles of the
-    ratio over the turns: what a shared machine does to it.
-    """
+    fish: int
+    steps_per_s: float
+    bare_engine: float
+    of_bare_engine: float
+    pairs: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class PeerRow:
+    """Control steps per second of so many fish in SB3's two vectorised environments, and how many
+    times the faster one's our rate is."""
+
+    fish: int
+    dummy_vec_env: float
+    subproc_vec_env: float
+    of_sb3: float
+
+
+def env_bench(name: str = "pulley-fish-pool") -> tuple[tuple[EnvironmentRow, ...], PeerRow]:
+    """A row per number of fish, and 64 fish against both peers. The environment and the bare engine
+    take turns, best of each."""
     fish = load_fish(name)
-    found: dict[str, Any] = {}
-    for count in COUNTS:
-        turns = _turns(_ours(fish, count), _bare(fish, count))
-        ours, bare = (float(side.max()) for side in turns.T)
-        ratios = turns[:, 0] / turns[:, 1]
-        found[str(count)] = {
-            "steps_per_s": ours,
-            "bare_engine": bare,
-            "of_bare_engine": ours / bare,
-            "pairs": np.quantile(ratios, [0.25, 0.5, 0.75]).tolist(),
-        }
-    row = found[str(PEER_COUNT)]
-    row["dummy_vec_env"] = max(_peer(fish, DummyVecEnv) for _ in range(2))
-    row["subproc_vec_env"] = max(_peer(fish, SubprocVecEnv) for _ in range(2))
-    row["of_sb3"] = row["steps_per_s"] / max(row["dummy_vec_env"], row["subproc_vec_env"])
-    return found
+    rows = tuple(_against_bare(fish, count) for count in COUNTS)
+    ours = next(row.steps_per_s for row in rows if row.fish == PEER_COUNT)
+    dummy, subproc = (
+        max(_peer(fish, kind) for _ in range(2)) for kind in (DummyVecEnv, SubprocVecEnv)
+    )
+    return rows, PeerRow(PEER_COUNT, dummy, subproc, ours / max(dummy, subproc))
+
+
+def _against_bare(fish: Fish, count: int) -> EnvironmentRow:
+    turns = _turns(_ours(fish, count), _bare(fish, count))
+    ours, bare = (float(side.max()) for side in turns.T)
+    quartiles = np.quantile(turns[:, 0] / turns[:, 1], [0.25, 0.5, 0.75])
+    return EnvironmentRow(count, ours, bare, ours / bare, tuple(quartiles.tolist()))
 
 
 Round = Callable[[], None]

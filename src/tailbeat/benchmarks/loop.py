@@ -1,7 +1,8 @@
-"""How punctual is the robot's loop on this machine? Driven against an emulated bench."""
+"""How punctual is the robot's loop on this machine? It drives emulated devices."""
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +12,27 @@ from tailbeat.emulators.own_devices import own_devices
 from tailbeat.link.status import State
 from tailbeat.processes import temporary
 from tailbeat.robot.log import read_rows
-from tailbeat.robot.results import drive_json
+from tailbeat.robot.results import DriveResult
 from tailbeat.robot.session import DriveConfig, drive
 
 MINUTE = 60.0
 
 
+@dataclass(frozen=True)
+class LatencyResult:
+    """What the drive came to, how often it held and was armed again, and how much later the last
+    tenth of its periods began than the first [ms], median."""
+
+    drive: DriveResult
+    armed_anew: int
+    drift_ms: float
+
+
 def latency(
     policy: str, fish: str, minutes: float, seed: int, say: Callable[[str], None]
-) -> dict[str, Any]:
-    """The loop against the emulated bench for so long: how punctual it was, and whether it drifts.
-    Where it holds it is armed anew, and counted."""
+) -> LatencyResult:
+    """Drive emulated devices for so many minutes and time the loop. Where it holds it is armed
+    again, and counted."""
     holds = [0]
 
     def each(own: Any) -> None:
@@ -36,4 +47,4 @@ def latency(
     late = 1e3 * np.array([row["late_s"] for row in rows])
     tenth = max(late.size // 10, 1)
     drift = float(np.median(late[-tenth:]) - np.median(late[:tenth]))
-    return {**drive_json(told), "armed_anew": holds[0], "drift_ms": drift}
+    return LatencyResult(told, holds[0], drift)

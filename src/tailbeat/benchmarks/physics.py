@@ -5,7 +5,7 @@ against the same fish at 0.1 ms. Costs are of one core with 16 fish.
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,17 @@ class Way:
     tendons: str = "tied"
 
 
+@dataclass(frozen=True, kw_only=True)
+class PhysicsRow(Way):
+    """A way to step: control steps per second on one core, and the largest errors after 10 s of the
+    mean speed [%] and of the heading [deg]; None where they were not measured."""
+
+    control_steps_per_s_core: float
+    speed_error_percent: float | None = None
+    heading_error_deg: float | None = None
+    note: str = ""
+
+
 REFERENCE = Way("Euler", 0.1)
 WAYS = (
     *(Way("implicit", step) for step in (1.0, 2.0, 4.0, 5.0)),
@@ -49,11 +60,11 @@ WAYS = (
 )
 
 
-def physics_bench(name: str = "pulley-fish-pool") -> list[dict[str, Any]]:
+def physics_bench(name: str = "pulley-fish-pool") -> tuple[PhysicsRow, ...]:
     """Control steps per second and core, and errors after 10 s, of every way."""
     fish = load_fish(name)
     truth = _swims(_stepped(fish, REFERENCE))
-    return [_row(fish, way, truth) for way in WAYS]
+    return tuple(_row(fish, way, truth) for way in WAYS)
 
 
 def _stepped(fish: Fish, way: Way) -> Twin:
@@ -80,20 +91,19 @@ def _swims(twin: Twin) -> list[Swim]:
     return swim([twin] * len(GAITS), [Start.at_rest()] * len(GAITS), commands, every)
 
 
-def _row(fish: Fish, way: Way, truth: list[Swim]) -> dict[str, Any]:
+def _row(fish: Fish, way: Way, truth: list[Swim]) -> PhysicsRow:
     twin = _stepped(fish, way)
-    rate = _rate(twin)
-    row = {**vars(way), "control_steps_per_s_core": rate, "speed_error_%": None}
-    row |= {"heading_error_deg": None, "note": ""}
+    row = PhysicsRow(**vars(way), control_steps_per_s_core=_rate(twin))
     if way.root == "free":
-        return row | {"note": "cost alone"}
+        return replace(row, note="cost alone")
     done = _swims(twin)
     if any(one.diverged for one in done):
-        return row | {"note": "diverged"}
+        return replace(row, note="diverged")
     pairs = list(zip(done, truth, strict=True))
     speed = max(abs(_length(a) / _length(b) - 1) for a, b in pairs)
     heading = max(abs(float(a.qpos[-1, 2] - b.qpos[-1, 2])) for a, b in pairs)
-    return row | {"speed_error_%": 100 * speed, "heading_error_deg": float(np.degrees(heading))}
+    turned = float(np.degrees(heading))
+    return replace(row, speed_error_percent=100 * speed, heading_error_deg=turned)
 
 
 def _length(done: Swim) -> float:

@@ -3,7 +3,7 @@
 import os
 import platform
 import time
-from typing import Any
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -20,16 +20,47 @@ REPEATS = 3
 CONTROL_PERIOD = 0.02
 
 
-def bench() -> dict[str, Any]:
-    """Real-time factor, µs per step, and the ratio to `mujoco.rollout`, per shipped fish."""
-    return {
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, mujoco {mujoco.__version__}",
-        "fish": [_one(name) for name in shipped()],
-        "pool": [_pool(1), _pool(64)],
-    }
+@dataclass(frozen=True)
+class StepRow:
+    """Stepping a shipped fish by `step_ms` [ms]: our time and the bare engine's [us per step], and
+    how much faster than real time one fish runs on one core, and 32 per core on all."""
+
+    fish: str
+    step_ms: float
+    us_per_step: float
+    bare_us_per_step: float
+    ratio_to_bare: float
+    real_time_factor_one_core: float
+    real_time_factor_all_cores: float
 
 
-def _pool(count: int) -> dict[str, Any]:
+@dataclass(frozen=True)
+class PoolRow:
+    """So many fish in the virtual pool: step [ms], and how much faster than real time they run in
+    all and per core."""
+
+    fish: int
+    step_ms: float
+    real_time_factor: float
+    per_core: float
+
+
+def machine() -> str:
+    """This machine, its cores and the engine's version."""
+    return f"{platform.machine()}, {os.cpu_count()} cores, mujoco {mujoco.__version__}"
+
+
+def step_bench() -> tuple[StepRow, ...]:
+    """Every shipped fish against `mujoco.rollout`."""
+    return tuple(_one(name) for name in shipped())
+
+
+def pool_bench() -> tuple[PoolRow, ...]:
+    """The virtual pool's plant with one fish and with 64."""
+    return _pool(1), _pool(64)
+
+
+def _pool(count: int) -> PoolRow:
     """The virtual pool's plant at 2 ms: how much faster than real time, per core and in all."""
     plant = build_plant(load_fish("pulley-fish"), [Water()] * count)
     clock = np.arange(0, SECONDS, plant.dt)
@@ -42,15 +73,10 @@ def _pool(count: int) -> dict[str, Any]:
         times.append(time.perf_counter() - began)
     factor = count * SECONDS / min(times)
     cores = min(os.cpu_count() or 1, count)
-    return {
-        "fish in the pool": count,
-        "step_ms": 1e3 * plant.dt,
-        "real_time_factor": factor,
-        "per_core": factor / cores,
-    }
+    return PoolRow(count, 1e3 * plant.dt, factor, factor / cores)
 
 
-def _one(name: str) -> dict[str, Any]:
+def _one(name: str) -> StepRow:
     twin = compile_twin(load_fish(name))
     commands = _commands(twin)
     ours = min(_ours(twin, commands) for _ in range(REPEATS))
@@ -58,15 +84,15 @@ def _one(name: str) -> dict[str, Any]:
     cores = os.cpu_count() or 1
     many = min(_many(twin, commands, 32 * cores) for _ in range(REPEATS)) / (32 * cores)
     steps = commands.size
-    return {
-        "fish": name,
-        "step_ms": 1e3 * twin.model.opt.timestep,
-        "us_per_step": 1e6 * ours / steps,
-        "bare_us_per_step": 1e6 * bare / steps,
-        "ratio_to_bare": ours / bare,
-        "real_time_factor_one_core": SECONDS / ours,
-        "real_time_factor_all_cores": SECONDS / many,
-    }
+    return StepRow(
+        fish=name,
+        step_ms=1e3 * twin.model.opt.timestep,
+        us_per_step=1e6 * ours / steps,
+        bare_us_per_step=1e6 * bare / steps,
+        ratio_to_bare=ours / bare,
+        real_time_factor_one_core=SECONDS / ours,
+        real_time_factor_all_cores=SECONDS / many,
+    )
 
 
 def _commands(twin: Twin) -> np.ndarray:

@@ -1,25 +1,62 @@
 """All benchmarks of this machine: step, environment, updates, camera."""
 
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING
 
 from tailbeat.benchmarks import step
+from tailbeat.benchmarks.step import PoolRow, StepRow
+
+if TYPE_CHECKING:  # they need extras
+    from tailbeat.benchmarks.environment import EnvironmentRow, PeerRow
+    from tailbeat.benchmarks.physics import PhysicsRow
+    from tailbeat.benchmarks.update import UpdateRow
+    from tailbeat.benchmarks.vision import LiveRow, VisionRow
 
 
-def benchmark(env: bool = True) -> dict[str, Any]:
-    """Speed on this machine; with `env`, of environment and updates, where the train extra is; of
-    the camera's side where the robot extra is."""
-    result = step.bench()
-    if find_spec("cv2") is not None and find_spec("pyapriltags") is not None:
-        from tailbeat.benchmarks.vision import live_bench, vision_bench  # needs the extra
+@dataclass(frozen=True)
+class VisionBenchmark:
+    """The camera's side: a row per condition of the pictures, and the processes."""
 
-        result["vision"] = {"pictures": vision_bench(), "live": [live_bench()]}
-    if env and find_spec("stable_baselines3") is not None:
-        from tailbeat.benchmarks.environment import env_bench  # needs the extra
-        from tailbeat.benchmarks.physics import physics_bench  # and so does the environment
-        from tailbeat.benchmarks.update import update_bench
+    pictures: "tuple[VisionRow, ...]"
+    live: "LiveRow"
 
-        result["physics"] = physics_bench()
-        result["env"] = env_bench()
-        result["update"] = update_bench()
-    return result
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Speed on a `machine`: the step of each fish, the pool, the camera's side, ways to step the
+    physics, the environment by number of fish and against SB3's (`peers`), updates of the training;
+    empty or None without the extra that it needs."""
+
+    machine: str
+    fish: tuple[StepRow, ...]
+    pool: tuple[PoolRow, ...]
+    vision: VisionBenchmark | None = None
+    physics: "tuple[PhysicsRow, ...]" = ()
+    env: "tuple[EnvironmentRow, ...]" = ()
+    peers: "PeerRow | None" = None
+    update: "tuple[UpdateRow, ...]" = ()
+
+
+def benchmark(env: bool = True) -> Benchmark:
+    """Measure this machine; environment and updates with `env` alone."""
+    found = Benchmark(step.machine(), step.step_bench(), step.pool_bench())
+    if find_spec("cv2") and find_spec("pyapriltags"):
+        found = _with_vision(found)
+    return _with_learning(found) if env and find_spec("stable_baselines3") else found
+
+
+def _with_vision(found: Benchmark) -> Benchmark:
+    from tailbeat.benchmarks.vision import live_bench, vision_bench
+
+    return replace(found, vision=VisionBenchmark(vision_bench(), live_bench()))
+
+
+def _with_learning(found: Benchmark) -> Benchmark:
+    from tailbeat.benchmarks.environment import env_bench
+    from tailbeat.benchmarks.physics import physics_bench
+    from tailbeat.benchmarks.update import update_bench
+
+    physics = physics_bench()
+    env, peers = env_bench()
+    return replace(found, physics=physics, env=env, peers=peers, update=update_bench())

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -59,6 +58,49 @@ class Told:
     seeing: Array
 
 
+@dataclass(frozen=True, kw_only=True)
+class PoseErrors:
+    """Errors of the fish's position [mm] and heading [deg], rms and largest, and of the target's
+    position [mm]; fractions of frames in which they were seen."""
+
+    position_rms_mm: float
+    position_largest_mm: float
+    heading_rms_deg: float
+    heading_largest_deg: float
+    target_rms_mm: float
+    fish_seen: float
+    target_seen: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Costs:
+    """CPU time [ms] of drawing a picture, of searching a whole one and of searching a window, NaN
+    where there was none; poses per second of one core."""
+
+    draw_ms: float
+    whole_ms: float
+    window_ms: float
+    poses_per_s_core: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisionRow(PoseErrors, Costs):
+    """Both under one condition of the pictures."""
+
+    pictures: str
+
+
+@dataclass(frozen=True)
+class LiveRow:
+    """Camera and tracker as processes: poses per second, delay from exposure to pose [ms], and how
+    long nothing is seen once the tracker dies [s]."""
+
+    poses_per_s: float
+    delay_ms_median: float
+    delay_ms_p99: float
+    blind_after_a_crash_s: float
+
+
 def watch(renderer: Renderer, tracker: Tracker, scenes: Sequence[Scene], step: float) -> Told:
     """Draw scenes `step` [s] apart and track them; NaN where there is no tag."""
     nothing = (np.nan,) * 3
@@ -74,24 +116,23 @@ def watch(renderer: Renderer, tracker: Tracker, scenes: Sequence[Scene], step: f
     return Told(sightings, truth, targets, *np.array(costs).T)
 
 
-def errors(told: Told) -> dict[str, Any]:
-    """Position [mm] and heading [deg] rms and largest of the fish, position of the target, and the
-    shares of frames in which they were seen."""
+def errors(told: Told) -> PoseErrors:
+    """Poses against the truth."""
     nothing = (np.nan,) * 3
     seen = np.array([one.frame.fish or nothing for one in told.sightings])
     aims = np.array([one.frame.target or nothing[:2] for one in told.sightings])
     off = 1e3 * np.linalg.norm(seen[:, :2] - told.truth[:, :2], axis=1)
     aside = 1e3 * np.linalg.norm(aims - told.targets, axis=1)
     turned = np.degrees(wrapped(seen[:, 2] - told.truth[:, 2]))
-    return {
-        "position_rms_mm": _rms(off),
-        "position_largest_mm": float(np.nanmax(off)),
-        "heading_rms_deg": _rms(turned),
-        "heading_largest_deg": float(np.nanmax(np.abs(turned))),
-        "target_rms_mm": _rms(aside),
-        "fish_seen": float(np.isfinite(off).mean()),
-        "target_seen": float(np.isfinite(aside).mean()),
-    }
+    return PoseErrors(
+        position_rms_mm=_rms(off),
+        position_largest_mm=float(np.nanmax(off)),
+        heading_rms_deg=_rms(turned),
+        heading_largest_deg=float(np.nanmax(np.abs(turned))),
+        target_rms_mm=_rms(aside),
+        fish_seen=float(np.isfinite(off).mean()),
+        target_seen=float(np.isfinite(aside).mean()),
+    )
 
 
 def _rms(values: Array) -> float:
@@ -118,7 +159,7 @@ def scattered(count: int, line: Array | None, seed: int = 0) -> list[Scene]:
     return scenes
 
 
-def vision_bench(places: int = PLACES, frames: int = FRAMES) -> list[dict[str, Any]]:
+def vision_bench(places: int = PLACES, frames: int = FRAMES) -> tuple[VisionRow, ...]:
     """One row per condition: errors over the pool, and what pictures and poses of a swim cost."""
     cv2.setNumThreads(1)
     optics, line, scripted = Optics(), fish_line(), ScriptedSwim()
@@ -129,21 +170,21 @@ def vision_bench(places: int = PLACES, frames: int = FRAMES) -> list[dict[str, A
         apart = watch(Renderer(optics, made(), FISH), Tracker(calibration),
                       scattered(places, line), APART)  # fmt: skip
         told = watch(Renderer(optics, made(), FISH), Tracker(calibration), swim, 1 / RATE)
-        rows.append({"pictures": name, **errors(apart), **_speeds(told)})
-    return rows
+        rows.append(VisionRow(pictures=name, **vars(errors(apart)), **vars(_costs(told))))
+    return tuple(rows)
 
 
-def _speeds(told: Told) -> dict[str, float]:
+def _costs(told: Told) -> Costs:
     whole = np.array([one.whole for one in told.sightings])
-    return {
-        "draw_ms": 1e3 * float(np.median(told.drawing)),
-        "whole_ms": 1e3 * float(np.median(told.seeing[whole])),
-        "window_ms": 1e3 * float(np.median(told.seeing[~whole])) if (~whole).any() else np.nan,
-        "poses_per_s_core": float(len(told.seeing) / told.seeing.sum()),
-    }
+    return Costs(
+        draw_ms=1e3 * float(np.median(told.drawing)),
+        whole_ms=1e3 * float(np.median(told.seeing[whole])),
+        window_ms=1e3 * float(np.median(told.seeing[~whole])) if (~whole).any() else np.nan,
+        poses_per_s_core=float(len(told.seeing) / told.seeing.sum()),
+    )
 
 
-def live_bench(seconds: float = 5.0) -> dict[str, Any]:
+def live_bench(seconds: float = 5.0) -> LiveRow:
     """Camera and tracker as processes beside: frames per second, the delay from the middle of an
     exposure to the pose in this process, and how long nothing is seen once its tracker dies."""
     line, scripted, filming = fish_line(), ScriptedSwim(), Filming()
@@ -158,12 +199,12 @@ def live_bench(seconds: float = 5.0) -> dict[str, Any]:
             tracker.close()
             camera.close()
     late = 1e3 * np.array(ages) if ages else np.array([np.nan])
-    return {
-        "poses_per_s": len(ages) / seconds,
-        "delay_ms_median": float(np.median(late)),
-        "delay_ms_p99": float(np.quantile(late, 0.99)),
-        "blind_after_a_crash_s": back,
-    }
+    return LiveRow(
+        poses_per_s=len(ages) / seconds,
+        delay_ms_median=float(np.median(late)),
+        delay_ms_p99=float(np.quantile(late, 0.99)),
+        blind_after_a_crash_s=back,
+    )
 
 
 def _follow(

@@ -72,8 +72,10 @@ def latency(
         raise BadInput(f"--minutes {minutes:g}: give a time above 0.")
     need_robot()
     from tailbeat.benchmarks import loop
+    from tailbeat.robot.results import drive_json
 
-    done = loop.latency(policy, fish, minutes, seed, output.say)
+    found = loop.latency(policy, fish, minutes, seed, output.say)
+    done = drive_json(found.drive) | {"armed_anew": found.armed_anew, "drift_ms": found.drift_ms}
     output.tables({"latency": [done]})
     if json is not None:
         write_json(json, done)

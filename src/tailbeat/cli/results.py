@@ -7,6 +7,7 @@ from tailbeat.files import leaves
 from tailbeat.report.tables import as_rows, percent
 
 if TYPE_CHECKING:
+    from tailbeat.benchmarks.suite import Benchmark
     from tailbeat.evaluate.comparison import Comparison
     from tailbeat.evaluate.evaluation import Evaluation
     from tailbeat.evaluate.rates import ConditionResult
@@ -252,27 +253,22 @@ def compared(done: "Comparison") -> None:
     tables({"kinds": as_rows(done.kinds)})
 
 
-def benched(result: dict[str, Any]) -> None:
+def benched(result: "Benchmark") -> None:
     """Step, pool, camera, environment, updates."""
-    tables({result["machine"]: result["fish"], "virtual pool": result["pool"]})
-    rows = [{"fish": int(count), **row} for count, row in result.get("env", {}).items()]
-    vision = result.get("vision", {"pictures": [], "live": []})
-    costs = ("draw_ms", "whole_ms", "window_ms", "poses_per_s_core")
+    tables({result.machine: as_rows(result.fish), "virtual pool": as_rows(result.pool)})
+    if result.vision is not None:
+        rows = as_rows(result.vision.pictures)
+        costs = ("draw_ms", "whole_ms", "window_ms", "poses_per_s_core")
+        errors = [name for name in rows[0] if name not in ("pictures", *costs)]
+        tables({
+            "camera: errors of poses": [{n: row[n] for n in ("pictures", *errors)} for row in rows],
+            "camera: CPU time": [{n: row[n] for n in ("pictures", *costs)} for row in rows],
+            "camera and tracker as processes": as_rows([result.vision.live]),
+        })  # fmt: skip
+    peers = [] if result.peers is None else [result.peers]
     tables({
-        "camera: errors of poses": [
-            {name: value for name, value in row.items() if name not in costs}
-            for row in vision["pictures"]
-        ],
-        "camera: CPU time": [
-            {name: row[name] for name in ("pictures", *costs)} for row in vision["pictures"]
-        ],
-        "camera and tracker as processes": vision["live"],
-    })  # fmt: skip
-    common = ("fish", "steps_per_s", "bare_engine", "of_bare_engine")
-    peers = ("dummy_vec_env", "subproc_vec_env", "of_sb3")
-    tables({
-        "physics: a control step": result.get("physics", []),
-        "environment": [{name: row[name] for name in common} for row in rows],
-        "against SB3": [{n: row[n] for n in ("fish", *peers)} for row in rows if "of_sb3" in row],
-        "an update of the training": result.get("update", []),
+        "physics: a control step": as_rows(result.physics),
+        "environment": as_rows(result.env, "pairs"),
+        "against SB3": as_rows(peers),
+        "an update of the training": as_rows(result.update),
     })  # fmt: skip
