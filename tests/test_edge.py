@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from forces import ellipsoid_forces, fluid_forces, generalised
 from tailbeat.control.actions import PERIOD
 from tailbeat.env import randomize
 from tailbeat.env.randomize import FIELDS, Randomisation
@@ -13,7 +14,6 @@ from tailbeat.env.simulator import TwinSimulator
 from tailbeat.files import BadInput
 from tailbeat.fish import edge
 from tailbeat.fish.description import Fish, TrailingEdge
-from tailbeat.fish.forces import ellipsoid_forces, fluid_forces, generalised
 from tailbeat.fish.rollout import Start, Swim, swim
 from tailbeat.fish.store import load_fish, shipped, with_values
 from tailbeat.fish.twin import Options, compile_twin

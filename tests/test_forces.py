@@ -7,8 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tailbeat.fish import edge
-from tailbeat.fish.forces import (
+from forces import (
     FluidForces,
     clamped_kutta,
     ellipsoid_forces,
@@ -17,6 +16,7 @@ from tailbeat.fish.forces import (
     geom_semi_axes,
     virtual_mass_and_inertia,
 )
+from tailbeat.fish import edge
 from tailbeat.fish.store import load_fish, shipped
 from tailbeat.fish.twin import compile_twin
 

@@ -35,7 +35,7 @@ class Simulation(_Model):
 
 
 class Zone(_Model):
-    """Five coefficients of the ellipsoid law (`forces.py`), dimensionless, non-negative."""
+    """Five coefficients of the ellipsoid law (docs/fluid.md), dimensionless, non-negative."""
 
     blunt: u.Ratio = Field(ge=0)
     slender: u.Ratio = Field(ge=0)

@@ -86,7 +86,6 @@ Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 
 Length = Annotated[float, _quantity("length")]
-Point2 = Annotated[Pair, _quantity("length")]
 Points2 = Annotated[tuple[Pair, ...], _quantity("length")]
 Point3 = Annotated[Triple, _quantity("length")]
 Mass = Annotated[float, _quantity("mass")]

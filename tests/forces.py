@@ -1,6 +1,6 @@
 """MuJoCo's ellipsoid fluid law in numpy, component by component, for any batch of geoms.
 
-Why a second implementation: it shows which term pushes, and its tests pin the engine, whose law
+Why a second implementation: the tests hold the engine to it. The engine's law
 changed once without a changelog line (Kutta lift, MuJoCo 3.14) and lacks a half (added mass). What
 that means for published coefficients is in docs/fluid.md.
 
