@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mujoco import batch
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
@@ -21,6 +22,7 @@ from tailbeat.env.vector_env import FishEnv, FishVecEnv, FishVectorEnv
 from tailbeat.env.world import World
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
+from tailbeat.fish.twin import compile_twin
 
 FISH = load_fish("pulley-fish")
 STILL = Settings(sensors=quiet(), physics=randomize.none())
@@ -217,6 +219,17 @@ def test_draws_stay_in_their_bands_after_many_resets():
     wet = physics.nominal["geom_fluid"][:, 1] > 0
     fluid = physics.fields["geom_fluid"][:, wet, 1:6] / physics.nominal["geom_fluid"][wet, 1:6]
     assert np.abs(fluid - 1).max() <= ranges.fluid + 1e-9 < np.ptp(fluid)
+
+
+def test_zones_of_equal_values_are_drawn_apart_and_parts_of_a_zone_together():
+    fish = load_fish("crank-fish")
+    assert len(set(fish.zones.values())) == 1 < len(fish.zones)
+    twin = compile_twin(fish)
+    physics = randomize.expand(twin, batch.Batch(twin.model, 1))
+    randomize.randomize(physics, Randomisation(), 0, np.random.default_rng(0))
+    drawn = [physics.fields["geom_fluid"][0, twin.zones == z, 1:6] for z in range(len(fish.zones))]
+    assert len(np.unique([rows[0] for rows in drawn], axis=0)) == len(fish.zones)
+    assert all(np.array_equal(rows, np.tile(rows[0], (len(rows), 1))) for rows in drawn)
 
 
 @pytest.mark.parametrize("name", list(Randomisation.__annotations__))

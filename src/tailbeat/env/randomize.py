@@ -124,8 +124,9 @@ def _scale(physics: Physics, name: str, fish: int, part: Any, factor: float) -> 
 def _fluid(physics: Physics, width: float, fish: int, rng: np.random.Generator) -> None:
     """Every zone's five coefficients on their own; parts of a zone keep together."""
     coefficients = physics.nominal["geom_fluid"][:, 1:6]
-    kinds, zone = np.unique(coefficients, axis=0, return_inverse=True)
-    factors = 1 + width * rng.uniform(-1, 1, kinds.shape)
+    labelled = np.column_stack([coefficients, physics.twin.zones])
+    kinds, zone = np.unique(labelled, axis=0, return_inverse=True)
+    factors = 1 + width * rng.uniform(-1, 1, (len(kinds), 5))
     physics.fields["geom_fluid"][fish, :, 1:6] = coefficients * factors[zone.ravel()]
 
 

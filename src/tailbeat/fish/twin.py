@@ -71,6 +71,15 @@ class Twin:
         return TAUT_SHARE if self.fish.tendons.stiffness is None else 1.0
 
     @cached_property
+    def zones(self) -> NDArray[np.int64]:
+        """Zone of each geom (ngeom,) as its place among the description's zones, -1 for none."""
+        found, names = np.full(self.model.ngeom, -1), list(self.fish.zones)
+        for part in (p for body in (self.fish.head, *self.fish.tail.links) for p in body.parts):
+            if part.zone is not None:
+                found[self.model.geom(part.name).id] = names.index(part.zone)
+        return found
+
+    @cached_property
     def marker_sites(self) -> Array:
         """Site indices of the description's markers, in its order."""
         names = [marker.name for marker in self.fish.markers]
