@@ -129,6 +129,7 @@ def test_a_calibration_is_read_back_as_it_was_written(tmp_path: Path):
     assert np.array_equal(back.lens.distortion, made.lens.distortion)
     assert np.array_equal(back.hung.rotation, made.hung.rotation)
     assert (back.fish, back.target, back.index) == (made.fish, made.target, made.index)
+    assert back.pool == made.pool == (5.5, 2.7)
     assert datetime.now(UTC) - datetime.fromisoformat(back.made) < timedelta(minutes=5)
     with pytest.raises(BadInput, match="exists already"):
         write_calibration(path, made)
@@ -162,11 +163,17 @@ def spoilt(path: Path, **changes: Any) -> Path:
         ({"target": {"side": 0.08}}, "target.height = None"),
         ({"fish": {"side": -1, "height": 0}}, "a side above 0"),
         ({"fish": "big"}, "fish.side = None"),
+        ({"pool": [5.5]}, r"pool = \[5.5\]; 2 finite"),
+        ({"pool": [5.5, 0]}, "each side must be 0.3 to 100 m"),
     ],
 )
 def test_what_a_calibration_may_not_be_is_named(tmp_path: Path, changes, complaint):
     with pytest.raises(BadInput, match=complaint):
         read_calibration(spoilt(tmp_path / "camera.json", **changes))
+
+
+def test_a_calibration_made_before_it_held_the_pool_is_read(tmp_path: Path):
+    assert read_calibration(spoilt(tmp_path / "camera.json", pool=None)).pool is None
 
 
 def test_an_old_calibration_is_taken_where_that_is_asked_for(tmp_path: Path):

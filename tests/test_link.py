@@ -1,5 +1,6 @@
 """The link: what is taken, what is dropped and why, and what the clocks say of each other."""
 
+import math
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -200,6 +201,23 @@ def test_datagrams_cross_a_real_socket_and_a_stranger_s_are_counted():
         bind("0.0.0.0", 0)
     for one in (fish, laptop):
         one.close()
+
+
+def test_the_pool_s_size_is_told_with_the_clock_and_bounds_the_poses():
+    to, far = Receiver(KEY), [Frame(10, (4.5, 1.8, 0.0), None)]
+    to.take(pose_datagram(KEY, RUN, to.nonce, 1, far), 0)
+    assert to.rejected == {"implausible": 1}  # outside the pool that is assumed
+    question = ask_datagram(KEY, to.nonce, 1, 0)
+    for told in ((10.0, 0.0), (math.nan, 4.0), (1e4, 4.0)):
+        answer = tell_datagram(KEY, RUN, question, 200, 210, told)
+        assert answer is not None
+        to.take(answer, 20)
+        assert to.room == (5.5, 2.7)
+    answer = tell_datagram(KEY, RUN, question, 200, 210, (10.0, 4.0))
+    assert answer is not None
+    to.take(answer, 20)
+    to.take(pose_datagram(KEY, RUN, to.nonce, 2, far), 30)
+    assert to.room == (10.0, 4.0) and to.frames[0].fish is not None
 
 
 def test_keys_are_private_whole_and_never_overwritten(tmp_path: Path):

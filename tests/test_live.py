@@ -27,7 +27,7 @@ from tailbeat.link.datagrams import Order
 from tailbeat.link.reasons import Reason
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import Numbers, State, Status
-from tailbeat.operator import station
+from tailbeat.operator import leader as leaders
 from tailbeat.operator.tour import Tour, draw_targets
 from tailbeat.report import tour as page
 
@@ -107,7 +107,7 @@ def test_a_guessed_shape_has_its_tag_where_it_was_seen():
 
 def test_a_leader_without_a_tour_names_its_first_target_once():
     sender = Sender(bytes(32), link.bind("127.0.0.1", 0), ("127.0.0.1", 9))
-    leader = station.Leader(None, (1.5, 0.5))
+    leader = leaders.Leader(None, (1.5, 0.5))
     leader.lead(sender, None, 100.0, print)
     first, sender.target = sender.target, (0.0, 0.0)  # the operator drags it away
     leader.lead(sender, None, 100.1, print)
@@ -120,20 +120,20 @@ def test_a_leader_arms_anew_a_fish_that_holds_and_gives_up_in_the_end():
         return Status(state, Reason.NO_TARGET, "so it is", 0, 0, sender.orders, 0.0, Numbers())
 
     tour = Tour([(1.0, 0.0)])
-    leader = station.Leader(tour, ran=time.monotonic())
+    leader = leaders.Leader(tour, ran=time.monotonic())
     sender = Sender(bytes(32), link.bind("127.0.0.1", 0), ("127.0.0.1", 9))
     sender.status = stands(State.HOLD)
     leader.armed, leader.swam, said = 1, True, list[str]()
     for step in range(100):
         sender.heard = 100.0 + step
         leader.lead(sender, (0.0, 0.0, 0.0), 100.0 + step, said.append)
-    assert sender.orders == station.REARMED == leader.rearmed == len(said)
+    assert sender.orders == leaders.REARMED == leader.rearmed == len(said)
     assert sender.target == (1.0, 0.0) and tour.began is None
     first, began = sender.pending[-1].order, leader.over()
     sender.status = stands(State.ARMED)
     sender.heard = 300.0
     leader.lead(sender, (0.0, 0.0, 0.0), 300.0, said.append)
     assert [first, sender.pending[-1].order] == [Order.ARM, Order.SWIM]
-    leader.ran = time.monotonic() - station.STUCK - 1
+    leader.ran = time.monotonic() - leaders.STUCK - 1
     assert [began, leader.over()] == [False, True]
     sender.socket.close()

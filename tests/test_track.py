@@ -20,7 +20,7 @@ from tailbeat.emulators.drawing import Picture
 from tailbeat.emulators.lab import pictures
 from tailbeat.emulators.optics import Optics
 from tailbeat.files import BadInput
-from tailbeat.vision.calibrate import calibrate
+from tailbeat.vision.calibrate import Measured, calibrate
 from tailbeat.vision.calibration import read_calibration, write_calibration
 from tailbeat.vision.detector import open_detector
 from tailbeat.vision.follow import track
@@ -125,8 +125,7 @@ def test_every_tag_is_the_library_s_own_and_differs_from_opencv_s():
 
 # ---- calibrate ----------------------------------------------------------------------------------
 
-SHEET = {"square": 0.026, "fish_side": 0.08, "fish_height": -0.03, "target_side": 0.08,
-         "target_height": 0.0}  # fmt: skip
+SHEET = Measured(0.026, FISH, TARGET, (6.0, 3.0))
 
 
 def test_a_lab_s_pictures_make_a_calibration(lab: Path, tmp_path: Path):
@@ -137,7 +136,7 @@ def test_a_lab_s_pictures_make_a_calibration(lab: Path, tmp_path: Path):
     made = read_calibration(out)
     assert made.hung.position == pytest.approx(Optics().position, abs=0.02)
     assert made.lens.matrix[0, 0] == pytest.approx(Optics().focal, rel=0.005)
-    assert made.fish == FISH and made.target == TARGET
+    assert made.fish == FISH and made.target == TARGET and made.pool == (6.0, 3.0)
     assert made.provenance["points"][0] == "tag 10"
 
 

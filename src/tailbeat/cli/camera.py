@@ -59,6 +59,9 @@ def calibrate(
         float, typer.Option(help="Side of the target's black square [m].")
     ] = 0.08,
     square: SquareOption = 0.026,
+    pool: Annotated[
+        str, typer.Option(help="Length,width of the pool [m]; its middle is x = y = 0.")
+    ] = "5.5,2.7",
     count: Annotated[
         int, typer.Option(help="Number of views taken from a video or a camera.")
     ] = 20,
@@ -68,12 +71,12 @@ def calibrate(
     if json is not None:
         refuse_existing(json)
     need_camera()
+    from tailbeat.link.places import pool_size
     from tailbeat.vision import calibrate as camera
+    from tailbeat.vision.tags import Tag
 
-    sheet = {
-        "square": square, "fish_side": fish_side, "fish_height": fish_height,
-        "target_side": target_side, "target_height": target_height,
-    }  # fmt: skip
+    tags_ = Tag(fish_side, fish_height), Tag(target_side, target_height)
+    sheet = camera.Measured(square, *tags_, pool_size(pool))
     done = camera.calibrate(views, survey, picture, sheet, out, count, output.say)
     output.tables({"calibration": [done]})
     if json is not None:

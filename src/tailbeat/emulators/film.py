@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from tailbeat.emulators.camera import Conditions, Renderer, Scene
 from tailbeat.emulators.optics import Optics
 from tailbeat.files import BadInput
+from tailbeat.link.places import POOL
 from tailbeat.vision.calibration import Calibration, Hung, Lens
 from tailbeat.vision.camera import HEADER, MAGIC
 from tailbeat.vision.tags import FISH, TARGET, Tag
@@ -71,7 +72,7 @@ def known_calibration(filming: Filming) -> Calibration:
     hung = Hung(optics.rotation, np.array(optics.position), 0.0)
     made = datetime.now(UTC).isoformat(timespec="seconds")
     return Calibration(lens, hung, filming.fish, filming.target, optics.index, made,
-                       {"known": "the virtual camera's own"})  # fmt: skip
+                       POOL, {"known": "the virtual camera's own"})  # fmt: skip
 
 
 # ---- scenes as numbers, for a process beside ----------------------------------------------------

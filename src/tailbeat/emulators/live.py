@@ -38,9 +38,7 @@ def calibrate(folder: Path, seed: int, say: Say) -> Path:
     say(f"calibrating the camera: {VIEWS} views of a board, tags in the water")
     pictures(folder / "lab", VIEWS, seed)
     filming = Filming()
-    sheet = {"square": Board().square}
-    for name, tag in (("fish", filming.fish), ("target", filming.target)):
-        sheet |= {f"{name}_side": tag.side, f"{name}_height": tag.height}
+    sheet = calibration.Measured(Board().square, filming.fish, filming.target)
     views, survey, pool = (str(folder / "lab" / n) for n in ("views", "survey.csv", "pool.png"))
     made = folder / "camera.json"
     done = calibration.calibrate(views, Path(survey), pool, sheet, made, VIEWS, lambda _: None)

@@ -21,19 +21,21 @@ from pathlib import Path
 
 from tailbeat.files import BadInput, new_file
 from tailbeat.link.clock import SECOND, Clock, Loss
+from tailbeat.link.places import POOL, is_pool
 
 KEY_BYTES, MAC_BYTES = 32, 16
-POSES, ASK, TELL, ORDER = b"tbP1", b"tbA1", b"tbT1", b"tbO1"
+POSES, ASK, TELL, ORDER = b"tbP1", b"tbA1", b"tbT2", b"tbO1"
 FRAMES = 3
 HEAD = struct.Struct("<4sQQQ")  # kind, sender's run, receiver's nonce, sequence
 FRAME = struct.Struct("<QB5f")  # captured [ns], what was seen, fish x, y, yaw, target x, y
 ORDERED = struct.Struct("<QB")  # sent [ns of the sender's clock], which order
 TIMES = struct.Struct("<QQQ")  # of an echo: asked, received, sent back [ns]
+POOL_SIZE = struct.Struct("<2f")  # length, width [m]
 FISH_SEEN, TARGET_SEEN = 1, 2
 LENGTHS = {
     POSES: HEAD.size + FRAMES * FRAME.size + MAC_BYTES,
     ASK: HEAD.size + TIMES.size + MAC_BYTES,
-    TELL: HEAD.size + TIMES.size + MAC_BYTES,
+    TELL: HEAD.size + TIMES.size + POOL_SIZE.size + MAC_BYTES,
     ORDER: HEAD.size + ORDERED.size + MAC_BYTES,
 }
 MARGIN = 0.03  # m beyond the walls: ten times the camera's noise, of a fish that touches one
@@ -114,13 +116,17 @@ def ask_datagram(key: bytes, nonce: int, sequence: int, now: int) -> bytes:
     return sign(key, HEAD.pack(ASK, 0, nonce, sequence) + TIMES.pack(now, 0, 0))
 
 
-def tell_datagram(key: bytes, run: int, asked: bytes, received: int, sent: int) -> bytes | None:
-    """The sender's answer to a question, None if it is not a signed one."""
+def tell_datagram(
+    key: bytes, run: int, asked: bytes, received: int, sent: int, pool: tuple[float, float] = POOL
+) -> bytes | None:
+    """The sender's answer to a question, None if it is not a signed one: its clock's times [ns] and
+    the length and width of the pool [m]."""
     if not is_signed(key, asked, ASK, LENGTHS[ASK]):
         return None
     _, _, nonce, sequence = HEAD.unpack_from(asked)
     began = TIMES.unpack_from(asked, HEAD.size)[0]
-    return sign(key, HEAD.pack(TELL, run, nonce, sequence) + TIMES.pack(began, received, sent))
+    times = TIMES.pack(began, received, sent) + POOL_SIZE.pack(*pool)
+    return sign(key, HEAD.pack(TELL, run, nonce, sequence) + times)
 
 
 def order_datagram(key: bytes, run: int, nonce: int, number: int, order: Order, sent: int) -> bytes:
@@ -146,12 +152,13 @@ def is_signed(key: bytes, data: bytes, kind: bytes, length: int) -> bool:
 
 @dataclass(eq=False)
 class Receiver:
-    """Takes datagrams and keeps the newest frames. `room` (length, width) [m] bounds poses about
-    the pool's middle; `rejected` counts what was dropped, by reason; `orders` wait for the loop;
-    `run` is the sender's, 0 before the first; `ordered` the number of each run's newest order."""
+    """Takes datagrams and keeps the newest frames. `room` (length, width) [m], told by
+    the sender, bounds poses about the pool's middle; `rejected` counts what was dropped, by reason;
+    `orders` wait for the loop; `run` is the sender's, 0 before the first; `ordered` the number of
+    each run's newest order."""
 
     key: bytes
-    room: tuple[float, float]
+    room: tuple[float, float] = POOL
     nonce: int = field(default_factory=lambda: secrets.randbits(64))
     clock: Clock = field(default_factory=Clock)
     loss: Loss = field(default_factory=Loss)
@@ -207,8 +214,12 @@ class Receiver:
         if sequence <= self.told or not (asked <= now and received <= sent):
             self.rejected["old"] += 1
             return
+        pool = POOL_SIZE.unpack_from(data, HEAD.size + TIMES.size)
+        if not is_pool(*pool):
+            self.rejected["implausible"] += 1
+            return
         self._follow(run)
-        self.told = sequence
+        self.told, self.room = sequence, pool
         self.clock.add(asked, received, sent, now)
 
     def _order(self, data: bytes, run: int, number: int, now: int) -> None:

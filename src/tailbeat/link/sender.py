@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from tailbeat.link import datagrams as link
 from tailbeat.link.clock import Loss
 from tailbeat.link.datagrams import Frame, Order
+from tailbeat.link.places import POOL
 from tailbeat.link.status import Status, read_status
 
 REPEAT = 0.05  # s between two sendings of an order
@@ -37,14 +38,15 @@ class Pending:
 class Sender:
     """The laptop's end; `work` it often, at least a few hundred times a second, and `show` it every
     frame. `clock` gives its own monotonic time [ns]. `target` [m], if set, stands in for what the
-    camera saw; `status` is the fish's last, heard at `heard` [s]; `said` is what became of the
-    last order."""
+    camera saw; the fish is told the length and width of the `pool` [m]. `status` is the fish's
+    last, heard at `heard` [s]; `said` is what became of the last order."""
 
     key: bytes
     socket: socket.socket
     fish: tuple[str, int]
     clock: Callable[[], int] = time.monotonic_ns
     target: tuple[float, float] | None = None
+    pool: tuple[float, float] = POOL
     run: int = field(default_factory=lambda: 1 + secrets.randbits(63))
     nonce: int | None = None  # of the fish's start that is spoken to
     answerer: int | None = None  # of the start whose status was heard last
@@ -105,7 +107,7 @@ class Sender:
         nonce = link.HEAD.unpack_from(data)[2]
         if now - self.heard > LIVE and nonce not in self.left:
             self.nonce = nonce
-        told = link.tell_datagram(self.key, self.run, data, received, self.clock())
+        told = link.tell_datagram(self.key, self.run, data, received, self.clock(), self.pool)
         if told is not None:
             self._send(told)
 

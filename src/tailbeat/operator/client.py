@@ -19,7 +19,7 @@ from tailbeat.files import BadInput, need, plain
 from tailbeat.fish.description import Fish
 from tailbeat.link.addresses import address
 from tailbeat.link.datagrams import Order
-from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.link.places import POOL
 from tailbeat.link.sender import Sender
 from tailbeat.operator.snapshot import snapshot
 from tailbeat.processes import start
@@ -98,12 +98,13 @@ class OperatorClient:
         self.process.stdin.flush()
 
 
-def open_console(console: str) -> OperatorClient | None:
-    """The operator's page at `host:port`, or None where that is empty."""
+def open_console(console: str, pool: tuple[float, float] = POOL) -> OperatorClient | None:
+    """The operator's page at `host:port` for a pool of this length and width [m], or None where
+    the address is empty."""
     if not console:
         return None
     need("the operator page", "fastapi", "uvicorn", "websockets")
-    return open_client(address(console, "--page"), (LENGTH, WIDTH))
+    return open_client(address(console, "--page"), pool)
 
 
 def open_client(at: tuple[str, int], room: tuple[float, float]) -> OperatorClient:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
-from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.link.places import POOL
 
 ARRIVAL = 0.05  # m (paper)
 PATIENCE = 30.0  # s for one target
@@ -23,9 +23,12 @@ Place = tuple[float, float]
 Pose = tuple[float, float, float]
 
 
-def draw_targets(count: int, seed: int) -> NDArray[np.float64]:
-    """Places (count, 2) inside the paper's pool, each well apart from the one before."""
-    rng, room = np.random.default_rng(seed), np.array([LENGTH, WIDTH]) / 2 - MARGIN
+def draw_targets(count: int, seed: int, pool: tuple[float, float] = POOL) -> NDArray[np.float64]:
+    """Places (count, 2) inside a pool of this length and width [m], each well apart from the one
+    before. Raises BadInput."""
+    if min(pool) <= 2 * MARGIN:
+        raise BadInput(f"--tour: the pool of {pool[0]:g} by {pool[1]:g} m has no room to turn.")
+    rng, room = np.random.default_rng(seed), np.array(pool) / 2 - MARGIN
     places = [np.zeros(2)]
     for _ in range(TRIES * count):
         place = rng.uniform(-room, room)

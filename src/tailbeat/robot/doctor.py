@@ -14,7 +14,6 @@ from tailbeat.control.policy import load_policy
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.link import datagrams as link
-from tailbeat.link.places import LENGTH, WIDTH
 from tailbeat.robot import doctor_computer as computer
 from tailbeat.robot import doctor_devices as devices
 from tailbeat.robot import doctor_link
@@ -132,5 +131,5 @@ def of_link(parts: Parts) -> list[Finding]:
     except BadInput as error:
         return [key, finding("own address", str(error), bad=True, do="give another")]
     with made:
-        receiver = link.Receiver(link.read_key(parts.key), (LENGTH, WIDTH))
+        receiver = link.Receiver(link.read_key(parts.key))
         return [key, *doctor_link.check_link(made, parts.laptop, receiver)]

@@ -11,7 +11,6 @@ from pathlib import Path
 from tailbeat.control.policy import load_policy
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.link import datagrams as link
-from tailbeat.link.places import LENGTH, WIDTH
 from tailbeat.link.status import State
 from tailbeat.robot import imu, servo, systemd, timing, watchdog
 from tailbeat.robot import log as log_file
@@ -73,7 +72,7 @@ def _open_devices(config: DriveConfig, key: bytes) -> Iterator[Devices]:
     try:
         gyro = imu.connect(ports.imu)
         _prepare(gyro, ports.imu)
-        receiver = link.Receiver(key, (LENGTH, WIDTH))
+        receiver = link.Receiver(key)  # it is told the pool's size
         with link.bind(*ports.listen) as heard:
             yield Devices(motor, gyro, receiver, heard, ports.laptop)
     finally:

@@ -1,6 +1,7 @@
 """Calibrate a camera: its lens from views of a board, its place from surveyed points."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from tailbeat import __version__
 from tailbeat.files import BadInput, refuse_existing
+from tailbeat.link.places import POOL
 from tailbeat.vision.calibration import Calibration, write_calibration
 from tailbeat.vision.camera import CameraFault, open_camera
 from tailbeat.vision.detector import open_detector
@@ -21,31 +23,43 @@ PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 MOVED = 30.0  # px: two views of a board less apart say the same
 
 
+@dataclass(frozen=True)
+class Measured:
+    """Measured by hand: side of the board's squares [m], the tags, length and width of the pool
+    [m]."""
+
+    square: float
+    fish: Tag
+    target: Tag
+    pool: tuple[float, float] = POOL
+
+
 def calibrate(
-    views: str, survey: Path, picture: str, sheet: dict[str, float], out: Path, count: int, say: Say
+    views: str, survey: Path, picture: str, sheet: Measured, out: Path, count: int, say: Say
 ) -> dict[str, Any]:
-    """Lens from views of the board, place from surveyed points, one file. `sheet`: the board's
-    `square` and, of fish and target, `side` and `height` [m], as `fish_side` and so on."""
+    """Lens from views of the board, place from surveyed points, one file. `sheet` is what
+    was measured by hand. Raises BadInput."""
     refuse_existing(out)
-    board = board_of(sheet["square"])
+    board = board_of(sheet.square)
     known = read_survey(survey)
     images = list(_views(views, board, count, say))
     lens = fit_lens(images, board)
     say(f"lens: {len(images)} views, {lens.rms:.2f} px rms")
     points, pixels = _found(picture, known, say)
     hung = hang(lens, points, pixels)
-    fish, target = (Tag(sheet[f"{n}_side"], sheet[f"{n}_height"]) for n in ("fish", "target"))
+    fish, target = sheet.fish, sheet.target
     provenance = {
         "views": views, "views_given": len(images), "survey": str(survey), "picture": picture,
         "points": [point.name for point in points], "board": vars(board),
         "tailbeat": __version__, "opencv": version("opencv-python-headless"),
     }  # fmt: skip
-    write_calibration(out, Calibration(lens, hung, fish, target, provenance=provenance))
+    made = Calibration(lens, hung, fish, target, pool=sheet.pool, provenance=provenance)
+    write_calibration(out, made)
     return {
         "file": str(out), "views": len(images), "lens_rms_px": lens.rms,
         "focal_px": float(lens.matrix[0, 0]), "points": len(points),
         "place_rms_mm": 1e3 * hung.rms, "camera_m": hung.position.tolist(),
-        "fish_height_m": fish.height, "target_height_m": target.height,
+        "fish_height_m": fish.height, "target_height_m": target.height, "pool_m": list(sheet.pool),
     }  # fmt: skip
 
 

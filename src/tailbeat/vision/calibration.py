@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput, write_json
+from tailbeat.link.places import LARGEST, SMALLEST, is_pool
 from tailbeat.vision.tags import Tag
 
 Array = NDArray[np.float64]
@@ -51,7 +52,8 @@ class Hung:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """All a tracker needs: lens, place, water, the tags' sizes and heights, and where from."""
+    """All a tracker needs: lens, place, water, the tags' sizes and heights, length and width of the
+    pool [m] (None in files made before they held it), and where from."""
 
     lens: Lens
     hung: Hung
@@ -59,6 +61,7 @@ class Calibration:
     target: Tag
     index: float = WATER
     made: str = ""
+    pool: tuple[float, float] | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def places(self, pixels: Array, height: float) -> Array:
@@ -100,6 +103,7 @@ def write_calibration(path: Path, made: Calibration) -> None:
             "position": made.hung.position,
             "place_rms_m": made.hung.rms,
             "index": made.index,
+            "pool": made.pool,
             "fish": vars(made.fish),
             "target": vars(made.target),
             "provenance": made.provenance,
@@ -165,7 +169,21 @@ def _checked(path: Path, data: dict[str, Any]) -> Calibration:
     lens = Lens((columns, rows), matrix, take("distortion", 5), float(take("lens_rms_px")))
     hung = Hung(rotation, position, float(take("place_rms_m")))
     fish, target = (_tag(path, name, data[name], position[2]) for name in ("fish", "target"))
-    return Calibration(lens, hung, fish, target, index, data["made"], data["provenance"])
+    pool = _pool(path, data.get("pool"))
+    return Calibration(lens, hung, fish, target, index, data["made"], pool, data["provenance"])
+
+
+def _pool(path: Path, value: Any) -> tuple[float, float] | None:
+    """Length and width; files made before the field have none."""
+    if value is None:
+        return None
+    length, width = _numbers(path, "pool", value, (2,)).tolist()
+    if not is_pool(length, width):
+        raise BadInput(
+            f"{path}: pool = {value}; each side must be {SMALLEST:g} to {LARGEST:g} m. Calibrate"
+            f" again with --pool."
+        )
+    return length, width
 
 
 def _tag(path: Path, name: str, value: Any, highest: float) -> Tag:

@@ -1,0 +1,88 @@
+"""Leads the robot as an operator would: arms it, lets it swim, sends it through a tour."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from tailbeat.files import BadInput
+from tailbeat.link.datagrams import Order
+from tailbeat.link.places import POOL
+from tailbeat.link.sender import Sender
+from tailbeat.link.status import State, Status
+from tailbeat.operator.tour import Pose, Tour, draw_targets
+
+Say = Callable[[str], None]
+STARTING, STUCK, AGAIN = 30.0, 15.0, 2.0  # s: to begin, not to swim, between two orders
+FRESH = 1.0  # s: an older status says nothing about now
+REARMED = 20  # times that a tour arms a robot that holds; each is said and counted
+
+
+@dataclass(eq=False)
+class Leader:
+    """Leads a fish as an operator would: arms it once and lets it swim; through a tour, sends the
+    targets, arms a fish that holds anew (`rearmed` so many times), gives up one that does not swim.
+    `ran` is when it last swam. Without a tour it is sent to `aim` [m], and the operator leads from
+    then on."""
+
+    tour: Tour | None
+    aim: tuple[float, float] | None = None
+    ran: float = field(default_factory=lambda: time.monotonic() + STARTING)
+    armed: int = 0
+    swam: bool = False
+    asked: float = 0.0
+
+    @property
+    def rearmed(self) -> int:
+        """How often a fish that had been armed was armed again."""
+        return max(self.armed - 1, 0)
+
+    def lead(self, sender: Sender, pose: Pose | None, now: float, say: Say) -> None:
+        """Take what was seen, send what is next."""
+        status = sender.status if now - sender.heard < FRESH else None
+        state = status.state if status else None
+        if state is State.RUN:
+            self.ran, self.swam = max(self.ran, now), True
+        elif status is not None and now - self.asked > AGAIN and not (self.swam and not self.tour):
+            self._order(sender, status, now, say)
+        if self.aim is not None:
+            sender.target, self.aim = self.aim, None
+        if self.tour is not None:
+            self._tour(self.tour, sender, pose if state is State.RUN else None, now, say)
+
+    def _order(self, sender: Sender, status: Status, now: float, say: Say) -> None:
+        self.asked, state = now, status.state
+        if state is State.ARMED:
+            sender.order(Order.SWIM, now)
+        elif state is State.STOP and self.rearmed < REARMED:
+            sender.order(Order.DISARM, now)
+        elif self.rearmed < REARMED:
+            if self.swam:
+                self.armed += 1
+                say(f"{state.value}: {status.text}; armed anew, time {self.rearmed}")
+            self.armed = max(self.armed, 1)
+            sender.order(Order.ARM, now)
+
+    def _tour(self, tour: Tour, sender: Sender, pose: Pose | None, now: float, say: Say) -> None:
+        done = len(tour.rows)
+        if pose is not None:
+            tour.see(pose, now)
+        for row in tour.rows[done:]:
+            end = f"{100 * row.closest:.1f} cm after {row.seconds:.1f} s"
+            say(f"target {row.target} of {len(tour.targets)}: {end}")
+        sender.target = tour.target or sender.target
+
+    def over(self) -> bool:
+        """Whether all is swum, or the fish will not."""
+        if self.tour is None:
+            return False
+        return self.tour.target is None or time.monotonic() - self.ran > STUCK
+
+
+def drawn_tour(count: int, seed: int, pool: tuple[float, float] = POOL) -> Tour | None:
+    """A tour of so many targets in a pool of this length and width [m], or None for none. Raises
+    BadInput."""
+    if not 0 <= count <= 1000:
+        raise BadInput(f"--tour {count}: allowed are 0 to 1000 targets.")
+    if not count:
+        return None
+    return Tour([(float(x), float(y)) for x, y in draw_targets(count, seed, pool)])
