@@ -55,8 +55,8 @@ def begin(policy: Policy) -> RunnerState:
 def steer(
     policy: Policy, runner_state: RunnerState, readings: Readings
 ) -> tuple[RunnerState, Decision]:
-    """The next setpoint, and the course to go on from. A network's number that is not finite goes
-    through: the loop must see it and hold."""
+    """The next setpoint, and the state to go on from. A number of the network that is not finite is
+    passed on: the loop must see it and hold."""
     space = policy.contract.actions
     samples = Samples(
         np.array([readings.motor_angle]),

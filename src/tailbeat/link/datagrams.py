@@ -1,9 +1,9 @@
-"""Poses and orders from laptop to fish: small signed datagrams, the newest wins, strangers count.
+"""Poses and orders from laptop to fish: small signed datagrams; the newest counts.
 
 A pose datagram holds the three newest frames, so one lost costs nothing; it is signed with a shared
 key (HMAC-SHA256, 16 bytes) and carries the fish's own nonce, drawn at its start, so that nothing
 recorded earlier is taken. Every start of a sender is a run of its own; one that another has
-followed is never heard again, so nothing recorded of it is taken either. Clocks are monotonic and
+followed is ignored from then on, so no recording of it is accepted either. Clocks are monotonic and
 compared by echoes in the same socket; wall clocks are never asked.
 """
 
@@ -223,7 +223,7 @@ class Receiver:
         self.clock.add(asked, received, sent, now)
 
     def _order(self, data: bytes, run: int, number: int, now: int) -> None:
-        """To stop, whoever sends it; anything else from the sender that is followed alone."""
+        """STOP is accepted from any run; all else only from the run that is followed."""
         sent, which = ORDERED.unpack_from(data, HEAD.size)
         newest = self.ordered.get(run, 0)
         if number == newest:
@@ -293,7 +293,7 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 def free_address() -> tuple[str, int]:
-    """An address on this machine that nobody uses now."""
+    """A free address on this machine."""
     with bind("127.0.0.1", 0) as probe:
         host, port = probe.getsockname()
     return host, port

@@ -18,7 +18,7 @@ class Reason(Enum):
     HARDWARE_ERROR = "the servo reports a hardware error: {note}"
     TORQUE_LOST = "the servo lost its torque: it restarted or shut down"
     SERVO_HOT = "servo at {value:.0f} deg C"
-    SHAFT_STUCK = "the shaft does not follow: the tail is jammed, or the encoder stands still"
+    SHAFT_STUCK = "the shaft does not follow: the tail is jammed, or the encoder is stuck"
     OVERCURRENT = "servo current {value:.1f} A"
     SERVO_LOST = "no servo for {value:.1f} s"
     POSE_LOST = "no pose for {value:.1f} s"

@@ -1,4 +1,4 @@
-"""The laptop's end of the link: sends frames, answers for its clock, orders, hears how the fish is.
+"""The laptop's end of the link: sends frames, clock answers and orders; receives the status.
 
 A plain object that its owner steps; it has no thread and knows nothing of cameras or pools.
 """
@@ -48,7 +48,7 @@ class Sender:
     target: tuple[float, float] | None = None
     pool: tuple[float, float] = POOL
     run: int = field(default_factory=lambda: 1 + secrets.randbits(63))
-    nonce: int | None = None  # of the fish's start that is spoken to
+    nonce: int | None = None  # of the fish's start that gets our datagrams
     answerer: int | None = None  # of the start whose status was heard last
     left: set[int] = field(default_factory=set)  # of starts that ended
     frames: deque[Frame] = field(default_factory=lambda: deque(maxlen=link.FRAMES))
@@ -112,7 +112,7 @@ class Sender:
             self._send(told)
 
     def _hear(self, run: int, nonce: int, sequence: int, status: Status, now: float) -> None:
-        """A status that names our run answers us, so it is of a fish that lives."""
+        """A status that names our run answers us, so it is no recording."""
         old = nonce == self.answerer and sequence <= self.answered
         if run != self.run or nonce in self.left or old:
             self.rejected["old"] += 1

@@ -1,4 +1,4 @@
-"""The owner's end of the console: starts the server in a process beside, feeds it, hears orders.
+"""The station's end of the operator page: starts its server process, feeds it, takes orders.
 
 Both ways go through a pair of datagram sockets that never wait: where the server is slow, what is
 shown is dropped, and where the owner is, the server says so. A server that died is started again.
@@ -149,7 +149,7 @@ def announce(client: OperatorClient) -> list[str]:
     if not is_local(client.listening.getsockname()[0]):
         lines.append(
             "warning: the console is open to this network, unencrypted: everyone on it can watch"
-            " and STOP, and who listens along can read the token. Use a network of your own."
+            " and STOP, and can read the token on the way. Use a network of your own."
         )
     return lines
 

@@ -1,6 +1,6 @@
 """The console's server, a process of its own: one page, a live socket, the camera's newest picture.
 
-Everyone who reaches it may watch and may STOP; whatever sets the fish in motion needs the token. A
+Everyone who reaches it may watch and STOP; every order that moves the fish needs the token. A
 browser gets the next snapshot when it has drawn the last, so a slow one sees fewer, never older.
 Started by `client`; it ends when the owner does.
 """

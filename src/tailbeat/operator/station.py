@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # needs OpenCV
     from tailbeat.vision.tracking import TrackerProcess
 
 Say = Callable[[str], None]
-TURN = 0.002  # s that a turn waits for the fish's word: the clock's answer must not
+TURN = 0.002  # s that a turn waits for a datagram: the clock's answer must not
 FAREWELL = 1.0  # s to have the order to stop taken at the end
 NO_CAMERA = "No camera given: the fish gets no poses."
 

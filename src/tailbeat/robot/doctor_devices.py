@@ -34,7 +34,11 @@ def check_port(name: str, path: str, sysfs: Path = Path("/sys/class/tty")) -> li
         do = "sudo usermod -aG dialout $USER, then log in anew"
         return [finding(name, f"{path}: no permission", bad=True, do=do)]
     if not _free(path):
-        return [finding(name, f"{path}: in use", bad=True, do=f"end who holds it: fuser {path}")]
+        return [
+            finding(
+                name, f"{path}: in use", bad=True, do=f"end the program that uses it: fuser {path}"
+            )
+        ]
     timer = sysfs / Path(path).resolve().name / "device" / "latency_timer"
     if not timer.is_file():
         return [finding(name, path)]
@@ -44,7 +48,7 @@ def check_port(name: str, path: str, sysfs: Path = Path("/sys/class/tty")) -> li
 
 
 def _free(path: str) -> bool:
-    """Whether nobody holds the lock that drivers take."""
+    """Whether the lock that drivers take is free."""
     handle = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

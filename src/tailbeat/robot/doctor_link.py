@@ -18,7 +18,7 @@ LISTEN = 2.0  # s to the laptop
 
 
 def check_key(path: Path | None) -> Finding:
-    """Whether the shared key is there and nobody else's."""
+    """Whether the shared key exists, and only its owner can read it."""
     if path is None:
         return finding("key", "none given", bad=True)
     try:

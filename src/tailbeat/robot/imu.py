@@ -74,7 +74,7 @@ class Imu:
 
     def read(self) -> YawRate | None:
         """The yaw rate, or None where none came in time or it was none; ask again next time.
-        Raises ImuFault where the sensor is gone, or stands still as no sensor does."""
+        Raises ImuFault where the sensor is gone, or its numbers do not change at all."""
         try:
             data = self.registers(GYRO, 6)
         except ImuFault as fault:

@@ -13,7 +13,7 @@ PING, READ, WRITE, REBOOT, STATUS = 0x01, 0x02, 0x03, 0x08, 0x55
 BROADCAST = 0xFE
 OVERHEAD = 7  # bytes before the instruction
 LONGEST = 1024  # a length beyond is garbage: no table is so large
-ALERT = 0x80  # in a status's error byte: a hardware error stands, the data are valid
+ALERT = 0x80  # in a status's error byte: there is a hardware error; the data are valid
 ERRORS = {
     1: "result fail",
     2: "unknown instruction",
@@ -62,7 +62,7 @@ class Packet:
 
     @property
     def alert(self) -> bool:
-        """Whether a hardware error stands."""
+        """Whether there is a hardware error."""
         return bool(self.parameters[0] & ALERT)
 
     @property

@@ -1,6 +1,6 @@
 """Which readings are believed: a spike, a jump, a shaft that does not follow, a clock that stepped.
 
-No device and no clock, as in `safety`; the loop remembers, these say what to make of it.
+No device and no clock, as in `safety`; the loop keeps the readings, these functions judge them.
 """
 
 import math
@@ -44,7 +44,7 @@ class Gate:
 
 def gated(gate: Gate, rate: float, bounds: Bounds) -> tuple[Gate, bool]:
     """Whether a yaw rate [rad/s] is believed: near the last one, or the second in a row to say the
-    same. A single spike passes by, a real change is taken one reading late."""
+    same. A single spike is left out; a real change is accepted one reading late."""
     if abs(rate) <= bounds.rate_most:
         known = [one for one in (gate.believed, gate.refused) if one is not None]
         if gate.believed is None or any(abs(rate - one) <= bounds.rate_jump for one in known):
@@ -67,7 +67,7 @@ def pose_follows(last: Frame, new: Frame, bounds: Bounds) -> bool:
 
 def shaft_follows(asked: Sequence[float], seen: Sequence[float], bounds: Bounds) -> bool:
     """Whether a shaft moves when it is asked to: setpoints and angles [rad] of the same periods.
-    What was asked for in the last `GRACE` of them it has had no time for."""
+    The last `GRACE` setpoints are left out: there was no time to follow them."""
     settled = asked[:-GRACE]
     if not settled or not seen:
         return True

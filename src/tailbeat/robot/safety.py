@@ -39,7 +39,7 @@ class Health:
     `clock_doubt` [s] (infinite: clocks not compared), whether the fish and a target were seen,
     servo temperature [deg C], voltage [V], mean current [A], hardware alert, whether it holds the
     torque it was told to, whether its own watchdog stopped it; periods missed within a second;
-    whether the policy gave a number; whether the log still writes; who asked to stop, if anyone.
+    whether the policy gave a number; whether the log still writes; who asked to stop, or "".
 
     `hardware` names the servo's errors and `imu_frozen` says that the IMU's numbers do not change;
     `follows`: whether the shaft moves when asked; `jumps`: frames in a row with an impossible pose;

@@ -56,7 +56,7 @@ class ServoFault(Exception):
 @dataclass(frozen=True)
 class ServoState:
     """One reading: `time` [s] monotonic at its arrival, angle [rad] and velocity [rad/s] of the
-    shaft, current [A], voltage [V], temperature [deg C], and whether a hardware error stands."""
+    shaft, current [A], voltage [V], temperature [deg C], and whether there is a hardware error."""
 
     time: float
     angle: float
@@ -124,7 +124,7 @@ class Servo:
         self.set(RETURN_LEVEL, 2)
 
     def arm(self, watchdog: float = 0.1) -> float:
-        """Hold where it stands: the goal first, the servo's own watchdog [s] (at most 2.54), and
+        """Hold where it is: the goal first, the servo's own watchdog [s] (at most 2.54), and
         torque last, so that it never is on unwatched; the angle held."""
         with self._patient():
             held = self.release(watchdog)
@@ -149,7 +149,7 @@ class Servo:
         return held
 
     def torque_off(self) -> None:
-        """Let go, whatever state it is in; then the watchdog off, so that it can be set up. The
+        """Torque off, whatever state it is in; then the watchdog off, so that it can be set up. The
         register is read back: a late reply to another write looks like the one to this."""
         self.set(TORQUE, 0)
         if self.is_on():
@@ -165,7 +165,7 @@ class Servo:
         return bool(self.get(TORQUE))
 
     def hardware_errors(self) -> list[str]:
-        """Names of the hardware errors that stand; after a shutdown only `reboot` helps."""
+        """Names of the present hardware errors; after a shutdown only `reboot` helps."""
         bits = self.get(HARDWARE_ERROR)
         return [name for bit, name in HARDWARE.items() if bits >> bit & 1]
 
@@ -194,7 +194,7 @@ class Servo:
             raise ServoFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
 
     def close(self) -> None:
-        """Let go as far as it can still be told, and close the port."""
+        """Turn torque off if the servo still answers, and close the port."""
         with contextlib.suppress(ServoFault):
             self.torque_off()
         with contextlib.suppress(*GONE):

@@ -1,6 +1,6 @@
-"""Word to systemd: ready, what the state is, and that the loop still turns (sd_notify(3)).
+"""Messages to systemd: ready, the state, and that the loop still runs (sd_notify(3)).
 
-A plain datagram to the socket that the service manager names; without one nothing is said. And the
+A plain datagram to the socket that the service manager names; without one nothing is sent. And the
 unit that makes a service of the loop.
 """
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tailbeat.files import BadInput, new_file
 
-EVERY = 0.25  # s between two words; WatchdogSec is 2
+EVERY = 0.25  # s between two messages; WatchdogSec is 2
 
 
 def _datagrams() -> socket.socket:
@@ -30,8 +30,8 @@ class Notifier:
     said: str = ""
 
     def beat(self, now: float, status: str) -> None:
-        """The loop turned at `now` [s], monotonic, and stands so: said four times a second, and at
-        once when it changes. The first word is that it is ready."""
+        """Say that the loop ran at `now` [s], monotonic, and its status: four times a second, and
+        at once when it changes. The first message is that it is ready."""
         if not self.address or (now < self.due and status == self.said):
             return
         first = "READY=1\n" if not self.said else ""
@@ -66,10 +66,12 @@ def write_unit(out: Path, user: str, servo: str, words: list[str]) -> None:
 
 def unit(python: str, user: str, servo: str, words: list[str]) -> str:
     """The text of a unit that runs `tailbeat drive` with these words, disarmed until ordered.
-    Raises BadInput where a word cannot stand in a unit."""
+    Raises BadInput where a word cannot be part of a unit."""
     for word in (python, user, servo, *words):
         if not word or "\n" in word or (word in (user, servo) and " " in word):
-            raise BadInput(f"{word!r}: cannot stand in a unit; give one word without line breaks.")
+            raise BadInput(
+                f"{word!r}: cannot be part of a unit; give one word without line breaks."
+            )
     template = (resources.files("tailbeat.robot") / "fish.service").read_text("utf-8")
     line = " ".join(_quoted(word) for word in [python, "-m", "tailbeat", "drive", *words])
     last = " ".join(_quoted(word) for word in [python, "-m", "tailbeat.robot.watchdog", servo])

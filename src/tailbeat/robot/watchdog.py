@@ -1,8 +1,8 @@
-"""Lets go of the tail when the loop no longer can: a process beside it that waits for its end.
+"""Turns torque off when the loop no longer can: a process of its own that waits for its end.
 
-The loop's every period is a byte in a pipe. When the pipe closes without a farewell, whatever
-killed the loop, or when it stays silent for a second while torque is on, the watchdog takes the
-torque away. It ignores what ends the loop (Ctrl-C, SIGTERM) and needs neither the network nor the
+Every period of the loop is a byte in a pipe. When the pipe closes without a farewell, whatever
+killed the loop, or when it stays silent for a second while torque is on, the watchdog turns torque
+off. It ignores what ends the loop (Ctrl-C, SIGTERM) and needs neither the network nor the
 policy. Where both die, `ExecStopPost` of the systemd unit does the same.
 """
 
@@ -41,7 +41,7 @@ class Watchdog:
     process: subprocess.Popen[bytes]
 
     def beat(self, torque: bool) -> bool:
-        """Tell it that the loop turns; whether anyone listens."""
+        """Tell it that the loop runs; returns whether it still listens."""
         return self._say(HELD if torque else FREE)
 
     def farewell(self) -> None:
@@ -139,8 +139,8 @@ def _once(path: str, ident: int, baud: int) -> None:
 
 
 def main() -> None:
-    """`python -m tailbeat.robot.watchdog PORT ID BAUD [now]`: watch standard input, then let go;
-    with `now` let go at once. Exit code 1 where the torque may still be on."""
+    """`python -m tailbeat.robot.watchdog PORT ID BAUD [now]`: watch standard input, then turn
+    torque off; with `now` at once. Exit code 1 where the torque may still be on."""
     path, ident, baud = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
     if sys.argv[4:] != ["now"]:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
