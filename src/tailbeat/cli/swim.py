@@ -247,24 +247,21 @@ def station(
     """Run the poolside station: find the fish, send its pose, show the operator page. Exit code 1
     if a tour was not finished."""
     from tailbeat.operator import station as work
-    from tailbeat.operator.leader import Leader, drawn_tour
+    from tailbeat.operator.leader import chosen_leader
 
     if json is not None:
         refuse_existing(json)
-    there = address(robot, "--robot")
-    ours = address(listen, "--listen")
+    ends = address(robot, "--robot"), address(listen, "--listen")
     ids = fish_tag, target_tag
     if targets and not camera:
         raise BadInput("--tour: needs the fish's poses; give --camera and its --calibration.")
     if camera:
         need_camera()
     with work.open_tracker(camera, calibration, ids, exposure, latency) as tracker:
-        pool = work.pool_of(tracker, lambda _: None)
-        tour = drawn_tour(targets, seed, pool)
-        aim = None if begin is None else place(begin, "--begin", pool)
-        leader = Leader(tour, aim) if tour or aim else None
-        config = work.StationConfig(there, ours, key, page, fish)
+        leader = chosen_leader(targets, seed, begin, work.pool_of(tracker, lambda _: None))
+        config = work.StationConfig(*ends, key, page, fish)
         work.work(config, tracker, leader, output.say)
+    tour = leader.tour if leader else None
     if json is not None:
         rows = tour.rows if tour else []
         write_json(json, {"targets": rows, "armed_anew": leader.rearmed if leader else 0})

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from tailbeat.files import BadInput
 from tailbeat.link.datagrams import Order
-from tailbeat.link.places import POOL
+from tailbeat.link.places import POOL, place
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import State, Status
 from tailbeat.operator.tour import Pose, Tour, draw_targets
@@ -86,3 +86,13 @@ def drawn_tour(count: int, seed: int, pool: tuple[float, float] = POOL) -> Tour 
     if not count:
         return None
     return Tour([(float(x), float(y)) for x, y in draw_targets(count, seed, pool)])
+
+
+def chosen_leader(
+    targets: int, seed: int, begin: str | None, pool: tuple[float, float]
+) -> Leader | None:
+    """A leader through so many drawn targets, or to `begin` (x,y [m] as typed); None for neither.
+    Raises BadInput."""
+    tour = drawn_tour(targets, seed, pool)
+    aim = None if begin is None else place(begin, "--begin", pool)
+    return Leader(tour, aim) if tour or aim else None
