@@ -1,6 +1,9 @@
 """What each machine installs, and the sentence where a package is missing."""
 
 import ast
+import json
+import os
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -8,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tailbeat.emulators.own_devices import own_devices
 from tailbeat.files import EXTRA_OF
 
 ROOT = Path(__file__).parents[1]
@@ -84,3 +88,80 @@ def test_a_verb_without_its_extra_says_which_to_install(package, extra, words, t
     assert f"the package {package}: pip install 'tailbeat[{extra}]'" in done.stderr
     assert "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+# ---- the wheel ----------------------------------------------------------------------------------
+
+
+# A source tree that this test was pointed to must not stand in for the wheel.
+ALONE = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+
+
+def run(*words: object, code: int | tuple[int, ...] = 0) -> subprocess.CompletedProcess:
+    """A command that must end with this code."""
+    command = [*map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=ALONE)
+    assert done.returncode in (code if isinstance(code, tuple) else (code,)), (words, done)
+    return done
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory) -> Path:
+    """The programs of a fresh environment with `tailbeat[robot]` from the built wheel alone."""
+    folder = tmp_path_factory.mktemp("robot")
+    source = folder / "source"  # pip builds in the tree, and other tests read it
+    ignored = shutil.ignore_patterns(".*", "runs", "tests", "docs")
+    shutil.copytree(ROOT, source, ignore=ignored)
+    pip = (sys.executable, "-m", "pip")
+    run(*pip, "wheel", "-q", "--no-deps", "-w", folder, source)
+    (wheel,) = folder.glob("tailbeat-*.whl")
+    run(sys.executable, "-m", "venv", folder / "venv")
+    python = folder / "venv" / "bin" / "python"
+    run(python, "-m", "pip", "install", "-q", "-c", ROOT / "constraints.txt", f"{wheel}[robot]")
+    return python.parent
+
+
+@pytest.mark.slow
+def test_the_wheel_brings_the_robot_no_laboratory(robot):
+    listed = json.loads(run(robot / "pip", "list", "--format", "json").stdout)
+    names = {one["name"].lower() for one in listed}
+    assert {"tailbeat", "numpy", "onnxruntime", "mcap", "pyserial"} <= names
+    assert not names & {*LABORATORY, "torch", "gymnasium", "opencv-python-headless", "fastapi"}
+    here = run(robot / "python", "-c", "import tailbeat; print(tailbeat.__file__)")
+    inside = Path(here.stdout.strip()).parent
+    assert inside.is_relative_to(robot.parent) and (inside / "py.typed").is_file()
+    policies = [path.stem for path in inside.rglob("*.onnx")]
+    assert policies == ["pulley-fish-pool-generator"]
+
+
+@pytest.mark.slow
+def test_the_robot_s_other_verbs_run_in_its_environment(robot, tmp_path):
+    tailbeat = robot / "tailbeat"
+    run(tailbeat, "key", tmp_path / "key")
+    service = ["unit", "pulley-fish-pool-generator", "--out", tmp_path / "fish.service"]
+    service += ["--servo", "/dev/servo", "--imu", "/dev/imu", "--listen", "127.0.0.1:7001"]
+    service += ["--station", "127.0.0.1:7002", "--key", tmp_path / "key", "--logs", tmp_path]
+    run(tailbeat, *service)
+    doctor = ["doctor", "--key", tmp_path / "key", "--servo", tmp_path / "none"]
+    assert "not there" in run(tailbeat, *doctor, "--logs", tmp_path, code=1).stdout
+    torque = run(tailbeat, "torque-off", "--servo", tmp_path / "none", code=2)
+    assert "Traceback" not in torque.stderr
+    shown = run(tailbeat, "show", "pulley-fish", code=2)
+    assert "pip install 'tailbeat[sim]'" in shown.stderr
+
+
+@pytest.mark.slow
+def test_the_robot_s_environment_drives_a_servo_and_an_imu_that_another_serves(robot, tmp_path):
+    """The devices run in this test's environment, the loop in the robot's; real time."""
+    for attempt in range(4):  # a busy machine makes the loop hold before it swims
+        report, log = tmp_path / f"{attempt}.json", tmp_path / f"{attempt}.mcap"
+        with own_devices("pulley-fish", 0) as (ports, key):
+            words = ["drive", "pulley-fish-pool-generator", "--servo", ports.servo]
+            words += ["--imu", ports.imu, "--listen", "{}:{}".format(*ports.listen)]
+            words += ["--station", "{}:{}".format(*ports.laptop), "--key", str(key)]
+            words += ["--target", "1.5,0.5", "--seconds", "6", "--log", str(log)]
+            run(robot / "tailbeat", *words, "--json", report, code=(0, 1))
+        found = json.loads(report.read_text())
+        if found["swum_s"] > 1:
+            break
+    assert found["swum_s"] > 1 and found["rate_hz"] > 25, found
