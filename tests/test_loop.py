@@ -86,7 +86,7 @@ def swimming() -> Iterator[Bench]:
     )
     imu.prepare()
     devices = Devices(
-        servo, imu, link.Receiver(KEY, (5.5, 2.7)), heard, made.laptop.socket.getsockname()
+        servo, imu, link.Receiver(KEY, (5.5, 2.7)), heard, made.station.socket.getsockname()
     )
     rows: list[dict[str, Any]] = []
 
@@ -140,14 +140,14 @@ def test_an_order_to_stop_takes_the_torque_at_once(swimming):
     swimming.swim()
     receiver = swimming.loop.devices.receiver
     order = link.stop_datagram(KEY, 1, receiver.nonce, 1)
-    swimming.rig.laptop.socket.sendto(order, swimming.rig.laptop.fish)
+    swimming.rig.station.socket.sendto(order, swimming.rig.station.fish)
     swimming.ticks(lambda: swimming.loop.safety_status.state is State.STOP, 2.0)
     assert swimming.torque == 0 and "console" in swimming.loop.safety_status.text
 
 
 def test_a_cut_link_holds_and_then_stops(swimming):
     swimming.swim()
-    swimming.rig.laptop.due = math.inf  # no more frames
+    swimming.rig.station.due = math.inf  # no more frames
     swimming.loop.limits = SafetyLimits(**{**vars(WIDE), "pose_hold": 0.5, "pose_stop": 1.5})
     swimming.ticks(lambda: swimming.loop.safety_status.state is State.HOLD, 5.0)
     assert "no pose for" in swimming.loop.safety_status.text and swimming.torque == 1
@@ -157,7 +157,7 @@ def test_a_cut_link_holds_and_then_stops(swimming):
 
 def test_poses_that_jump_hold_the_swim_and_are_not_swum_by(swimming):
     swimming.swim()
-    swimming.rig.laptop.shifted = (1.2, 0.0, 0.0)
+    swimming.rig.station.shifted = (1.2, 0.0, 0.0)
     swimming.ticks(lambda: swimming.loop.safety_status.state is State.HOLD, 10.0)
     assert swimming.loop.safety_status.reason is Reason.POSES_IMPLAUSIBLE
     assert abs(swimming.loop.poses.pose()[0] - swimming.rig.shaft.pose[0]) < 0.6

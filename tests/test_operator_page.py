@@ -138,7 +138,7 @@ def lab() -> Iterator[Lab]:
     made = Lab(None, rig, client)  # type: ignore[arg-type]
 
     def over() -> bool:
-        turn(client, rig.laptop.sender, FISH, time.monotonic(), picture=made.picture)
+        turn(client, rig.station.sender, FISH, time.monotonic(), picture=made.picture)
         return ended.is_set()
 
     def tick() -> None:
@@ -163,7 +163,7 @@ def lab() -> Iterator[Lab]:
 
     servo.arm = armed  # type: ignore[method-assign]
     receiver = link.Receiver(KEY, ROOM)
-    devices = Devices(servo, imu, receiver, heard, rig.laptop.socket.getsockname())
+    devices = Devices(servo, imu, receiver, heard, rig.station.socket.getsockname())
     made.loop = Loop(POLICY, devices, lambda row: None, WIDE)
     ticking = threading.Thread(target=tick, daemon=True)
     ticking.start()

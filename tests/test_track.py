@@ -23,7 +23,7 @@ from tailbeat.files import BadInput
 from tailbeat.vision.calibrate import Measured, calibrate
 from tailbeat.vision.calibration import read_calibration, write_calibration
 from tailbeat.vision.detector import open_detector
-from tailbeat.vision.follow import track
+from tailbeat.vision.follow import TrackConfig, track
 from tailbeat.vision.sheet import write_sheets
 from tailbeat.vision.survey import board_corners
 from tailbeat.vision.tags import IDS, Board, board_of, tag_picture
@@ -183,10 +183,10 @@ def test_a_film_is_tracked_to_its_end(tmp_path: Path):
     writer.release()
     write_calibration(tmp_path / "camera.json", true_calibration())
     heard: list[str] = []
-    done = track(str(path), tmp_path / "camera.json", IDS_HERE, 60.0, 30.0, 0.002, 0.0,
-                             heard.append)  # fmt: skip
-    assert done["frames"] == 12 and done["fish_seen"] == done["target_seen"] == 1.0
-    assert "the film is over after 12 frames" in done["fault"]
+    config = TrackConfig(str(path), tmp_path / "camera.json", IDS_HERE, 0.002, 0.0)
+    done = track(config, 60.0, heard.append)
+    assert done.frames == 12 and done.fish_seen == done.target_seen == 1.0
+    assert "the film is over after 12 frames" in done.fault
     assert any("fish" in line and "deg" in line for line in heard)
 
 

@@ -108,9 +108,10 @@ def track(
     from tailbeat.vision import follow
 
     ids = fish_tag, target_tag
-    done = follow.track(camera, calibration, ids, seconds, oldest, exposure, latency, output.say)
-    output.tables({"track": [done]})
+    config = follow.TrackConfig(camera, calibration, ids, exposure, latency, oldest)
+    done = follow.track(config, seconds, output.say)
+    output.tables({"track": [vars(done)]})
     if json is not None:
-        write_json(json, done)
-    if not done["fish_seen"]:
+        write_json(json, vars(done))
+    if not done.fish_seen:
         raise typer.Exit(1)

@@ -31,7 +31,7 @@ NOWHERE = ("127.0.0.1", 9)
 
 @dataclass(eq=False)
 class Network:
-    """The laptop's socket with a bad network behind it: datagrams `lost` (a share), one held back
+    """The station's socket with a bad network behind it: datagrams `lost` (a share), one held back
     behind the next (`swapped`), old ones again (`replayed`), and altered or random ones beside
     (`forged` per true one). `cut`: nothing passes."""
 
@@ -96,7 +96,7 @@ def _unplug(rig: Rig, index: int) -> None:
 
 def _network(rig: Rig, **bad: Any) -> None:
     for name, value in bad.items():
-        setattr(rig.laptop.socket, name, value)
+        setattr(rig.station.socket, name, value)
 
 
 def _restart(rig: Rig) -> None:
@@ -112,11 +112,11 @@ def _spikes(rig: Rig) -> None:
 
 
 def _turned_round(rig: Rig) -> None:
-    rig.laptop.shifted = (0.0, 0.0, np.pi)
+    rig.station.shifted = (0.0, 0.0, np.pi)
 
 
 def _elsewhere(rig: Rig) -> None:
-    rig.laptop.shifted = (0.6, 0.0, 0.0)
+    rig.station.shifted = (0.6, 0.0, 0.0)
 
 
 def _stand_still(rig: Rig) -> None:
@@ -130,7 +130,7 @@ def _stick(rig: Rig) -> None:
 FAULTS: dict[str, Callable[[Rig], None]] = {
     "servo cable": lambda rig: _unplug(rig, 0),
     "imu cable": lambda rig: _unplug(rig, 1),
-    "no poses": lambda rig: setattr(rig.laptop, "due", np.inf),
+    "no poses": lambda rig: setattr(rig.station, "due", np.inf),
     "link cut": lambda rig: _network(rig, cut=True),
     "loss": lambda rig: _network(rig, lost=0.3),
     "reordering": lambda rig: _network(rig, swapped=True),
@@ -146,8 +146,8 @@ FAULTS: dict[str, Callable[[Rig], None]] = {
     "overheated": lambda rig: rig.servo.fail(2),
     "voltage sags": lambda rig: rig.servo.put(144, 90),
     "watchdog": lambda rig: rig.servo.trip(),
-    "clock ahead": lambda rig: setattr(rig.laptop, "stepped", 5.0),
-    "clock back": lambda rig: setattr(rig.laptop, "stepped", -5.0),
+    "clock ahead": lambda rig: setattr(rig.station, "stepped", 5.0),
+    "clock back": lambda rig: setattr(rig.station, "stepped", -5.0),
     "turned round": _turned_round,
     "elsewhere": _elsewhere,
 }
@@ -184,7 +184,7 @@ def _link_to(rig: Rig, folder: Path) -> None:
 
 def serve_broken(pipe: Connection, fish: Fish, key: bytes, folder: Path) -> None:
     """Serve rigs, one after the other, until the pipe closes. Orders: ("new", robot) opens one and
-    answers with the laptop's address; ("break", name) answers with the time; ("plug",) puts both
+    answers with the station's address; ("break", name) answers with the time; ("plug",) puts both
     cables back; ("look",) answers with a `Look` and whether torque is on; ("end",)."""
     timing.claim()
     warm = bench.PlantShaft(fish=fish)  # compiled once, before anyone waits for it
@@ -195,10 +195,10 @@ def serve_broken(pipe: Connection, fish: Fish, key: bytes, folder: Path) -> None
     pipe.send("ready")
     while (order := pipe.recv())[0] == "new":
         rig = bench.open_rig(fish, key, order[1], (1.5, 0.5))
-        own = rig.laptop.sender
+        own = rig.station.sender
         own.socket = Network(own.socket, np.random.default_rng(0))  # type: ignore
         _link_to(rig, folder)
-        pipe.send(rig.laptop.socket.getsockname())
+        pipe.send(rig.station.socket.getsockname())
         _serve(pipe, rig, folder)
         bench.close_rig(rig)
         pipe.send("closed")

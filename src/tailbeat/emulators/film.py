@@ -1,6 +1,6 @@
 """The virtual camera as a device: a process that films a scene and sends frames down a socket.
 
-Frames are made on absolute deadlines, on a clock of the laptop's own, late by a readout, unevenly,
+Frames are made on absolute deadlines, on a clock of the station's own, late by a readout, unevenly,
 and some never come. Each client gets the newest frame whenever it has taken the last one: nothing
 queues.
 """
@@ -41,7 +41,7 @@ READY = 60.0  # s that the process may take to start
 
 @dataclass(frozen=True)
 class Filming:
-    """What films, and how its frames come; chosen. The laptop's clock is `ahead` of this
+    """What films, and how its frames come; chosen. The station's clock is `ahead` of this
     machine's [ns] and runs `fast`."""
 
     optics: Optics = field(default_factory=Optics)
@@ -58,7 +58,7 @@ class Filming:
     seed: int = 0
 
     def clock(self, now: float) -> int:
-        """The laptop's monotonic clock [ns] at a time [s] of this machine's."""
+        """The station's monotonic clock [ns] at a time [s] of this machine's."""
         return round(now * (1 + self.fast) * SECOND) + self.ahead
 
 

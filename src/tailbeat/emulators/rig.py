@@ -1,7 +1,7 @@
 """The whole bench without hardware: plant, emulated servo and IMU on pseudo-terminals, poses sent.
 
 One process that a robot's loop cannot tell from a lab: the plant turns the servo's shaft and the
-IMU, and the laptop's end sends signed poses at sixty frames a second, late, noisy and now and then
+IMU, and the station's end sends signed poses at sixty frames a second, late, noisy and now and then
 without a tag, on a clock of its own; or a camera films the plant, and the poses are another's work.
 """
 
@@ -34,7 +34,7 @@ from tailbeat.pool.water import Water
 
 Array = NDArray[np.float64]
 SECOND = 1_000_000_000
-CLOCK_AHEAD, CLOCK_FAST = 37 * SECOND, 20e-6  # the laptop's clock against the fish's
+CLOCK_AHEAD, CLOCK_FAST = 37 * SECOND, 20e-6  # the station's clock against the fish's
 BAUD = 1_000_000
 SHOWN = 0.004  # s between two scenes for the camera
 LONGEST = 0.2  # s that the plant is stepped at once; a rig that was stopped does not catch up
@@ -69,7 +69,7 @@ class PlantShaft(Shaft):
 
 
 @dataclass(eq=False)
-class Laptop:
+class Station:
     """The sender's end behind a camera that sees the plant, late, noisy and now and then nothing;
     `tag` is where the target floats, `due` [s] when the next frame is."""
 
@@ -83,7 +83,7 @@ class Laptop:
     ahead: deque[tuple[float, Frame]] = field(default_factory=deque)  # when to send what
 
     def clock(self) -> int:
-        """The laptop's own monotonic clock [ns]: neither the fish's nor as fast."""
+        """The station's own monotonic clock [ns]: neither the fish's nor as fast."""
         set_ahead = CLOCK_AHEAD + round(self.stepped * SECOND)
         return round(time.monotonic_ns() * (1 + CLOCK_FAST)) + set_ahead
 
@@ -121,7 +121,7 @@ class Laptop:
 
 @dataclass(eq=False)
 class Above:
-    """A camera over the pool instead of the laptop that knows: it films the plant, and another
+    """A camera over the pool instead of the station that knows: it films the plant, and another
     process has to find the fish in its pictures. `tag` is where the target floats."""
 
     camera: CameraProcess
@@ -151,7 +151,7 @@ class Rig:
     servo: Dynamixel
     imu: Bno055
     lines: tuple[Line, Line]  # of servo and IMU
-    watch: Laptop | Above
+    watch: Station | Above
     began: float = field(default_factory=time.monotonic)
 
     @property
@@ -160,21 +160,21 @@ class Rig:
         return self.lines[0].path, self.lines[1].path
 
     @property
-    def laptop(self) -> Laptop:
+    def station(self) -> Station:
         """The one that knows; a filmed rig has none."""
-        assert isinstance(self.watch, Laptop)
+        assert isinstance(self.watch, Station)
         return self.watch
 
 
 def open_rig(
     fish: Fish, key: bytes, robot: tuple[str, int], target: tuple[float, float], seed: int = 0
 ) -> Rig:
-    """A rig whose laptop sends to a robot's address; the fish starts in the pool's middle."""
+    """A rig whose station sends to a robot's address; the fish starts in the pool's middle."""
     shaft = PlantShaft(fish=fish)
     made = link.bind("127.0.0.1", 0)
-    laptop = Laptop(Sender(key, made, robot), target, np.random.default_rng(seed))
-    laptop.sender.clock = laptop.clock
-    return Rig(shaft, Dynamixel(shaft=shaft), Bno055(), (open_line(), open_line()), laptop)
+    station = Station(Sender(key, made, robot), target, np.random.default_rng(seed))
+    station.sender.clock = station.clock
+    return Rig(shaft, Dynamixel(shaft=shaft), Bno055(), (open_line(), open_line()), station)
 
 
 def open_filmed_rig(fish: Fish, camera: CameraProcess, target: tuple[float, float]) -> Rig:
@@ -188,7 +188,7 @@ def serve(rig: Rig, stop: Callable[[], bool]) -> None:
     """In real time, until `stop` (asked every turn, about a thousand times a second) says so."""
     masters = {rig.lines[0].master: _servo, rig.lines[1].master: _imu}
     awaited: list[int | socket.socket] = [*masters]
-    if isinstance(rig.watch, Laptop):
+    if isinstance(rig.watch, Station):
         awaited.append(rig.watch.socket)
     while not stop():
         ready, _, _ = select.select(awaited, [], [], 0.001)

@@ -28,13 +28,13 @@ def rig(fish: str, key: Path, robot: str, target: str, page: str, seed: int, say
     made = bench.open_rig(described, secret, there, aim, seed)
     ended = told_to_end()
     _hurry(made)
-    host, port = made.laptop.socket.getsockname()
+    host, port = made.station.socket.getsockname()
     ports = {"servo": made.ports[0], "imu": made.ports[1], "station": f"{host}:{port}"}
     say(json.dumps({**ports, "page": announce(client) if client else []}))
 
     def over() -> bool:
         if client is not None:
-            turn(client, made.laptop.sender, described, time.monotonic())
+            turn(client, made.station.sender, described, time.monotonic())
         return bool(ended)
 
     try:

@@ -40,9 +40,9 @@ def open_tracker(
         return
     if calibration is None:
         raise BadInput("--camera: give its --calibration, made by `tailbeat calibrate`.")
-    from tailbeat.vision.follow import watch  # needs OpenCV
+    from tailbeat.vision.follow import TrackConfig, watch  # needs OpenCV
 
-    tracker = watch(camera, calibration, ids, exposure, latency)
+    tracker = watch(TrackConfig(camera, calibration, ids, exposure, latency))
     try:
         yield tracker
     finally:

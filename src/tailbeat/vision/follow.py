@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,33 +18,55 @@ EVERY = 0.5  # s between two lines
 STARTING = 20.0  # s that the tracker may take on top
 
 
-def watch(
-    camera: str,
-    calibration: Path,
-    ids: tuple[int, int],
-    exposure: float,
-    latency: float,
-    oldest: float = OLDEST,
-) -> TrackerProcess:
-    """Start a tracker with a calibration file that is at most `oldest` days old. `ids` are those of
-    fish and target, `exposure` and `latency` are the camera's [s]. Raises BadInput."""
-    made = read_calibration(calibration, oldest)
-    open_camera(camera, made.lens.size).close()  # refused here if it is none, not again and again
-    return start_tracker(camera, made, ids, exposure=exposure, latency=latency)
+@dataclass(frozen=True)
+class TrackConfig:
+    """A tracker: the camera, its calibration file of at most `oldest` days, the tags of fish and
+    target, and the camera's `exposure` and `latency` [s]."""
+
+    camera: str
+    calibration: Path
+    ids: tuple[int, int]
+    exposure: float
+    latency: float
+    oldest: float = OLDEST
 
 
-def track(
-    camera: str, calibration: Path, ids: tuple[int, int], seconds: float, oldest: float,
-    exposure: float, latency: float, say: Say,
-) -> dict[str, Any]:  # fmt: skip
-    """Watch so long (0: until told to stop), say a line now and then, sum up."""
-    tracker = watch(camera, calibration, ids, exposure, latency, oldest)
+@dataclass(frozen=True)
+class TrackSummary:
+    """What a watch came to: `seconds` since the first sighting, frames and their rate [Hz], in what
+    fraction of them fish and target were seen, how many finds were rejected by reason, how often
+    the tracker was restarted, and its last fault."""
+
+    camera: str
+    seconds: float
+    frames: int
+    rate_hz: float
+    fish_seen: float
+    target_seen: float
+    rejected: dict[str, int]
+    restarts: int
+    fault: str
+
+
+def watch(config: TrackConfig) -> TrackerProcess:
+    """Start a tracker. Raises BadInput for a camera or a calibration that cannot be used."""
+    made = read_calibration(config.calibration, config.oldest)
+    # a camera that cannot be opened is refused here, once
+    open_camera(config.camera, made.lens.size).close()
+    return start_tracker(
+        config.camera, made, config.ids, exposure=config.exposure, latency=config.latency
+    )
+
+
+def track(config: TrackConfig, seconds: float, say: Say) -> TrackSummary:
+    """Watch for so many seconds (0: until told to stop), say a line now and then, sum up."""
+    tracker = watch(config)
     ended = told_to_end()
     try:
         took = _follow(tracker, seconds, lambda: bool(ended), say)
     finally:
         tracker.close()
-    return {"camera": camera, **summary(tracker, ids, took)}
+    return summary(tracker, config, took)
 
 
 def _follow(tracker: Any, seconds: float, stop: Callable[[], bool], say: Say) -> float:
@@ -78,18 +101,19 @@ def line(sighting: Any) -> str:
     return f"fish {swims}; target {floats}; {sighting.rate:.1f} frames/s; rejected: {rejects}"
 
 
-def summary(tracker: Any, ids: tuple[int, int], took: float) -> dict[str, Any]:
-    """What a watch comes to."""
+def summary(tracker: Any, config: TrackConfig, took: float) -> TrackSummary:
+    """What a watch came to."""
     last = tracker.newest()
     frames = last.frames if last else 0
-    shares = [(last.believed.get(ident, 0) / frames if frames else 0.0) for ident in ids]
-    return {
-        "seconds": took,
-        "frames": frames,
-        "rate_hz": last.rate if last else 0.0,
-        "fish_seen": shares[0],
-        "target_seen": shares[1],
-        "rejected": last.rejected if last else {},
-        "restarts": tracker.restarts,
-        "fault": tracker.fault,
-    }
+    seen = [(last.believed.get(ident, 0) / frames if frames else 0.0) for ident in config.ids]
+    return TrackSummary(
+        camera=config.camera,
+        seconds=took,
+        frames=frames,
+        rate_hz=last.rate if last else 0.0,
+        fish_seen=seen[0],
+        target_seen=seen[1],
+        rejected=last.rejected if last else {},
+        restarts=tracker.restarts,
+        fault=tracker.fault,
+    )
