@@ -1,4 +1,4 @@
-"""The pool's fin section against exact unsteady theory and a towing tank."""
+"""The water that the plant's fin swims in, against exact unsteady theory and a towing tank."""
 
 from dataclasses import replace
 
@@ -7,9 +7,8 @@ import pytest
 from scipy.special import hankel2
 
 from tailbeat.pool.chain import fin_factors
-from tailbeat.pool.foil import Stroke, flap
-from tailbeat.pool.section import STATES, advance, section
 from tailbeat.pool.water import LAGS, Water
+from towed_foil import STEPS_PER_BEAT, Path, Stroke, flap, foil, led, towed, wave
 
 # Wagner's function, exact (Fourier inversion of Theodorsen's).
 PLACES = (0.25, 0.5, 1, 2, 4, 6, 10, 20, 40)  # semichords
@@ -57,22 +56,16 @@ QUASI_STEADY = replace(FOIL, suction=1.0, fin_friction=0.02, with_lag=False, wit
 
 def step_response(lag: str, semichords: np.ndarray) -> np.ndarray:
     """Circulation after a sudden small sideslip, over its final value."""
-    p = replace(Water(), lag=lag, suction=0.0, vortex=0.0, fin_drag=0.0, fin_friction=0.0).row()
-    p[16] = 0.0  # no stall
-    state, found, ds = np.zeros(STATES), [], 0.001
-    wanted = iter(semichords)
-    place, target = 0.0, next(wanted)
-    while True:
-        if place >= target - 1e-9:
-            normal, _, _ = section(1.0, 1e-4, 0.0, state, 1.0, 1.0, 1.0, p)
-            found.append(normal / (-1000 * np.pi * 1e-4))
-            try:
-                target = next(wanted)
-            except StopIteration:
-                return np.array(found)
-        # one semichord at unit speed and chord takes half a second, less the speed's floor
-        advance(1.0, 1e-4, 0.0, state, 1.0, ds / 2 / np.sqrt(1 + 1e-8 + 1e-4), p)
-        place += ds
+    ds = (
+        0.001  # semichords; at unit speed and chord one takes half a second, less the speed's floor
+    )
+    dt = ds / 2 / np.sqrt(1 + 1e-8 + 1e-4)
+    speed = np.zeros((round(semichords[-1] / ds) + 1, 4))
+    speed[:, :2] = 1.0, 1e-4
+    still = np.zeros_like(speed)
+    force = towed(Path(still, speed, still, dt), foil(), replace(THIN, lag=lag, suction=0.0))
+    # a force belongs to the middle of its step
+    return np.interp(semichords, ds * (np.arange(len(force)) + 0.5), force[:, 1]) / (-np.pi * 0.1)
 
 
 def test_the_lag_is_jones_s_and_near_wagner_s():
@@ -84,20 +77,48 @@ def test_the_lag_is_jones_s_and_near_wagner_s():
     assert found == pytest.approx(WAGNER, rel=0.015)
 
 
+def theodorsen(k: float, heave: float, pitch: float) -> np.ndarray:
+    """Lift and moment about mid-chord, complex amplitudes, of a foil that heaves and pitches about
+    mid-chord; chord and speed 1, added mass included."""
+    c = hankel2(1, k) / (hankel2(1, k) + 1j * hankel2(0, k))
+    b, rate = 0.5, 2j * k  # d/dt
+    circulatory = 2 * np.pi * b * c * (-rate * heave + (1 + rate * b / 2) * pitch)
+    lift = np.pi * b**2 * (-(rate**2) * heave + rate * pitch)
+    moment = -np.pi * b**2 * (rate * b / 2 + rate**2 * b**2 / 8) * pitch
+    return 1000 * np.array([lift + circulatory, moment + b / 2 * circulatory])
+
+
 @pytest.mark.parametrize("k", [0.05, 0.1, 0.2, 0.3, 0.5, 0.8, 1.0, 2.0, 5.0, 10.0])
 @pytest.mark.parametrize(("lag", "within"), [("section", 0.015), ("section, fitted", 0.02)])
-def test_the_lag_follows_theodorsen(k, lag, within):
-    exact = hankel2(1, k) / (hankel2(1, k) + 1j * hankel2(0, k))
-    p = replace(Water(), lag=lag).row()
-    dt, state = 2 * np.pi / (2 * k) / 1000, np.zeros(STATES)
-    wash, q = [], []
-    for i in range(6000):
-        w = 1e-4 * np.cos(2 * k * (i + 0.5) * dt)
-        q.append((1 - p[18] - p[20]) * 1e-4 * np.cos(2 * k * i * dt) + state[0] + state[1])
-        wash.append(np.exp(2j * k * i * dt))
-        advance(1.0, w, 0.0, state, 1.0, dt, p)
-    found = 2 * np.mean(np.array(q[-1000:]) * np.conj(wash[-1000:])) / 1e-4
-    assert abs(found - exact) < within
+def test_lift_and_moment_follow_theodorsen(k, lag, within):
+    small = 1e-4
+    for heave, pitch in ((small, 0.0), (0.0, small)):
+        path = led(Stroke(k, heave, pitch))
+        force = towed(path, foil(), replace(THIN, lag=lag))[-STEPS_PER_BEAT:, 1:3]
+        turn = np.exp(-2j * k * path.dt * np.arange(STEPS_PER_BEAT))
+        found = 2 * (force * turn[:, None]).mean(axis=0)
+        wash = abs(2j * k * heave) + abs(1 + 0.5j * k) * pitch
+        scale = 1000 * np.pi * wash * np.array([1.0, 0.25])  # of the circulatory part
+        assert np.all(np.abs(found - theodorsen(k, heave, pitch)) < within * scale)
+
+
+def test_a_fin_behind_a_hinge_feels_what_it_feels_alone():
+    """The same motion of the fin, led by a body in front that yaws: the same force."""
+    alone = led(Stroke(0.8, 0.4, 0.5, 0.2, 1.0))
+    time, arm = alone.dt * np.arange(len(alone.q)), 0.7
+    yaw, rate, push = wave(0.6, 1.1, 0.3, time)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    q, v, a = (np.column_stack([part, part[:, 3]]) for part in alone[:3])
+    lead = (
+        (arm * cos, arm * sin, yaw),
+        (-arm * rate * sin, arm * rate * cos, rate),
+        (-arm * (push * sin + rate**2 * cos), arm * (push * cos - rate**2 * sin), push),
+    )
+    for part, (x, y, turn) in zip((q, v, a), lead, strict=True):
+        part[:, 4] = turn - part[:, 2]  # a hinge turns the other way
+        part[:, 0], part[:, 1], part[:, 2] = part[:, 0] + x, part[:, 1] + y, turn
+    found = towed(Path(q, v, a, alone.dt), foil(0.2, arm=arm), FOIL)
+    assert found[:, :2] == pytest.approx(towed(alone, foil(0.2), FOIL)[:, :2], rel=1e-9, abs=1e-6)
 
 
 @pytest.mark.parametrize("k", GARRICK)

@@ -11,10 +11,13 @@ import pytest
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import compile_twin
-from tailbeat.pool.chain import build_chain, fin_factors
-from tailbeat.pool.dynamics import bodies, current, pose, solve, tendon_lengths, water
+from tailbeat.pool.chain import build_chain, dofs, fin_factors
+from tailbeat.pool.dynamics import Around, Work, add_bodies, scratch, solve
+from tailbeat.pool.hydrodynamics import MODE, add_water, current
+from tailbeat.pool.kinematics import pose
 from tailbeat.pool.plant import Plant, Surroundings, at_rest, build_plant, step_plant, stirred
-from tailbeat.pool.section import STATES
+from tailbeat.pool.section import UNDISTURBED
+from tailbeat.pool.tendons import tendon_lengths
 from tailbeat.pool.water import ROW, Water, ablations, ensemble, fingerprint
 
 FISH = load_fish("pulley-fish")
@@ -37,20 +40,20 @@ def sine(plant: Plant, frequency: float, stroke: float, seconds: float) -> np.nd
     return (stroke * np.minimum(held, 1.0) * np.sin(2 * np.pi * frequency * held))[None]
 
 
-def assembled(plant: Plant, q: np.ndarray, v: np.ndarray, p: np.ndarray | None = None):
-    """Mass matrix and bias forces of bodies, and of the water where `p` is given."""
-    arrays, nv, n = plant.arrays, plant.chain.nv, len(plant.chain.origin)
-    place, spin, row = np.zeros((n, 8)), np.zeros(n), np.zeros(nv)
-    mass, force = np.zeros((nv, nv)), np.zeros(nv)
-    pose(q, v, arrays[0], place, spin)
-    bodies(arrays, plant.servo[0, 2], place, spin, mass, force, row)
-    if p is not None:
-        fins = len(plant.chain.fin)
-        state, seen = np.zeros((fins, STATES)), np.zeros((fins, 3))
-        state[:, 3] = 1.0
-        still = np.zeros((0, 5))
-        water(arrays, p, 0.0, 0.0, still, place, spin, state, mass, force, row, seen)
-    return mass, force, place
+def assembled(plant: Plant, q: np.ndarray, v: np.ndarray, wet: bool = False) -> Work:
+    """Mass matrix, bias forces and frames of bodies, and of the plant's water where `wet`."""
+    chain = plant.chain
+    work = scratch(len(q), len(chain.bodies), len(chain.fins))
+    work.mass[:], work.force[:] = 0.0, 0.0
+    pose(q, v, chain.bodies, work.frames)
+    add_bodies(chain, plant.servo[0]["armature"], work)
+    if wet:
+        each = plant.each
+        around = Around(
+            each.water[0], each.servo[0], each.modes[0], each.walls[0], each.pokes[0], each.held[0]
+        )
+        add_water(chain, around, 0.0, 0.0, np.full(len(chain.fins), UNDISTURBED), work)
+    return work
 
 
 # ---- the tree -----------------------------------------------------------------------------------
@@ -70,44 +73,41 @@ def test_the_dry_tree_is_the_twin_s(name):
         mujoco.mj_forward(twin.model, data)
         full = np.zeros((twin.model.nv, twin.model.nv))
         mujoco.mj_fullM(twin.model, data, full)
-        mass, force, place = assembled(plant, data.qpos.copy(), data.qvel.copy())
-        assert mass == pytest.approx(full, rel=1e-6, abs=1e-9)
-        assert -force == pytest.approx(data.qfrc_bias, rel=1e-6, abs=1e-9)
-        lengths, rows = np.zeros(2), np.zeros((2, plant.chain.nv))
-        tendon_lengths(data.qpos.copy(), plant.arrays, place, lengths, rows)
+        found = assembled(plant, data.qpos.copy(), data.qvel.copy())
+        assert found.mass == pytest.approx(full, rel=1e-6, abs=1e-9)
+        assert -found.force == pytest.approx(data.qfrc_bias, rel=1e-6, abs=1e-9)
+        tendon_lengths(data.qpos.copy(), plant.chain, found.frames, found.lengths, found.pulls)
         moved = data.ten_length - straight.ten_length
-        assert lengths - plant.neutral == pytest.approx(moved, abs=3e-5)
+        assert found.lengths - plant.chain.neutral == pytest.approx(moved, abs=3e-5)
 
 
 # ---- added mass ---------------------------------------------------------------------------------
 
 
 def test_added_mass_of_strips_and_fin_is_the_formula_s():
-    plant = build_plant(FISH)
-    zero = np.zeros(plant.chain.nv)
-    dry, _, _ = assembled(plant, zero, zero)
-    wet, _, _ = assembled(plant, zero, zero, BARE.row())
-    strips, fin = plant.chain.strip, plant.chain.fin[0]
-    body = (1000 * np.pi / 4 * strips[:, 2] ** 2 * strips[:, 1]).sum()
-    plate = 1000 * np.pi / 4 * fin[1] ** 2 * fin[2] * fin_factors(fin[1], fin[2])[1]
-    added = wet - dry
+    plant = build_plant(FISH, [BARE])
+    zero = np.zeros(dofs(plant.chain))
+    added = assembled(plant, zero, zero, wet=True).mass - assembled(plant, zero, zero).mass
+    strips, fin = plant.chain.strips, plant.chain.fins[0]
+    chord, height = fin["chord"], fin["height"]
+    body = (1000 * np.pi / 4 * strips["height"] ** 2 * strips["length"]).sum()
+    plate = 1000 * np.pi / 4 * chord**2 * height * fin_factors(chord, height)[1]
     assert added[1, 1] == pytest.approx(body + plate, rel=1e-9)
     assert added[0, 0] == pytest.approx(BARE.along * body, rel=1e-9)
     assert plate > 15 * 0.020  # the fin carries many times its own mass
 
 
-def hinge_force(plant: Plant, rate: float, push: float, angle: float, p: np.ndarray) -> float:
+def hinge_force(plant: Plant, rate: float, push: float, angle: float) -> float:
     """Force of the water on the fish along x [N] while the last hinge turns, head held."""
-    q, v, a = (np.zeros(plant.chain.nv) for _ in range(3))
+    q, v, a = (np.zeros(dofs(plant.chain)) for _ in range(3))
     q[-1], v[-1], a[-1] = angle, rate, push
-    dry, dry_force, _ = assembled(plant, q, v)
-    wet, wet_force, _ = assembled(plant, q, v, p)
-    return float((wet_force - dry_force)[0] - ((wet - dry) @ a)[0])
+    dry, wet = assembled(plant, q, v), assembled(plant, q, v, wet=True)
+    return float((wet.force - dry.force)[0] - ((wet.mass - dry.mass) @ a)[0])
 
 
 def test_an_oscillating_plate_in_still_water_is_not_pulled_anywhere():
     """Potential flow has no mean force; the engine's velocity half alone has (docs/twin.md)."""
-    slender = as_strips(build_plant(FISH))
+    slender = as_strips(build_plant(FISH, [BARE]))
     phase = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     for omega, stroke in ((6.0, 0.6), (50.0, 0.075)):
         force = [
@@ -116,7 +116,6 @@ def test_an_oscillating_plate_in_still_water_is_not_pulled_anywhere():
                 -omega * stroke * np.sin(a),
                 -(omega**2) * stroke * np.cos(a),
                 stroke * np.cos(a),
-                BARE.row(),
             )
             for a in phase
         ]
@@ -126,15 +125,11 @@ def test_an_oscillating_plate_in_still_water_is_not_pulled_anywhere():
 def as_strips(plant: Plant) -> Plant:
     """The fin as a slender strip: without circulation the water is conservative."""
     chain = plant.chain
-    return replace(
-        plant,
-        chain=replace(
-            chain,
-            strip_body=np.concatenate([chain.strip_body, chain.fin_body]),
-            strip=np.concatenate([chain.strip, chain.fin]),
-            fin=chain.fin * [1.0, 1.0, 1e-9],
-        ),
-    )
+    fins = [tuple(fin)[:4] for fin in chain.fins]
+    strips = np.concatenate([chain.strips, np.array(fins, chain.strips.dtype)])
+    flat = chain.fins.copy()
+    flat["height"] *= 1e-9
+    return replace(plant, chain=chain._replace(strips=strips, fins=flat))
 
 
 def test_energy_and_momentum_are_kept_and_better_with_a_shorter_step():
@@ -164,13 +159,12 @@ def test_energy_and_momentum_are_kept_and_better_with_a_shorter_step():
 
 def conserved(plant: Plant, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Energy [J] and linear momentum [N s] of fish and water."""
-    mass, _, place = assembled(plant, q, v, BARE.row())
-    lengths, rows = np.zeros(2), np.zeros((2, plant.chain.nv))
-    tendon_lengths(q, plant.arrays, place, lengths, rows)
-    stretch = lengths - plant.neutral
-    elastic = 0.5 * plant.chain.stiffness @ q[4:] ** 2
-    elastic += 0.5 * plant.chain.tendon[0] * stretch @ stretch
-    return np.array([0.5 * v @ mass @ v + elastic, *(mass @ v)[:2]])
+    found, chain = assembled(plant, q, v, wet=True), plant.chain
+    tendon_lengths(q, chain, found.frames, found.lengths, found.pulls)
+    stretch = found.lengths - chain.neutral
+    elastic = 0.5 * chain.hinges["stiffness"] @ q[4:] ** 2
+    elastic += 0.5 * chain.tendon[0]["stiffness"] * stretch @ stretch
+    return np.array([0.5 * v @ found.mass @ v + elastic, *(found.mass @ v)[:2]])
 
 
 # ---- behaviour ----------------------------------------------------------------------------------
@@ -248,7 +242,7 @@ def test_a_poke_gives_its_momentum_and_walls_hold():
     plant = build_plant(FISH, [BARE], around=[poked])
     state = at_rest(plant)
     step_plant(plant, state, np.zeros((1, 100)))
-    mass, _, _ = assembled(plant, state.q[0], state.v[0], BARE.row())
+    mass = assembled(plant, state.q[0], state.v[0], wet=True).mass
     assert (mass @ state.v[0])[1] == pytest.approx(4.0 * 0.05, rel=0.06)  # less what lift took
     small = build_plant(FISH, around=[Surroundings(walls=(1.5, 1.0))])
     swum = step_plant(small, at_rest(small), sine(small, 1.5, 0.8, 20.0), 10)
@@ -256,7 +250,7 @@ def test_a_poke_gives_its_momentum_and_walls_hold():
 
 
 def test_stirred_water_has_no_divergence_and_carries_a_fish():
-    modes = np.array(stirred(4, size=0.05).modes)
+    modes = np.array(list(stirred(4, size=0.05).modes), MODE)
     rng, h = np.random.default_rng(0), 1e-5
     for x, y, t in rng.uniform(-2, 2, (20, 3)):
         du = current(x + h, y, t, modes)[0] - current(x - h, y, t, modes)[0]
@@ -282,7 +276,7 @@ def test_every_parameter_of_the_water_changes_a_swim():
         other = build_plant(FISH, [replace(Water(), **{name: value})])
         moved = step_plant(other, at_rest(other), command).q[0, -1] - base
         assert np.abs(moved).max() > 1e-5, name
-    assert len(ROW) == 22 and set(ablations()) >= {"full", "no lag", "no stall"}
+    assert len(ROW.names or ()) == 22 and set(ablations()) >= {"full", "no lag", "no stall"}
 
 
 def random_year(count: int, seed: int) -> np.ndarray:

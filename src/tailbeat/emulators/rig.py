@@ -50,11 +50,15 @@ class PlantShaft(Shaft):
     def __post_init__(self) -> None:
         around = [Surroundings(walls=(LENGTH, WIDTH))]
         self.plant = build_plant(self.fish, [self.water], around=around)
-        self.state, self.gain, self.owed = at_rest(self.plant), float(self.plant.servo[0, 0]), 0.0
+        self.state, self.gain, self.owed = (
+            at_rest(self.plant),
+            float(self.plant.servo["kp"][0]),
+            0.0,
+        )
 
     def advance(self, goal: float | None, dt: float) -> None:
         """Without torque the servo pulls at nothing."""
-        self.plant.servo[0, 0] = 0.0 if goal is None else self.gain
+        self.plant.servo["kp"][0] = 0.0 if goal is None else self.gain
         self.owed += dt
         steps = int(self.owed / self.plant.dt)
         if steps:

@@ -1,12 +1,13 @@
-"""The fish as the plant sees it: bodies, strips, tendons and springs as arrays.
+"""The fish as the plant sees it: bodies, strips, fins, tendons and springs, named.
 
 The same tree as the twin's, from the same description: planar root (x, y, yaw), motor, one hinge
 per link, in that order. Lengths along a body are x towards the nose from the body's own origin
 (the fish frame's for the head, the hinge for a link).
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -16,13 +17,15 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Body, Fish, Part, Servo
 from tailbeat.fish.show import moment_arms
 from tailbeat.fish.twin import compile_twin, inertial
+from tailbeat.pool.kinematics import FRAME, pose
+from tailbeat.pool.tendons import tendon_lengths
 
 Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Rows = NDArray[np.void]
 LONGEST = 0.06  # m, of a strip: four to six on a head
 TIE = 3e5  # N/m: an inextensible pair, 0.5 % softer at the shaft than none
 TIE_DAMPING = 30.0  # N s/m
-FIN = "fin"  # zone whose parts carry circulation
+FIN_ZONE = "fin"  # zone whose parts carry circulation
 
 # Added mass of a rectangular plate over that of a section (DNV-RP-C205), heave and pitch, by aspect
 # ratio; 1 to 3 were checked against a vortex-ring lattice.
@@ -31,70 +34,97 @@ HEAVE = np.array([0.579, 0.690, 0.757, 0.830, 0.872, 0.897, 0.947])
 PITCH = np.array([0.83, 0.89, 0.92, 0.95, 0.96, 0.97, 0.98])  # beyond 3 extended by eye
 
 
-@dataclass(frozen=True, eq=False)
-class Chain:
-    """Arrays for the compiled step; `nv` = 4 + links. Bodies: head, then links.
+# Rows of a `Chain`; lengths and places [m], places along a body from its own origin.
+BODY = np.dtype([(name, float) for name in ("origin", "mass", "centre", "inertia")])
+STRIP = np.dtype([("body", int), *((name, float) for name in ("x", "length", "height"))])
+SHAPE = ("x", "chord", "height", "slope", "heave", "pitch")
+FIN = np.dtype([("body", int), *((name, float) for name in SHAPE)])
+HINGE = np.dtype([("stiffness", float), ("damping", float)])
+GUIDE = np.dtype([("body", int), ("x", float), ("y", float)])
+SIZES = ("x", "radius", "half_width", "sign", "inertia", "mass")
+MOTOR = np.dtype([("crank", bool), *((name, float) for name in SIZES)])  # no crank: a pulley
+LAW = (("stiffness", float), ("damping", float), ("slack", float), ("two_way", bool))
+TENDON = np.dtype([*LAW, ("tied", bool)])
 
-    `origin` (b,) x of each body's origin behind its parent's; `mass`, `centre` (x), `inertia` (b,).
-    Strips: `strip_body`, `strip` (s, 3) x, length, height. Fins: `fin_body`, `fin` (f, 3) x, chord,
-    height. Springs `stiffness`, `damping` (links,). Tendon guides per side: `guide_body`, `guide`
-    (2, g, 2) x, y. `motor` (7,): kind (0 pulley, 1 crank), x, radius, half width, sign, inertia,
-    mass. `tendon` (5,): stiffness, damping, slack, two-way, tied.
+
+class Chain(NamedTuple):
+    """A fish as the compiled step takes it.
+
+    `bodies` (b,) head, then links: x of the origin behind the parent's, mass [kg], x of the centre,
+    inertia [kg m^2]. `strips` (s,) and `fins` (f,): body, x, length or chord, height; for a fin its
+    lift slope over 2 pi and the factors of `fin_factors` on added mass. `hinges` (links,):
+    stiffness [N m/rad], damping [N m s/rad]. `guides` (2, g) of left and right tendon: body, x, y.
+    `motor` and `tendon` (1,): see `MOTOR`, `TENDON`; stiffness [N/m], damping [N s/m].
+    `neutral` (2,): tendon lengths of the straight fish [m]. `nose`, `rear`: x of the nose on the
+    head, of the fin's rear edge on the last body.
     """
 
-    fish: Fish
-    origin: Array
-    mass: Array
-    centre: Array
-    inertia: Array
-    strip_body: Index
-    strip: Array
-    fin_body: Index
-    fin: Array
-    stiffness: Array
-    damping: Array
-    guide_body: Index
-    guide: Array
-    motor: Array
-    tendon: Array
+    bodies: Rows
+    strips: Rows
+    fins: Rows
+    hinges: Rows
+    guides: Rows
+    motor: Rows
+    tendon: Rows
+    neutral: Array
+    nose: float
+    rear: float
 
-    @property
-    def nv(self) -> int:
-        """Degrees of freedom."""
-        return 4 + len(self.stiffness)
+
+def dofs(chain: Chain) -> int:
+    """Degrees of freedom: root x, y, yaw, motor, one hinge per link."""
+    return 4 + len(chain.hinges)
 
 
 def build_chain(fish: Fish) -> Chain:
-    """Arrays of a description. Raises BadInput where the plant cannot carry it."""
+    """The chain of a description. Raises BadInput where the plant cannot carry it."""
     bodies = (fish.head, *fish.tail.links)
     hinges = np.array([0.0, *(link.hinge for link in fish.tail.links)])
-    known = [inertial(body) for body in bodies]
     strips = [row for b, body in enumerate(bodies) for row in _strips(b, body, hinges[b])]
     fins = [row for b, body in enumerate(bodies) for row in _fins(b, body, hinges[b])]
     if not fins:
         raise BadInput(
             f"{fish.name}: no part is in zone fin; the plant needs a fin to shed a wake."
         )
-    scale = fish.tail.stiffness_scale
-    stiffness = np.array([link.stiffness * scale for link in fish.tail.links])
-    guide_body, guide = _guides(fish, hinges)
-    return Chain(
-        fish,
-        np.diff(hinges, prepend=0.0),
-        np.array([k.mass for k in known]),
-        np.array([k.centre[0] for k in known]) - hinges,
-        np.array([k.inertia[2] for k in known]),
-        np.array([row[0] for row in strips], dtype=np.int64),
-        np.array([row[1:] for row in strips]).reshape(-1, 3),
-        np.array([row[0] for row in fins], dtype=np.int64),
-        np.array([row[1:] for row in fins]),
-        stiffness,
-        stiffness * fish.tail.damping_time,
-        guide_body,
-        guide,
+    chain = Chain(
+        _bodies(bodies, hinges),
+        np.array(strips, dtype=STRIP),
+        np.array(fins, dtype=FIN),
+        _springs(fish),
+        _guides(fish, hinges),
         _motor(fish),
         _tendon(fish),
+        np.zeros(2),
+        max(x + length / 2 for body, x, length, _ in strips if body == 0),
+        fins[-1][1] - fins[-1][2] / 2,
     )
+    return chain._replace(neutral=_neutral(chain))
+
+
+def _bodies(bodies: Sequence[Body], hinges: Array) -> Rows:
+    rows, known = np.empty(len(bodies), BODY), [inertial(body) for body in bodies]
+    rows["origin"] = np.diff(hinges, prepend=0.0)
+    rows["mass"] = [k.mass for k in known]
+    rows["centre"] = np.array([k.centre[0] for k in known]) - hinges
+    rows["inertia"] = [k.inertia[2] for k in known]
+    return rows
+
+
+def _springs(fish: Fish) -> Rows:
+    rows = np.empty(len(fish.tail.links), HINGE)
+    scale = fish.tail.stiffness_scale
+    rows["stiffness"] = np.array([link.stiffness * scale for link in fish.tail.links])
+    rows["damping"] = rows["stiffness"] * fish.tail.damping_time
+    return rows
+
+
+def _neutral(chain: Chain) -> Array:
+    """Tendon lengths (2,) of the straight fish."""
+    frames, q = np.zeros(len(chain.bodies), FRAME), np.zeros(dofs(chain))
+    lengths = np.zeros(2)
+    pose(q, q, chain.bodies, frames)
+    tendon_lengths(q, chain, frames, lengths, np.zeros((2, len(q))))
+    return lengths
 
 
 def _wet(body: Body) -> list[Part]:
@@ -103,7 +133,7 @@ def _wet(body: Body) -> list[Part]:
 
 def _strips(number: int, body: Body, x0: float) -> list[tuple[float, ...]]:
     """Slices of a body along x: where parts overlap, the tallest counts, once."""
-    parts = [p for p in _wet(body) if p.zone != FIN]
+    parts = [p for p in _wet(body) if p.zone != FIN_ZONE]
     ends = [(p.position[0] - p.size[0] / 2, p.position[0] + p.size[0] / 2) for p in parts]
     cuts = sorted({round(x, 6) for pair in ends for x in pair})
     found: list[tuple[float, ...]] = []
@@ -119,7 +149,8 @@ def _strips(number: int, body: Body, x0: float) -> list[tuple[float, ...]]:
 
 
 def _fins(number: int, body: Body, x0: float) -> list[tuple[float, ...]]:
-    return [(number, p.position[0] - x0, p.size[0], p.size[2]) for p in _wet(body) if p.zone == FIN]
+    fins = [(p.position[0], p.size[0], p.size[2]) for p in _wet(body) if p.zone == FIN_ZONE]
+    return [(number, x - x0, c, height, *fin_factors(c, height)) for x, c, height in fins]
 
 
 def fin_factors(chord: float, height: float) -> tuple[float, float, float]:
@@ -131,42 +162,42 @@ def fin_factors(chord: float, height: float) -> tuple[float, float, float]:
     return float(slope), float(heave), float(pitch)
 
 
-def _guides(fish: Fish, hinges: Array) -> tuple[Index, Array]:
-    """Bodies (g,) and places (2, g, 2) of the tendon guides, left then right."""
+def _guides(fish: Fish, hinges: Array) -> Rows:
+    """Tendon guides (2, g), left then right."""
     rows = [(0, x, y, 1.0) for x, y in fish.tendons.head_guides]
     for number, link in enumerate(fish.tail.links, start=1):
         side = -1.0 if link.crossed else 1.0
         rows += [(number, x - hinges[number], y, side) for x, y in link.guides]
-    bodies = np.array([row[0] for row in rows], dtype=np.int64)
-    places = np.array([[(x, sign * side * y) for _, x, y, side in rows] for sign in (1, -1)])
-    return bodies, places
+    sides = [[(body, x, sign * side * y) for body, x, y, side in rows] for sign in (1, -1)]
+    return np.array(sides, dtype=GUIDE)
 
 
-def _motor(fish: Fish) -> Array:
+def _motor(fish: Fish) -> Rows:
     motor = fish.motor
     twin = compile_twin(fish)
     data = mujoco.MjData(twin.model)
     mujoco.mj_forward(twin.model, data)
-    sign = np.sign(moment_arms(twin, data)[1])
+    sign = float(np.sign(moment_arms(twin, data)[1]))
     mass = max(motor.mass, 1e-6)
-    kind = 0.0 if motor.kind == "pulley" else 1.0
     inertia = mass * motor.radius**2 / 2
-    return np.array([kind, motor.position[0], motor.radius, motor.half_width, sign, inertia, mass])
+    x, crank = motor.position[0], motor.kind == "crank"
+    row = (crank, x, motor.radius, motor.half_width, sign, inertia, mass)
+    return np.array([row], dtype=MOTOR)
 
 
-def _tendon(fish: Fish) -> Array:
+def _tendon(fish: Fish) -> Rows:
     tendons = fish.tendons
-    if tendons.stiffness is None:
-        return np.array([TIE, TIE_DAMPING, 0.0, 1.0, 1.0])
-    two_way = float(tendons.two_way)
-    return np.array([tendons.stiffness, tendons.damping, tendons.slack, two_way, 0.0])
+    row = (tendons.stiffness, tendons.damping, tendons.slack, tendons.two_way, False)
+    tie = (TIE, TIE_DAMPING, 0.0, True, True)
+    return np.array([tie if tendons.stiffness is None else row], dtype=TENDON)
 
 
-SERVO = ("kp", "kv", "armature", "damping", "friction", "force_limit", "delay")
+NAMES = ("kp", "kv", "armature", "damping", "friction", "force_limit", "delay")
+SERVO = np.dtype([(name, float) for name in NAMES])  # units as in `description.Servo`
 
 
-def servo_row(servo: Servo, tail_friction: float) -> Array:
-    """The numbers of `SERVO`, the tail's friction added to the servo's own."""
-    row = np.array([getattr(servo, name) for name in SERVO])
-    row[4] += tail_friction
-    return row
+def servo_rows(servos: Sequence[Servo], tail_friction: float) -> Rows:
+    """Servos (n,) as rows of `SERVO`, the tail's friction [N m] added to the servo's own."""
+    rows = np.array([tuple(getattr(one, name) for name in NAMES) for one in servos], dtype=SERVO)
+    rows["friction"] += tail_friction
+    return rows

@@ -21,7 +21,7 @@ from tailbeat.pool.plant import (
     build_plant,
     step_plant,
 )
-from tailbeat.pool.section import STATES
+from tailbeat.pool.section import UNDISTURBED
 from tailbeat.pool.water import Water
 
 Array = NDArray[np.float64]
@@ -52,9 +52,7 @@ class PoolSimulator:
         """Straight and still, fins attached, nothing on its way to the servo."""
         for values in (self.state.q, self.state.v, self.state.a, self.state.history):
             values[chosen] = 0.0
-        fins = np.zeros(STATES)
-        fins[3] = 1.0
-        self.state.fins[chosen] = fins
+        self.state.wakes[chosen] = UNDISTURBED
         self.energy[chosen] = 0.0
 
     def draw(self, fish: int, ranges: Randomisation, rng: np.random.Generator) -> None:

@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
 # Wagner lag (A, b) pairs of R. T. Jones (NACA TR 681) [R]: section, aspect ratio 6, aspect ratio 3.
 LAGS: dict[str, tuple[float, float, float, float]] = {
     "section": (0.165, 0.0455, 0.335, 0.300),
@@ -27,7 +25,7 @@ LAGS: dict[str, tuple[float, float, float, float]] = {
 
 @dataclass(frozen=True)
 class Water:
-    """Parameters of the unsteady strip model; equations in `section.py` and `plant.py`.
+    """Parameters of the unsteady strip model; equations in `section.py` and `hydrodynamics.py`.
 
     Lengths are scaled by the fish; numbers without a unit are dimensionless.
     """
@@ -52,14 +50,10 @@ class Water:
     with_stall: bool = True
     with_added_inertia: bool = True
 
-    def row(self) -> Array:
-        """The numbers as the compiled code takes them, in the order of `ROW`."""
-        values = {**asdict(self), **dict(zip(LAG_NAMES, LAGS[self.lag], strict=True))}
-        return np.array([float(values[name]) for name in ROW])
-
 
 LAG_NAMES = ("a1", "b1", "a2", "b2")
-ROW = (*(f.name for f in fields(Water) if f.name != "lag"), *LAG_NAMES)
+NAMES = (*(f.name for f in fields(Water) if f.name != "lag"), *LAG_NAMES)
+ROW = np.dtype([(name, float) for name in NAMES])  # a water as the compiled code takes it
 
 # Variants of one number at a time, the ranges of the notes the plant was built from.
 ENSEMBLE: dict[str, tuple[float | str, ...]] = {
@@ -110,6 +104,11 @@ def fingerprint(pools: Sequence[Water] = ()) -> str:
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:12]
 
 
-def rows(pools: Sequence[Water]) -> Array:
-    """Waters as one array (n, len(ROW))."""
-    return np.array([pool.row() for pool in pools])
+def rows(pools: Sequence[Water]) -> NDArray[np.void]:
+    """Waters as rows (n,) of `ROW`."""
+    return np.array([_row(pool) for pool in pools], dtype=ROW)
+
+
+def _row(pool: Water) -> tuple[float, ...]:
+    values = {**asdict(pool), **dict(zip(LAG_NAMES, LAGS[pool.lag], strict=True))}
+    return tuple(float(values[name]) for name in NAMES)
