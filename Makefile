@@ -22,7 +22,7 @@ swim: $(READY)  ## the main job: open the printed address, drag the target
 	$(TAILBEAT) swim $(ARGS)
 
 benchmark: $(READY)  ## measure speed on this machine
-	$(TAILBEAT) bench $(ARGS)
+	$(TAILBEAT) benchmark $(ARGS)
 
 test: check browser  ## check, then every test that is neither slow nor needs a GPU
 	$(VENV)/bin/pytest -n logical --no-loadscope-reorder $(ARGS)

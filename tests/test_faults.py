@@ -8,6 +8,7 @@ import json
 import math
 import subprocess
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,30 +40,29 @@ def patient() -> Iterator[Bench]:
 @pytest.mark.parametrize("case", [c for c in CASES if c.name in QUICK], ids=lambda c: c.name)
 def test_a_fault_leads_to_its_safe_state_and_says_why(patient, case):
     row = faults.measure(case, patient, POLICY, DRIVE)
-    assert row["ok"], row
+    assert row.ok, row
     if case.safe != "run":
-        assert row["safe_s"] is not None and row["safe_s"] < 10
-        assert case.words in row["operator sees"]
+        assert row.safe_s is not None and row.safe_s < 10
+        assert case.words in row.operator_sees
 
 
 def test_a_fish_that_goes_on_where_it_should_hold_is_not_called_safe(patient, monkeypatch):
     monkeypatch.setattr(faults, "WAIT", 1.0)
     wrong = Case("nothing is broken", "loop", "nothing", "hold", "no pose for")
     row = faults.measure(wrong, patient, POLICY, DRIVE, tries=1)
-    assert not row["ok"]  # it may hold for another reason, and that does not count
+    assert not row.ok  # it may hold for another reason, and that does not count
 
 
 def test_killed_at_random_moments_the_torque_goes_and_the_log_stays(patient):
     rows = faults.kill_at_random(3, patient, POLICY, DRIVE, np.random.default_rng(0))
     for row in rows:
-        assert row["off_s"] < 5.0  # 0.5 s is asked; a busy machine is not the fish
-        assert row["log_lost_s"] < 2.0
+        assert row.off_s < 5.0  # 0.5 s is asked; a busy machine is not the fish
+        assert row.log_lost_s < 2.0
 
 
 def test_the_table_has_a_row_for_every_fault(tmp_path: Path):
-    row = {"fault": "a", "operator sees": "hold: b", "safe state": "hold", "told_s": 0.1,
-           "safe_s": 0.25, "ok": True}  # fmt: skip
-    missed = {**row, "ok": False, "told_s": None, "safe_s": None}
+    row = faults.FaultResult("a", "hold: b", "hold", 0.1, 0.25, True, None)
+    missed = replace(row, ok=False, told_s=None, safe_s=None)
     lines = markdown([row, missed]).splitlines()
     assert lines[2] == "| a | hold: b | hold | 0.10 | 0.25 |"
     assert lines[3] == "| a | hold: b | **not reached** | – | – |"
@@ -92,5 +92,5 @@ def test_every_fault_in_real_time(tmp_path: Path):
     assert done.returncode == 0, [row for row in found["faults"] if not row["ok"]]
     assert {row["fault"] for row in found["faults"]} == {case.title for case in CASES}
     assert all(row["off_s"] < 0.5 and row["log_lost_s"] < 0.5 for row in found["killed"])
-    stops = [row for row in found["faults"] if "torque off" in row["safe state"]]
+    stops = [row for row in found["faults"] if "torque off" in row["safe_state"]]
     assert all(row["safe_s"] is not None and not math.isnan(row["safe_s"]) for row in stops)

@@ -5,7 +5,7 @@ Nothing is imported here; the source is parsed, so lazy and `TYPE_CHECKING` impo
 
 import ast
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
@@ -42,7 +42,14 @@ FLOORS: tuple[tuple[str, ...], ...] = (
 FACE, VERSION = "tailbeat", "tailbeat.__version__"
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 ROBOT_NEEDS = {"numpy", "onnxruntime"}
-MAX_FILE_LINES, MAX_FUNCTION_LINES, MAX_FOLDERS = 500, 60, 2
+MAX_FILE_LINES, MAX_FUNCTION_LINES, MAX_FOLDERS = 400, 60, 2
+LONG_FILE_LINES, MAX_LONG_FILES = 300, 6
+MAX_PARAMETERS, MAX_WIDE_FUNCTIONS = 7, 5  # of a function, and how many may have more
+# Where a result becomes JSON, TOML or rows of a table, and where other people's interfaces and
+# files give dictionaries. Anywhere else a public signature names a type.
+EDGES = {"as_json", "as_report", "as_row", "as_rows", "row", "rows", "errors_row", "tables",
+         "toml_values", "drive_json", "schema", "read_rows", "leaves", "page", "snapshot", "show",
+         "commands", "reset", "training", "provenance"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -182,6 +189,47 @@ def long_functions(module: Module) -> list[str]:
     ]
 
 
+def parameters(node: ast.FunctionDef | ast.AsyncFunctionDef) -> list[ast.arg]:
+    """What a caller gives: `self` and `cls` are left out."""
+    given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+    return [one for one in given if one.arg not in ("self", "cls")]
+
+
+def wide_functions(module: Module) -> list[str]:
+    return [
+        f"{module.name}.{node.name} has {count} parameters"
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        if (count := len(parameters(node))) > MAX_PARAMETERS
+    ]
+
+
+def untyped_signatures(module: Module) -> list[str]:
+    """Public functions, methods and fields that pass a `dict[str, Any]`."""
+    found = []
+    for node in ast.walk(module.tree):
+        match node:
+            case ast.FunctionDef(name=name):
+                hints = [*(one.annotation for one in parameters(node)), node.returns]
+            case ast.ClassDef(body=body):
+                found += [
+                    f"{module.name}.{node.name}.{field.target.id}"
+                    for field in body
+                    if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+                    if is_loose([field.annotation]) and field.target.id not in EDGES
+                ]
+                continue
+            case _:
+                continue
+        if is_loose(hints) and not name.startswith("_") and name not in EDGES:
+            found.append(f"{module.name}.{name}")
+    return found
+
+
+def is_loose(hints: Sequence[ast.expr | None]) -> bool:
+    return any(hint is not None and "dict[str, Any]" in ast.unparse(hint) for hint in hints)
+
+
 def report(faults: list[str]) -> str:
     return "\n  ".join(["", *faults])
 
@@ -232,6 +280,21 @@ def test_files_and_functions_are_short(house: House) -> None:
         if (lines := len(module.text.splitlines())) > MAX_FILE_LINES:
             faults.append(f"{module.name} has {lines} lines; {MAX_FILE_LINES} are allowed")
     assert not faults, report(faults)
+
+
+def test_few_files_are_longer_than_three_hundred_lines(house: House) -> None:
+    long = [m.name for m in house.modules.values() if len(m.text.splitlines()) > LONG_FILE_LINES]
+    assert len(long) <= MAX_LONG_FILES, report(long)
+
+
+def test_few_functions_take_more_than_seven_parameters(house: House) -> None:
+    wide = [w for m in house.modules.values() if m.room != "cli" for w in wide_functions(m)]
+    assert len(wide) <= MAX_WIDE_FUNCTIONS, report([*wide, "give them one frozen config"])
+
+
+def test_results_that_leave_a_room_have_a_type(house: House) -> None:
+    loose = [w for m in house.modules.values() if m.room != "cli" for w in untyped_signatures(m)]
+    assert not loose, report([*loose, "return a frozen dataclass, or list an edge in EDGES"])
 
 
 def test_folders_are_at_most_two_deep() -> None:
@@ -305,3 +368,10 @@ def test_a_long_function_is_found() -> None:
     text = "def long():\n" + "    pass\n" * MAX_FUNCTION_LINES
     assert long_functions(Module("tailbeat.files", text))
     assert not long_functions(Module("tailbeat.files", text.replace("    pass\n", "", 1)))
+
+
+def test_wide_and_loose_signatures_are_found() -> None:
+    text = "def f(a, b, c, d, e, f, g, h): ...\nclass A:\n    x: dict[str, Any]\n"
+    module = Module("tailbeat.fish.show", text + "def g(self, x: int) -> dict[str, Any]: ...\n")
+    assert wide_functions(module) == ["tailbeat.fish.show.f has 8 parameters"]
+    assert untyped_signatures(module) == ["tailbeat.fish.show.A.x", "tailbeat.fish.show.g"]

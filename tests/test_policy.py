@@ -233,7 +233,7 @@ def test_a_fish_is_known_by_its_physics(written):
 def test_differences_name_every_leaf(written):
     one = written[2].contract
     other = replace(one, period=0.01, actions=Direct(LOW, HIGH))
-    named = {row["field"] for row in differences(one, other)}
+    named = {row.field for row in differences(one, other)}
     assert {"period", "actions.kind", "actions.tau"} <= named
     assert differences(one, one) == []
 

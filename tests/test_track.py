@@ -132,7 +132,7 @@ def test_a_lab_s_pictures_make_a_calibration(lab: Path, tmp_path: Path):
     out = tmp_path / "camera.json"
     done = calibrate(str(lab / "views"), lab / "survey.csv", str(lab / "pool.png"),
                                  SHEET, out, 20, quiet)  # fmt: skip
-    assert done["points"] == 9 and done["place_rms_mm"] < 2 and done["views"] == 12
+    assert done.points == 9 and done.place_rms_mm < 2 and done.views == 12
     made = read_calibration(out)
     assert made.hung.position == pytest.approx(Optics().position, abs=0.02)
     assert made.lens.matrix[0, 0] == pytest.approx(Optics().focal, rel=0.005)
@@ -150,8 +150,8 @@ def test_views_are_taken_from_a_film_when_the_board_has_moved(lab: Path, tmp_pat
     heard: list[str] = []
     done = calibrate(str(film), lab / "survey.csv", str(lab / "pool.png"), SHEET, out,
                                  10, heard.append)  # fmt: skip
-    assert done["views"] == 10 and "view 10 of 10" in heard
-    assert done["focal_px"] == pytest.approx(Optics().focal, rel=0.01)
+    assert done.views == 10 and "view 10 of 10" in heard
+    assert done.focal_px == pytest.approx(Optics().focal, rel=0.01)
 
 
 def test_what_is_missing_from_a_calibration_is_said(lab: Path, tmp_path: Path):

@@ -1,5 +1,6 @@
 """Print tags, calibrate a camera, track with it."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -77,7 +78,7 @@ def calibrate(
 
     tags_ = Tag(fish_side, fish_height), Tag(target_side, target_height)
     sheet = camera.Measured(square, *tags_, pool_size(pool))
-    done = camera.calibrate(views, survey, picture, sheet, out, count, output.say)
+    done = asdict(camera.calibrate(views, survey, picture, sheet, out, count, output.say))
     output.tables({"calibration": [done]})
     if json is not None:
         write_json(json, done)

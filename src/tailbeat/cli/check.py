@@ -1,6 +1,7 @@
 """Check devices, faults and timing; keys, logs and the service."""
 
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -43,14 +44,15 @@ def faults(
     from tailbeat.report.fault_table import markdown
 
     done = fault_table.faults(policy, fish, only or [], kills, seed, output.say)
-    output.tables(dict(done))
+    found = asdict(done)
+    output.tables(found)
     if table is not None:
         with new_file(table) as beside:
-            beside.write_text(markdown(done["faults"]), encoding="utf-8")
+            beside.write_text(markdown(done.faults), encoding="utf-8")
     if json is not None:
-        write_json(json, done)
-    torque_off = all(row["off_s"] < SAFE_AFTER_KILL for row in done["killed"])  # False for NaN
-    if not (torque_off and all(row["ok"] for row in done["faults"])):
+        write_json(json, found)
+    torque_off = all(one.off_s < SAFE_AFTER_KILL for one in done.killed)  # False for NaN
+    if not (torque_off and all(one.ok for one in done.faults)):
         raise typer.Exit(1)
 
 

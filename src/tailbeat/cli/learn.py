@@ -84,7 +84,8 @@ def diff(
     """List the fields in which two policies' contracts differ. Exit code 1 if any does."""
     from tailbeat.control.policy import differences, load_policy
 
-    rows = differences(load_policy(first).contract, load_policy(second).contract)
+    found = differences(load_policy(first).contract, load_policy(second).contract)
+    rows = [asdict(one) for one in found]
     results.differences(rows)
     if json is not None:
         write_json(json, rows)

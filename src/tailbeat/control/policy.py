@@ -205,12 +205,21 @@ def _range(band: tuple[float, float]) -> str:
     return f"{band[0]:g}-{band[1]:g}"
 
 
-def differences(a: Contract, b: Contract) -> list[dict[str, Any]]:
-    """Every leaf in which two contracts differ: `field`, `a`, `b`."""
+@dataclass(frozen=True)
+class Difference:
+    """A leaf in which two contracts differ: its name and its two values."""
+
+    field: str
+    a: Any
+    b: Any
+
+
+def differences(a: Contract, b: Contract) -> list[Difference]:
+    """Every leaf in which two contracts differ."""
     left, right = (leaves("", asdict(contract)) for contract in (a, b))
     names = sorted(set(left) | set(right))
     return [
-        {"field": name, "a": left.get(name), "b": right.get(name)}
+        Difference(name, left.get(name), right.get(name))
         for name in names
         if left.get(name) != right.get(name)
     ]

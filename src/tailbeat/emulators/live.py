@@ -42,7 +42,7 @@ def calibrate(folder: Path, seed: int, say: Say) -> Path:
     views, survey, pool = (str(folder / "lab" / n) for n in ("views", "survey.csv", "pool.png"))
     made = folder / "camera.json"
     done = calibration.calibrate(views, Path(survey), pool, sheet, made, VIEWS, lambda _: None)
-    say(f"lens {done['lens_rms_px']:.2f} px, place {done['place_rms_mm']:.1f} mm rms")
+    say(f"lens {done.lens_rms_px:.2f} px, place {done.place_rms_mm:.1f} mm rms")
     return made
 
 

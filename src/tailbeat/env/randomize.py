@@ -75,7 +75,7 @@ class Physics:
 
     twin: Twin
     pool: batch.Batch
-    fields: dict[str, Any]
+    fields: dict[str, Array]
     nominal: dict[str, Array]
 
 

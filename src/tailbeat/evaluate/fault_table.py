@@ -1,21 +1,30 @@
 """Swim every fault of the table in real time and time the way to safety."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from tailbeat.evaluate import faults as table
 from tailbeat.evaluate.fault_bench import open_bench
 from tailbeat.evaluate.fault_cases import CASES
-from tailbeat.evaluate.faults import Row
+from tailbeat.evaluate.faults import FaultResult, KillResult
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.robot import session
 
 
+@dataclass(frozen=True)
+class FaultTable:
+    """Every fault that was tried, and every loop that was killed."""
+
+    faults: list[FaultResult]
+    killed: list[KillResult]
+
+
 def faults(
     policy: str, fish: str, only: Sequence[str], kills: int, seed: int, say: Callable[[str], None]
-) -> dict[str, list[Row]]:
+) -> FaultTable:
     """Every fault, or those whose title or name holds one of the words in `only`, in real time."""
     cases = [
         case
@@ -25,16 +34,17 @@ def faults(
     if not cases and not kills:
         names = ", ".join(case.name for case in CASES)
         raise BadInput(f"--only {' '.join(only)}: no such fault; give some of {names}.")
-    rows, drive = [], session.drive
+    results: list[FaultResult] = []
+    drive = session.drive
     with open_bench(load_fish(fish), [session.__name__]) as bench:
         for number, case in enumerate(cases, 1):
-            rows.append(table.measure(case, bench, policy, drive))
-            say(f"{number}/{len(cases)}  {case.title}: {_short(rows[-1])}")
+            results.append(table.measure(case, bench, policy, drive))
+            say(f"{number}/{len(cases)}  {case.title}: {_short(results[-1])}")
         random = np.random.default_rng(seed)
         killed = table.kill_at_random(kills, bench, policy, drive, random)
-    return {"faults": rows, "killed": killed}
+    return FaultTable(results, killed)
 
 
-def _short(row: Row) -> str:
-    after = "" if row["safe_s"] is None else f" after {row['safe_s']:.2f} s"
-    return f"{row['safe state']}{after}" if row["ok"] else f"NOT SAFE: {row['operator sees']}"
+def _short(one: FaultResult) -> str:
+    after = "" if one.safe_s is None else f" after {one.safe_s:.2f} s"
+    return f"{one.safe_state}{after}" if one.ok else f"NOT SAFE: {one.operator_sees}"

@@ -6,9 +6,8 @@ import math
 import os
 import signal
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,32 +15,50 @@ from tailbeat.evaluate.fault_bench import Bench, Drive, Swim, swimming, wait
 from tailbeat.evaluate.fault_cases import Case
 from tailbeat.robot.log import read_rows
 
-Row = dict[str, Any]
 SWIMMING = 0.8  # s before something is broken
 CALM = 0.3  # s that a tail must be straight, or a swim go on
 WAIT = 6.0  # s for a safe state, times the patience
 
 
-def measure(case: Case, bench: Bench, policy: str, drive: Drive, tries: int = 3) -> Row:
-    """One fault in one swim: a row of the table. Where the outcome is not the one that is safe it
-    is tried again, and `tries` says so: on a busy machine a loop may hold by itself."""
-    row: Row = {}
+@dataclass(frozen=True)
+class FaultResult:
+    """One fault in one swim: what the operator read, the safe state, seconds until it was told and
+    until the servo was safe (None: never), whether both came, seconds of the log that are missing
+    where the process was killed, and at which try."""
+
+    fault: str
+    operator_sees: str
+    safe_state: str
+    told_s: float | None
+    safe_s: float | None
+    ok: bool
+    log_lost_s: float | None
+    tries: int = 1
+
+
+@dataclass(frozen=True)
+class KillResult:
+    """A loop killed with -9: when in its swim [s], seconds until the torque was off (NaN: never),
+    and seconds of the log that are missing."""
+
+    swum_s: float
+    off_s: float
+    log_lost_s: float
+
+
+def measure(case: Case, bench: Bench, policy: str, drive: Drive, tries: int = 3) -> FaultResult:
+    """One fault in one swim. Where the outcome is not the one that is safe it is tried again, and
+    `tries` says so: on a busy machine a loop may hold by itself."""
     for attempt in range(1, tries + 1):
         try:
             with swimming(bench, policy, drive) as swim:
                 wait(swim, lambda: False, SWIMMING)
-                row = {**_row(case, bench, swim, _break(case, bench, swim)), "tries": attempt}
-        except RuntimeError as error:
-            row = {**_nothing(case, str(error)), "tries": attempt}
-        if row["ok"]:
+                result = _result(case, bench, swim, _break(case, bench, swim))
+        except RuntimeError as error:  # the fish did not come to swim
+            result = FaultResult(case.title, str(error), case.safe, None, None, False, None)
+        if result.ok or attempt == tries:
             break
-    return row
-
-
-def _nothing(case: Case, why: str) -> Row:
-    """The row of a fish that did not come to swim."""
-    times = {"told_s": None, "safe_s": None, "ok": False, "log_lost_s": None}
-    return {"fault": case.title, "operator sees": why, "safe state": case.safe, **times}
+    return replace(result, tries=attempt)
 
 
 def _break(case: Case, bench: Bench, swim: Swim) -> float:
@@ -56,7 +73,7 @@ def _break(case: Case, bench: Bench, swim: Swim) -> float:
     return swim.broken
 
 
-def _row(case: Case, bench: Bench, swim: Swim, broken: float) -> Row:
+def _result(case: Case, bench: Bench, swim: Swim, broken: float) -> FaultResult:
     began, safe_at = broken, _safe_at(case, bench, swim, broken)
     if case.name == "servo cable":  # nobody can tell the servo anything until then
         began = bench.ask("plug")
@@ -64,15 +81,15 @@ def _row(case: Case, bench: Bench, swim: Swim, broken: float) -> Row:
     since = [(when - broken, text) for when, text in swim.lines if when >= broken]
     told = next(((when, text) for when, text in since if _is(case, text)), None)
     seen = told or (since or [(0.0, swim.lines[-1][1])])[0]
-    return {
-        "fault": case.title,
-        "operator sees": seen[1],
-        "safe state": {"gone": "torque off", "stop": "stop: torque off"}.get(case.safe, case.safe),
-        "told_s": told[0] if told else None,
-        "safe_s": None if math.isnan(safe_at) else max(safe_at - began, 0.0),
-        "ok": not math.isnan(safe_at) and (told is not None or case.safe in ("gone", "run")),
-        "log_lost_s": _lost(swim.log, broken) if case.name == "SIGKILL" else None,
-    }
+    return FaultResult(
+        fault=case.title,
+        operator_sees=seen[1],
+        safe_state={"gone": "torque off", "stop": "stop: torque off"}.get(case.safe, case.safe),
+        told_s=told[0] if told else None,
+        safe_s=None if math.isnan(safe_at) else max(safe_at - began, 0.0),
+        ok=not math.isnan(safe_at) and (told is not None or case.safe in ("gone", "run")),
+        log_lost_s=_lost(swim.log, broken) if case.name == "SIGKILL" else None,
+    )
 
 
 def _is(case: Case, text: str) -> bool:
@@ -118,17 +135,15 @@ def _lost(log: Path, killed: float) -> float:
 
 def kill_at_random(
     times: int, bench: Bench, policy: str, drive: Drive, rng: np.random.Generator
-) -> list[Row]:
-    """The loop's process is killed with -9, each time at another moment of its swim; one row each:
-    when, how soon the torque was off, how much of the log is missing."""
-    rows: list[Row] = []
-    while len(rows) < times:
+) -> list[KillResult]:
+    """The loop's process is killed with -9, each time at another moment of its swim."""
+    results: list[KillResult] = []
+    while len(results) < times:
         with swimming(bench, policy, drive) as swim:
             swum = float(rng.uniform(0.0, 1.0))
             wait(swim, lambda: False, swum)
             os.kill(swim.process.pid, signal.SIGKILL)
             killed = time.monotonic()
             off = _safe_at(Case("", "", "", "gone"), bench, swim, killed)
-            row = {"swum_s": swum, "off_s": off - killed, "log_lost_s": _lost(swim.log, killed)}
-            rows.append(row)
-    return rows
+            results.append(KillResult(swum, off - killed, _lost(swim.log, killed)))
+    return results

@@ -96,21 +96,21 @@ def toml_values(found: TailResult, recordings: Sequence[str]) -> dict[str, dict[
     fit, source = found.fit, f"identified on {', '.join(recordings)}"
     k = fit.k_eff.value
 
-    def entry(value: float, unit: str, interval: Sequence[float]) -> dict[str, Any]:
+    def _entry(value: float, unit: str, interval: Sequence[float]) -> dict[str, Any]:
         edges = [float(f"{max(edge, 0.0):.5g}") for edge in interval]
         number = float(f"{max(value, 0.0):.6g}")
         return {"value": number, "unit": unit, "interval": edges, "source": source}
 
     damping = [edge / k for edge in fit.c_eff.interval]
     written: dict[str, dict[str, Any] | str] = {
-        "tail.k_eff": entry(k, "N m/rad", fit.k_eff.interval),
-        "tail.damping_time": entry(fit.c_eff.value / k, "s", damping),
-        "tail.friction": entry(fit.coulomb.value, "N m", fit.coulomb.interval),
-        "tail.stiffness_scale": entry(1.0, "1", (1.0, 1.0)),
+        "tail.k_eff": _entry(k, "N m/rad", fit.k_eff.interval),
+        "tail.damping_time": _entry(fit.c_eff.value / k, "s", damping),
+        "tail.friction": _entry(fit.coulomb.value, "N m", fit.coulomb.interval),
+        "tail.stiffness_scale": _entry(1.0, "1", (1.0, 1.0)),
     }
     for i, stiffness in enumerate(found.hinges.stiffness):
         edges = [stiffness * edge / k for edge in fit.k_eff.interval]
-        written[f"tail.links.{i}.stiffness"] = entry(stiffness, "N m/rad", edges)
+        written[f"tail.links.{i}.stiffness"] = _entry(stiffness, "N m/rad", edges)
     return written
 
 

@@ -1,20 +1,19 @@
 """The fault table as Markdown."""
 
-from typing import Any
+from collections.abc import Sequence
 
+from tailbeat.evaluate.faults import FaultResult
 from tailbeat.report import tables
 
-Row = dict[str, Any]
 
-
-def markdown(rows: list[Row]) -> str:
+def markdown(results: Sequence[FaultResult]) -> str:
     """The table as docs/deploy.md has it."""
     head = ("fault", "the operator reads", "safe state", "told after [s]", "safe after [s]")
-    return tables.markdown(head, [_cells(row) for row in rows]) + "\n"
+    return tables.markdown(head, [_cells(one) for one in results]) + "\n"
 
 
-def _cells(row: Row) -> list[str]:
-    state = row["safe state"] if row["ok"] else "**not reached**"
-    times = [row["told_s"], None if row["safe state"] == "run" else row["safe_s"]]
+def _cells(one: FaultResult) -> list[str]:
+    state = one.safe_state if one.ok else "**not reached**"
+    times = [one.told_s, None if one.safe_state == "run" else one.safe_s]
     shown = ["–" if value is None else f"{value:.2f}" for value in times]
-    return [row["fault"], row["operator sees"], state, *shown]
+    return [one.fault, one.operator_sees, state, *shown]

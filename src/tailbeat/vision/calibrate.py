@@ -34,9 +34,27 @@ class Measured:
     pool: tuple[float, float] = POOL
 
 
+@dataclass(frozen=True)
+class CalibrationResult:
+    """What was calibrated: the file, how many views and points, focal length and misfit of the lens
+    [px], misfit of the place [mm], the camera's place [m], heights of the tags above the water's
+    surface [m], length and width of the pool [m]."""
+
+    file: str
+    views: int
+    lens_rms_px: float
+    focal_px: float
+    points: int
+    place_rms_mm: float
+    camera_m: list[float]
+    fish_height_m: float
+    target_height_m: float
+    pool_m: list[float]
+
+
 def calibrate(
     views: str, survey: Path, picture: str, sheet: Measured, out: Path, count: int, say: Say
-) -> dict[str, Any]:
+) -> CalibrationResult:
     """Lens from views of the board, place from surveyed points, one file. `sheet` is what
     was measured by hand. Raises BadInput."""
     refuse_existing(out)
@@ -55,12 +73,12 @@ def calibrate(
     }  # fmt: skip
     made = Calibration(lens, hung, fish, target, pool=sheet.pool, provenance=provenance)
     write_calibration(out, made)
-    return {
-        "file": str(out), "views": len(images), "lens_rms_px": lens.rms,
-        "focal_px": float(lens.matrix[0, 0]), "points": len(points),
-        "place_rms_mm": 1e3 * hung.rms, "camera_m": hung.position.tolist(),
-        "fish_height_m": fish.height, "target_height_m": target.height, "pool_m": list(sheet.pool),
-    }  # fmt: skip
+    return CalibrationResult(
+        file=str(out), views=len(images), lens_rms_px=lens.rms,
+        focal_px=float(lens.matrix[0, 0]), points=len(points), place_rms_mm=1e3 * hung.rms,
+        camera_m=hung.position.tolist(), fish_height_m=fish.height,
+        target_height_m=target.height, pool_m=list(sheet.pool),
+    )  # fmt: skip
 
 
 def _is_camera(where: str) -> bool:
