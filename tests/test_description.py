@@ -4,6 +4,7 @@ import tomllib
 
 import pytest
 
+from tailbeat.evaluate.open_loop import beat, summary
 from tailbeat.files import BadInput
 from tailbeat.fish.store import (
     fish_path,
@@ -129,12 +130,10 @@ def test_a_field_that_the_file_lacks_is_added_where_it_belongs(tmp_path):
 
 
 def test_template_is_a_fish_that_compiles_and_swims_forward(tmp_path):
-    from tailbeat.report.open_loop import open_loop
-
     new_fish(tmp_path / "mine.toml")
     fish = load_fish(tmp_path / "mine.toml")
     assert fish.name == "mine"
-    done = open_loop(fish, tmp_path / "runs")
-    assert done.speed_m_s > 0.005
+    done, _ = beat(fish, 1.5)
+    assert summary(done).speed_m_s > 0.005
     with pytest.raises(BadInput, match="exists already"):
         new_fish(tmp_path / "mine.toml")
