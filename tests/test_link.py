@@ -11,6 +11,7 @@ import pytest
 from support import until
 from tailbeat.files import BadInput
 from tailbeat.link import datagrams as link
+from tailbeat.link.addresses import address
 from tailbeat.link.datagrams import (
     FRAMES,
     LENGTHS,
@@ -142,6 +143,39 @@ def test_a_sender_answers_signed_questions_only():
     assert tell_datagram(KEY, RUN, asked, 200, 210) is not None
     assert tell_datagram(bytes(32), RUN, asked, 200, 210) is None
     assert tell_datagram(KEY, RUN, asked[:-1] + b"x", 200, 210) is None
+
+
+def test_an_answer_counts_once_and_only_with_times_that_can_be():
+    to = receiver()
+
+    def answer(sequence: int, asked: int, received: int, sent: int) -> bytes:
+        packet = tell_datagram(
+            KEY, RUN, ask_datagram(KEY, to.nonce, sequence, asked), received, sent
+        )
+        assert packet is not None
+        return packet
+
+    to.take(answer(1, 100, 900, 910), 200)
+    assert len(to.clock.echoes) == 1
+    to.take(answer(1, 100, 900, 910), 201)  # replayed
+    to.take(answer(2, 300, 900, 910), 299)  # answered before it was asked
+    to.take(answer(3, 250, 911, 910), 300)  # sent before it was received
+    assert len(to.clock.echoes) == 1 and to.rejected["old"] == 3
+    to.take(answer(4, 300, 920, 920), 300)  # at once is possible
+    assert len(to.clock.echoes) == 2
+
+
+@pytest.mark.parametrize("text", ["127.0.0.1", ":5151", "127.0.0.1:x", "127.0.0.1:65536"])
+def test_an_address_needs_host_and_port(text):
+    with pytest.raises(BadInput, match="give host:port"):
+        address(text, "--listen")
+
+
+def test_an_address_is_looked_up_once():
+    assert address("localhost:0", "--listen") == ("127.0.0.1", 0)
+    assert address("127.0.0.1:65535", "--listen") == ("127.0.0.1", 65535)
+    with pytest.raises(BadInput, match=r"nobody\.invalid"):
+        address("nobody.invalid:5151", "--station")
 
 
 def test_a_frame_s_age_is_right_though_the_clocks_differ_drift_and_the_net_is_uneven():

@@ -50,6 +50,15 @@ def test_known_numbers_come_back_inside_their_intervals():
     assert found["c"] == pytest.approx(1.0, rel=0.01)  # left at its prior
 
 
+def test_data_better_than_their_stated_deviation_give_the_same_intervals():
+    """Deviations stated twice too large: the scatter of the residuals shows it."""
+    effort = Effort(20, 10, 10)
+    right = intervals(SPACE, [search(residuals, SPACE, 0, effort)])
+    stated = intervals(SPACE, [search(lambda z: residuals(z) / 2, SPACE, 0, effort)])
+    for index in (0, 1, 3):  # c has no effect
+        assert np.diff(stated[index]) == pytest.approx(np.diff(right[index]), rel=0.15)
+
+
 def test_same_seed_same_result_and_seeds_agree():
     effort = Effort(12, 10, 10)
     first, again = (search(residuals, SPACE, 3, effort) for _ in range(2))

@@ -230,10 +230,9 @@ def polish(
     central: bool = False,
 ) -> Array:
     """Levenberg-Marquardt with the prior as extra residuals; several dampings tried per call."""
-    # `mujoco.minimize.least_squares` reached costs within 0.15 % on servos with a third of the
-    # candidates, but from one seed of the tests' curve took 103 calls where this takes 14. This
-    # one stays: a diverged twin's residuals are infinite, which the other cannot handle, and
-    # identified fish of fixed seeds must not change.
+    # `mujoco.minimize.least_squares` was tried: within 0.15 % of these costs on two servos with a
+    # third of the candidates; on one seed of the tests' curve it took 103 calls for 14. This one
+    # stays because identified fish of fixed seeds must not change. Not tried on a fluid fit.
     low, high = bounds(space)
     dampings = np.array([1e-3, 1e-2, 1e-1, 1.0, 10.0])
     best = np.inf
