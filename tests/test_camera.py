@@ -159,7 +159,7 @@ def test_frames_come_newest_first_and_never_queue(filmed):
     image, stamp = camera.read()
     assert stamp - first > 0.5e9  # and not the second frame
     assert isinstance(camera, Drained) and camera.skipped > 1
-    ages = time.monotonic_ns() + 37_000_000_000 - stamp  # on the laptop's clock
+    ages = time.monotonic_ns() + 37_000_000_000 - stamp  # on the station's clock
     assert 0 < ages < 5e9
     assert {one.ident for one in open_detector().find(image)} == {0, 1}
     camera.close()

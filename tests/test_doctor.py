@@ -138,7 +138,7 @@ def test_ports_that_are_absent_held_or_slow_are_found(bench, tmp_path):
         assert slow.verdict == verdict and slow.found == f"{waits} ms"
 
 
-# ---- key and laptop -----------------------------------------------------------------------------
+# ---- key and station -----------------------------------------------------------------------------
 
 
 def test_keys_that_are_absent_open_to_others_or_short_are_found(tmp_path):
@@ -156,7 +156,7 @@ def test_keys_that_are_absent_open_to_others_or_short_are_found(tmp_path):
 KEY = bytes(32)
 
 
-def laptop(made, key: bytes, ended: threading.Event, see: bool, skip: int, slow: float) -> None:
+def station(made, key: bytes, ended: threading.Event, see: bool, skip: int, slow: float) -> None:
     """A tracker in miniature: answers, and sends sixty frames a second, some of them lost."""
     sequence, fish, nonce = 0, None, None
     while not ended.wait(1 / 60):
@@ -178,12 +178,12 @@ def laptop(made, key: bytes, ended: threading.Event, see: bool, skip: int, slow:
 @pytest.mark.parametrize(
     ("key", "see", "skip", "slow", "expected"),
     [
-        (KEY, True, 1, 0.0, {"laptop answers": OK, "fish seen": OK, "target seen": WARN}),
+        (KEY, True, 1, 0.0, {"station answers": OK, "fish seen": OK, "target seen": WARN}),
         (KEY, False, 1, 0.0, {"fish seen": BAD}),
         (KEY, True, 5, 0.0, {"datagrams lost": BAD, "poses per second": BAD}),
         (KEY, True, 1, 0.12, {"clocks compared": BAD}),
         (KEY, True, 10**9, 0.0, {"poses": BAD}),
-        (bytes(31) + b"x", True, 1, 0.0, {"laptop answers": BAD}),
+        (bytes(31) + b"x", True, 1, 0.0, {"station answers": BAD}),
     ],
     ids=["well", "no tag", "loss", "slow network", "no camera", "another key"],
 )
@@ -191,7 +191,7 @@ def test_what_is_wrong_between_laptop_and_fish_is_found(key, see, skip, slow, ex
     theirs, ours = link.bind("127.0.0.1", 0), link.bind("127.0.0.1", 0)
     ended = threading.Event()
     words = (theirs, key, ended, see, skip, slow)
-    thread = threading.Thread(target=laptop, args=words, daemon=True)
+    thread = threading.Thread(target=station, args=words, daemon=True)
     thread.start()
     receiver = link.Receiver(KEY, (5.5, 2.7))
     found = {

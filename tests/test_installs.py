@@ -158,7 +158,7 @@ def test_the_robot_s_environment_drives_a_servo_and_an_imu_that_another_serves(r
         with own_devices("pulley-fish", 0) as (ports, key):
             words = ["drive", "pulley-fish-pool-generator", "--servo", ports.servo]
             words += ["--imu", ports.imu, "--listen", "{}:{}".format(*ports.listen)]
-            words += ["--station", "{}:{}".format(*ports.laptop), "--key", str(key)]
+            words += ["--station", "{}:{}".format(*ports.station), "--key", str(key)]
             words += ["--target", "1.5,0.5", "--seconds", "6", "--log", str(log)]
             run(robot / "tailbeat", *words, "--json", report, code=(0, 1))
         found = json.loads(report.read_text())

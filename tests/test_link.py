@@ -179,7 +179,7 @@ def test_an_address_is_looked_up_once():
 
 
 def test_a_frame_s_age_is_right_though_the_clocks_differ_drift_and_the_net_is_uneven():
-    """The laptop's clock is 40 s ahead and 30 ppm fast; ways of 1 to 40 ms, not the same there and
+    """The station's clock is 40 s ahead and 30 ppm fast; ways of 1 to 40 ms, not the same there and
     back."""
     rng, to, ahead, fast = np.random.default_rng(2), receiver(), 40 * SECOND, 1 + 30e-6
 
@@ -216,11 +216,11 @@ def test_echoes_are_forgotten_after_a_while():
 
 
 def test_datagrams_cross_a_real_socket_and_a_stranger_s_are_counted():
-    fish, laptop = bind("127.0.0.1", 0), bind("127.0.0.1", 0)
+    fish, station = bind("127.0.0.1", 0), bind("127.0.0.1", 0)
     to = receiver()
     for k in range(10):
-        laptop.sendto(sent(to, k), fish.getsockname())
-        laptop.sendto(b"hello", fish.getsockname())
+        station.sendto(sent(to, k), fish.getsockname())
+        station.sendto(b"hello", fish.getsockname())
 
     def heard() -> bool:
         for data, _ in drain(fish):
@@ -233,7 +233,7 @@ def test_datagrams_cross_a_real_socket_and_a_stranger_s_are_counted():
         bind(*fish.getsockname())
     with pytest.raises(BadInput, match="not all of them"):
         bind("0.0.0.0", 0)
-    for one in (fish, laptop):
+    for one in (fish, station):
         one.close()
 
 

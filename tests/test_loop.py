@@ -142,7 +142,7 @@ def test_an_order_to_stop_takes_the_torque_at_once(swimming):
     order = link.stop_datagram(KEY, 1, receiver.nonce, 1)
     swimming.rig.station.socket.sendto(order, swimming.rig.station.fish)
     swimming.ticks(lambda: swimming.loop.safety_status.state is State.STOP, 2.0)
-    assert swimming.torque == 0 and "console" in swimming.loop.safety_status.text
+    assert swimming.torque == 0 and "operator page" in swimming.loop.safety_status.text
 
 
 def test_a_cut_link_holds_and_then_stops(swimming):

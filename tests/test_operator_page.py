@@ -44,7 +44,7 @@ from tailbeat.operator.client import (
     announce,
     is_local,
     open_client,
-    open_console,
+    open_page,
     turn,
 )
 from tailbeat.operator.snapshot import body
@@ -77,7 +77,7 @@ JPEG = bytes.fromhex(
 
 @dataclass
 class Lab:
-    """A loop that ticks, the rig under it, and the rig's console."""
+    """A loop that ticks, the rig under it, and the rig's operator page."""
 
     loop: Loop
     rig: bench.Rig
@@ -316,9 +316,9 @@ def test_stop_takes_the_torque_off_even_from_a_page_that_may_only_watch(lab, chr
         (keys.click(field_) if field_ else keys).send_keys(" ").perform()
     lab.stands(State.STOP)
     until(lambda: lab.torque == 0)
-    assert lab.loop.safety_status.text == "stop asked by the console"
+    assert lab.loop.safety_status.text == "stop asked by the operator page"
     shows(chromium, State.STOP)
-    assert "asked by the console" in shown(chromium, "reason")
+    assert "asked by the operator page" in shown(chromium, "reason")
     assert chromium.get_log("browser") == []
 
 
@@ -448,7 +448,7 @@ def test_the_fish_is_drawn_where_its_tag_is_and_bends_to_the_motor_s_side():
     assert fin[0] < nose[0] - 0.4 and left[-1][1] > fin[1] + 0.02
 
 
-# ---- the laptop's verb --------------------------------------------------------------------------
+# ---- the station's verb --------------------------------------------------------------------------
 
 
 def test_the_laptop_answers_orders_and_stops_the_fish_when_it_ends(tmp_path: Path):
@@ -540,4 +540,4 @@ def test_what_a_console_cannot_have_is_one_sentence(tmp_path: Path):
     with pytest.raises(BadInput, match="give its --calibration"):
         swim.station("127.0.0.1:1", tmp_path, "127.0.0.1:2", camera="/dev/video0")
     with pytest.raises(BadInput, match="give host:port"):
-        open_console("8080")
+        open_page("8080")

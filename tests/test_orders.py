@@ -1,4 +1,4 @@
-"""Orders and status: what the fish obeys, what the laptop believes, over real sockets."""
+"""Orders and status: what the fish obeys, what the station believes, over real sockets."""
 
 import math
 import time
@@ -164,7 +164,7 @@ def test_a_reporter_speaks_ten_times_a_second_and_tells_the_worst_since():
     assert (statuses[-1].numbers.target_x, statuses[-1].numbers.pose_age) == (1.0, math.inf)
 
 
-# ---- the laptop's side, against a fish of sockets ----------------------------------------------
+# ---- the station's side, against a fish of sockets ----------------------------------------------
 
 
 @dataclass
@@ -204,11 +204,11 @@ class Pair:
 
 @pytest.fixture
 def pair() -> Iterator[Pair]:
-    fish, laptop = link.bind("127.0.0.1", 0), link.bind("127.0.0.1", 0)
-    sender = Sender(KEY, laptop, fish.getsockname(), run=RUN)
+    fish, station = link.bind("127.0.0.1", 0), link.bind("127.0.0.1", 0)
+    sender = Sender(KEY, station, fish.getsockname(), run=RUN)
     yield Pair(sender, Receiver(KEY, (5.5, 2.7)), Reporter(), fish)
     fish.close()
-    laptop.close()
+    station.close()
 
 
 def test_a_sender_meets_a_fish_shows_it_frames_and_hears_how_it_is(pair):

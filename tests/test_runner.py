@@ -106,7 +106,7 @@ HOLD_CASES: dict[str, dict[str, Any]] = {
     "watchdog process is gone": {"guarded": False},
 }
 STOP_CASES: dict[str, dict[str, Any]] = {
-    "asked by the console": {"stop_asked": "the console"},
+    "asked by the operator page": {"stop_asked": "the operator page"},
     "hardware error": {"alert": True},
     "error: overload": {"hardware": "overload"},
     "does not follow": {"follows": False},

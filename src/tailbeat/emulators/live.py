@@ -95,7 +95,7 @@ def swim(
     fish: str,
     targets: int,
     seed: int,
-    console: str,
+    page: str,
     out: Path,
     say: Say,
 ) -> None:
@@ -117,7 +117,7 @@ def swim(
         drive += ["--log", str(out / "swim.mcap")]
         watch = ["station", "--robot", robot, "--listen", station, "--key", str(key)]
         watch += ["--fish", fish, "--camera", ports["camera"], "--calibration", str(made)]
-        watch += ["--page", console]
+        watch += ["--page", page]
         tour = ["--tour", str(targets), "--seed", str(seed), "--json", str(out / "tour.json")]
         watch += tour if targets else [f"--begin={TARGET}"]
         own = stack.enter_context(started(drive, out / "drive.log"))

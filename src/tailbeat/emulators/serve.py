@@ -13,7 +13,7 @@ from tailbeat.fish.store import load_fish
 from tailbeat.link.addresses import address
 from tailbeat.link.datagrams import read_key
 from tailbeat.link.places import place
-from tailbeat.operator.client import announce, open_console, turn
+from tailbeat.operator.client import announce, open_page, turn
 from tailbeat.processes import told_to_end
 from tailbeat.robot import timing
 
@@ -24,7 +24,7 @@ def rig(fish: str, key: Path, robot: str, target: str, page: str, seed: int, say
     """Serve emulated devices until told to stop; says where it is as one line of JSON."""
     there, aim = address(robot, "--robot"), place(target)
     described, secret = load_fish(fish), read_key(key)
-    client = open_console(page)
+    client = open_page(page)
     made = bench.open_rig(described, secret, there, aim, seed)
     ended = told_to_end()
     _hurry(made)

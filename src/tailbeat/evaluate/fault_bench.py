@@ -184,10 +184,10 @@ class Swim:
 def swimming(bench: Bench, policy: str, drive: Drive) -> Iterator[Swim]:
     """A loop that swims on a fresh rig. Raises RuntimeError where it does not come to swim."""
     robot = link.free_address()
-    laptop = bench.ask("new", robot)
+    station = bench.ask("new", robot)
     bench.swims += 1
     log = bench.folder / f"{bench.swims}.mcap"
-    ports = Ports(str(bench.folder / "servo"), str(bench.folder / "imu"), robot, laptop)
+    ports = Ports(str(bench.folder / "servo"), str(bench.folder / "imu"), robot, station)
     ours, theirs = bench.context.Pipe()
     config = DriveConfig(policy, ports, bench.key, log, seconds=1e3)
     process = bench.context.Process(target=_run, args=(theirs, drive, config, bench.patience))

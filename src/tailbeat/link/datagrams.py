@@ -1,4 +1,4 @@
-"""Poses and orders from laptop to fish: small signed datagrams; the newest counts.
+"""Poses and orders from station to fish: small signed datagrams; the newest counts.
 
 A pose datagram holds the three newest frames, so one lost costs nothing; it is signed with a shared
 key (HMAC-SHA256, 16 bytes) and carries the fish's own nonce, drawn at its start, so that nothing

@@ -29,7 +29,7 @@ class Reason(Enum):
     SERVO_LATE = "no servo for {ms:.0f} ms"
     YAW_RATE_LATE = "no yaw rate for {ms:.0f} ms"
     POSE_LATE = "no pose for {ms:.0f} ms"
-    CLOCK_JUMPED = "the laptop's clock jumped by {value:.2f} s"
+    CLOCK_JUMPED = "the station's clock jumped by {value:.2f} s"
     POSE_AHEAD = "a pose is {ms:.0f} ms in the future: a clock jumped"
     POSES_IMPLAUSIBLE = "{value:.0f} poses in a row are too far from the one before"
     IMU_FROZEN = "the IMU's numbers do not change"

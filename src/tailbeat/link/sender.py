@@ -1,4 +1,4 @@
-"""The laptop's end of the link: sends frames, clock answers and orders; receives the status.
+"""The station's end of the link: sends frames, clock answers and orders; receives the status.
 
 A plain object that its owner steps; it has no thread and knows nothing of cameras or pools.
 """
@@ -36,7 +36,7 @@ class Pending:
 
 @dataclass(eq=False)
 class Sender:
-    """The laptop's end; `work` it often, at least a few hundred times a second, and `show` it every
+    """The station's end; `work` it a few hundred times a second or more, and `show` it every
     frame. `clock` gives its own monotonic time [ns]. `target` [m], if set, stands in for what the
     camera saw; the fish is told the length and width of the `pool` [m]. `status` is the fish's
     last, heard at `heard` [s]; `said` is what became of the last order."""

@@ -1,6 +1,6 @@
-"""The robot's status: one signed datagram ten times a second, to the laptop.
+"""The robot's status: one signed datagram ten times a second, to the station.
 
-It names the sender's run that the robot hears, so that the laptop accepts none that was recorded
+It names the sender's run that the robot hears, so that the station accepts none that was recorded
 before its own start, and the number of the newest order taken, so that a lost order is repeated.
 """
 

@@ -33,7 +33,7 @@ COMMANDS = 20  # read at once
 
 @dataclass(eq=False)
 class OperatorClient:
-    """An open console; see `open_desk`. `url` holds the token."""
+    """An open operator page; see `open_client`. `url` holds the token."""
 
     listening: socket.socket
     room: tuple[float, float]
@@ -98,17 +98,17 @@ class OperatorClient:
         self.process.stdin.flush()
 
 
-def open_console(console: str, pool: tuple[float, float] = POOL) -> OperatorClient | None:
+def open_page(page: str, pool: tuple[float, float] = POOL) -> OperatorClient | None:
     """The operator's page at `host:port` for a pool of this length and width [m], or None where
     the address is empty."""
-    if not console:
+    if not page:
         return None
     need("the operator page", "fastapi", "uvicorn", "websockets")
-    return open_client(address(console, "--page"), pool)
+    return open_client(address(page, "--page"), pool)
 
 
 def open_client(at: tuple[str, int], room: tuple[float, float]) -> OperatorClient:
-    """Open the console at host and port (0: any free one) for a pool of this size [m]. Raises
+    """Open the operator page at host and port (0: any free one) for a pool of this size [m]. Raises
     BadInput where the address cannot be had. Returns when the page can be seen."""
     if at[0] in ("", "0.0.0.0"):
         raise BadInput("--page: give the address of one network, not all of them.")
@@ -134,7 +134,7 @@ def open_client(at: tuple[str, int], room: tuple[float, float]) -> OperatorClien
     client._keep(time.monotonic())
     if not client.commands(READY):
         client.close()
-        raise BadInput("the console's server did not start; see what it said above.")
+        raise BadInput("the operator page's server did not start; see what it said above.")
     return client
 
 
@@ -145,11 +145,11 @@ def is_local(host: str) -> bool:
 
 def announce(client: OperatorClient) -> list[str]:
     """What the operator must know: where it is, and whether others can reach it."""
-    lines = [f"console: {client.url}"]
+    lines = [f"operator page: {client.url}"]
     if not is_local(client.listening.getsockname()[0]):
         lines.append(
-            "warning: the console is open to this network, unencrypted: everyone on it can watch"
-            " and STOP, and can read the token on the way. Use a network of your own."
+            "warning: the operator page is open to this network, unencrypted: everyone on it can"
+            " watch and STOP, and can read the token on the way. Use a network of your own."
         )
     return lines
 

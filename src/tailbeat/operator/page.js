@@ -2,7 +2,7 @@
 
 import { draggable, draw } from "./map.js";
 
-const SILENT = 1.0; // s without a word from the fish, or from the laptop
+const SILENT = 1.0; // s without a word from the fish, or from the station
 const MOVES = 50; // ms between two places of a dragged target
 const SLACK = 0.15; // s that a status may be old without the pose being older
 const ICONS = {
@@ -21,14 +21,14 @@ let token = new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
 // ---- what goes out ----
 
 function send(command) {
-  if (socket?.readyState !== WebSocket.OPEN) return say("not sent: no connection to the laptop", true);
+  if (socket?.readyState !== WebSocket.OPEN) return say("not sent: no connection to the station", true);
   socket.send(JSON.stringify({ token, ...command }));
 }
 
 function stop() {
   stopping = performance.now() + 3000;
   if (socket?.readyState === WebSocket.OPEN) socket.send('{"do": "stop"}');
-  else fetch("stop", { method: "POST" }).catch(() => say("STOP not sent: no connection to the laptop", true));
+  else fetch("stop", { method: "POST" }).catch(() => say("STOP not sent: no connection to the station", true));
 }
 
 // An order to stop that the fish has not followed is sent again.
@@ -119,7 +119,7 @@ function state() {
   body.classList.toggle("silent", silent);
   byId("icon").setAttribute("d", ICONS[status?.state ?? "none"]);
   byId("state").textContent = status?.state ?? "no fish";
-  byId("reason").textContent = cut ? "no connection to the laptop: this is the last that came"
+  byId("reason").textContent = cut ? "no connection to the station: this is the last that came"
     : !status ? "the fish has not answered yet"
     : silent ? `nothing from the fish for ${status.age.toFixed(1)} s; it was: ${status.reason}` : status.reason;
   countdown(status);

@@ -1,4 +1,4 @@
-"""The console's server, a process of its own: one page, a live socket, the camera's newest picture.
+"""The operator page's server, a process of its own: page, live socket, newest camera picture.
 
 Everyone who reaches it may watch and STOP; every order that moves the fish needs the token. A
 browser gets the next snapshot when it has drawn the last, so a slow one sees fewer, never older.
@@ -82,7 +82,7 @@ class Shown:
                 return ""
             except OSError:
                 await asyncio.sleep(0.01)
-        return "the laptop is too busy to take it; try again"
+        return "the station is too busy to take it; try again"
 
 
 # ---- commands -----------------------------------------------------------------------------------

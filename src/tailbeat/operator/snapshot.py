@@ -1,4 +1,4 @@
-"""What the page shows, as one JSON-ready dictionary: all that the laptop knows of the fish.
+"""What the page shows, as one JSON-ready dictionary: all that the station knows of the fish.
 
 Lengths in metres, angles in radians, times in seconds, as everywhere; the page chooses its units.
 """

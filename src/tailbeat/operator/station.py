@@ -16,7 +16,7 @@ from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import Order
 from tailbeat.link.places import POOL
 from tailbeat.link.sender import Sender
-from tailbeat.operator.client import OperatorClient, announce, open_console, turn
+from tailbeat.operator.client import OperatorClient, announce, open_page, turn
 from tailbeat.operator.leader import Leader
 from tailbeat.processes import told_to_end
 
@@ -78,7 +78,7 @@ def work(
     order the robot to stop, because nobody watches it any more. Raises BadInput."""
     described, secret = load_fish(config.fish), link.read_key(config.key)
     made, pool = link.bind(*config.listen), pool_of(tracker, say)
-    client = open_console(config.page, pool)
+    client = open_page(config.page, pool)
     for line in announce(client) if client else []:
         say(line)
     ended = told_to_end(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

@@ -1,4 +1,4 @@
-"""One target after the other, as the laptop sees it: which is next, and what became of the others.
+"""One target after the other, as the station sees it: which is next, and what became of the others.
 
 Decisions alone: the caller gives the poses that the camera saw and sends the target. A
 target is reached when the tag comes within the arrival's distance of it, and given up after a time.

@@ -10,10 +10,10 @@ from tailbeat.robot.servo import Servo
 
 @dataclass(frozen=True, eq=False)
 class Devices:
-    """What the loop reads and writes; status and questions for the clock go to `laptop`."""
+    """What the loop reads and writes; status and questions for the clock go to `station`."""
 
     servo: Servo
     imu: Imu
     receiver: Receiver
     socket: socket.socket
-    laptop: tuple[str, int]
+    station: tuple[str, int]

@@ -31,13 +31,13 @@ class Parts:
     servo: str = ""
     imu: str = ""
     listen: tuple[str, int] | None = None
-    laptop: tuple[str, int] | None = None
+    station: tuple[str, int] | None = None
     key: Path | None = None
 
     @classmethod
     def of(cls, ports: Ports, key: Path) -> "Parts":
         """The parts at a fish's ports."""
-        return cls(ports.servo, ports.imu, ports.listen, ports.laptop, key)
+        return cls(ports.servo, ports.imu, ports.listen, ports.station, key)
 
 
 def examine(
@@ -120,11 +120,11 @@ def _of_device(
 
 
 def of_link(parts: Parts) -> list[Finding]:
-    """Key, address, laptop."""
+    """Key, address, station."""
     if parts.listen is None and parts.key is None:
         return []
     key = doctor_link.check_key(parts.key)
-    if key.verdict == BAD or parts.key is None or parts.listen is None or parts.laptop is None:
+    if key.verdict == BAD or parts.key is None or parts.listen is None or parts.station is None:
         return [key]
     try:
         made = link.bind(*parts.listen)
@@ -132,4 +132,4 @@ def of_link(parts: Parts) -> list[Finding]:
         return [key, finding("own address", str(error), bad=True, do="give another")]
     with made:
         receiver = link.Receiver(link.read_key(parts.key))
-        return [key, *doctor_link.check_link(made, parts.laptop, receiver)]
+        return [key, *doctor_link.check_link(made, parts.station, receiver)]

@@ -20,7 +20,7 @@ WHITE = 250
 DO = {
     "camera": "plug it in; end what else uses it; v4l2-ctl --list-devices",
     "calibration": "tailbeat calibrate; docs/camera.md says how",
-    "frames per second": "exposure locked, 2 ms or less? MJPG? nothing else on the laptop?",
+    "frames per second": "exposure locked, 2 ms or less? MJPG? nothing else on the station?",
     "exposure": "lock it so that white is not quite white: v4l2-ctl -l; move lamps that shine back",
     "fish's tag": "its own id, whole, flat and without glare in view; tailbeat track says why not",
     "target's tag": "float it, whole and in view; or drag a target on the page",

@@ -1,4 +1,4 @@
-"""Checks of the shared key and of the link to the laptop: clocks, loss, age of the poses."""
+"""Checks of the shared key and of the link to the station: clocks, loss, age of the poses."""
 
 import contextlib
 import math
@@ -14,7 +14,7 @@ from tailbeat.robot.findings import Finding, finding
 from tailbeat.robot.safety import SafetyLimits
 
 LIMITS = SafetyLimits()
-LISTEN = 2.0  # s to the laptop
+LISTEN = 2.0  # s to the station
 
 
 def check_key(path: Path | None) -> Finding:
@@ -29,9 +29,9 @@ def check_key(path: Path | None) -> Finding:
 
 
 def listen_to(
-    made: socket.socket, laptop: tuple[str, int], receiver: Receiver, seconds: float
+    made: socket.socket, station: tuple[str, int], receiver: Receiver, seconds: float
 ) -> list[tuple[int, float]]:
-    """Ask the laptop for its clock and take its poses for so long; sequence and age [s] of
+    """Ask the station for its clock and take its poses for so long; sequence and age [s] of
     each, NaN while the clocks were not compared."""
     heard: list[tuple[int, float]] = []
     end, asked, questions = time.monotonic() + seconds, 0.0, 0
@@ -40,7 +40,7 @@ def listen_to(
             asked, questions = now, questions + 1
             ask = link.ask_datagram(receiver.key, receiver.nonce, questions, time.monotonic_ns())
             with contextlib.suppress(OSError):
-                made.sendto(ask, laptop)
+                made.sendto(ask, station)
         for data, _ in link.drain(made):
             before, now_ns = receiver.accepted, time.monotonic_ns()
             receiver.take(data, now_ns)
@@ -53,22 +53,22 @@ def listen_to(
 
 def check_link(
     made: socket.socket,
-    laptop: tuple[str, int],
+    station: tuple[str, int],
     receiver: Receiver,
     seconds: float = LISTEN,
     limits: SafetyLimits = LIMITS,
 ) -> list[Finding]:
     """Clock offset, loss, age of the poses, and whether fish and target are seen."""
-    heard = listen_to(made, laptop, receiver, seconds)
+    heard = listen_to(made, station, receiver, seconds)
     offset = receiver.clock.offset(time.monotonic_ns())
     if offset is None:
         strange = f"; dropped: {dict(receiver.rejected)}" if receiver.rejected else ""
-        where = f"{laptop[0]}:{laptop[1]}"
-        return [finding("laptop answers", f"nothing from {where}{strange}", bad=True)]
+        where = f"{station[0]}:{station[1]}"
+        return [finding("station answers", f"nothing from {where}{strange}", bad=True)]
     ahead, doubt = offset[0] / link.SECOND, offset[1] / link.SECOND
     said = f"ahead by {ahead:.3f} s, known to {1e3 * doubt:.1f} ms"
     known = finding("clocks compared", said, bad=doubt >= limits.clock_doubt, warn=doubt > 0.01)
-    answers = finding("laptop answers", "yes")
+    answers = finding("station answers", "yes")
     if not heard:
         return [answers, known, finding("poses", f"none in {seconds:g} s", bad=True)]
     return [answers, known, *_poses(heard, receiver.frames[0], seconds, limits)]

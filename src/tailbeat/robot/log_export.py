@@ -1,5 +1,5 @@
-"""Turn a robot's log into a recording. This happens on the laptop: it needs polars, which the robot
-does not install.
+"""Turn a robot's log into a recording. This happens on the station: the robot
+does not install polars.
 """
 
 from dataclasses import replace

@@ -106,7 +106,7 @@ class Loop:
         return decision
 
     def _listen(self, now: float) -> None:
-        """Datagrams of this period, and a question for the laptop's clock now and then."""
+        """Datagrams of this period, and a question for the station's clock now and then."""
         receiver = self.devices.receiver
         for data, _ in link.drain(self.devices.socket):
             receiver.take(data, time.monotonic_ns())
@@ -119,10 +119,10 @@ class Loop:
 
     def _to_laptop(self, datagram: bytes) -> None:
         with contextlib.suppress(OSError):  # a network that is down shows in the poses' age
-            self.devices.socket.sendto(datagram, self.devices.laptop)
+            self.devices.socket.sendto(datagram, self.devices.station)
 
     def _report(self, row: Row) -> None:
-        """Send the laptop a status, where one is due."""
+        """Send the station a status, where one is due."""
         target = self.poses.newest_target()
         said = self.reporter.report(row, self.late, self.devices.receiver, self.limits, target)
         if said is not None:
@@ -187,10 +187,10 @@ class Loop:
             self.pace.latency.add(self.poses.age(time.monotonic_ns()) or 0)
 
     def _obey(self, order: Order, now: float) -> None:
-        """An order from the laptop; only a robot that is disarmed or on hold is armed."""
+        """An order from the station; only a robot that is disarmed or on hold is armed."""
         self.ordered = True
         if order is Order.STOP:
-            self.stop_asked = self.stop_asked or "the console"
+            self.stop_asked = self.stop_asked or "the operator page"
         elif order is Order.DISARM:
             self.disarm()
         elif order is Order.SWIM:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Ports:
-    """Where the devices are: serial ports, our own address, the laptop's."""
+    """Where the devices are: serial ports, our own address, the station's."""
 
     servo: str
     imu: str
     listen: tuple[str, int]
-    laptop: tuple[str, int]
+    station: tuple[str, int]

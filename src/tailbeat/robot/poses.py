@@ -1,4 +1,4 @@
-"""The camera's frames as the loop believes them: poses, their age, and the laptop's clock."""
+"""The camera's frames as the loop believes them: poses, their age, and the station's clock."""
 
 import math
 import time
@@ -16,14 +16,14 @@ from tailbeat.robot.plausible import Bounds
 from tailbeat.robot.safety import SafetyLimits
 
 FRAMES = 3
-ASK_EVERY = 0.25  # s between two questions for the laptop's clock
+ASK_EVERY = 0.25  # s between two questions for the station's clock
 
 
 @dataclass(eq=False)
 class Poses:
     """Frames with the fish in them, `seen`, newest last; `jumps` counts implausible ones in a row.
     `target` [m], if set, stands in for the target's tag. `clock_step` [s] is by how much the
-    laptop's clock jumped since arming."""
+    station's clock jumped since arming."""
 
     receiver: Receiver
     bounds: Bounds
@@ -33,7 +33,7 @@ class Poses:
     jumped_at: int = 0  # ns, capture of the newest implausible frame
     clock_step: float = 0.0
     compared: int = -1  # sequence of the last echo looked at
-    asked: float = -math.inf  # s, when the laptop was asked for its clock
+    asked: float = -math.inf  # s, when the station was asked for its clock
     questions: int = 0
 
     def update(self, limits: SafetyLimits) -> None:
@@ -54,7 +54,7 @@ class Poses:
         self.seen.append(frame)
 
     def _compare_clocks(self, limits: SafetyLimits) -> None:
-        """After a jump of the laptop's clock only the echoes since count, and the stamps of the
+        """After a jump of the station's clock only the echoes since count, and the stamps of the
         frames are put on the new clock unless they are on it already."""
         receiver = self.receiver
         if receiver.told == self.compared:
@@ -81,7 +81,7 @@ class Poses:
             self.seen.append(frame if on_it else shifted)
 
     def question(self, now: float) -> bytes | None:
-        """A datagram that asks for the laptop's clock, where one is due at `now` [s]."""
+        """A datagram that asks for the station's clock, where one is due at `now` [s]."""
         if now - self.asked < ASK_EVERY:
             return None
         self.asked, self.questions = now, self.questions + 1

@@ -1,4 +1,4 @@
-"""The robot's status for the laptop, made of the loop's rows."""
+"""The robot's status for the station, made of the loop's rows."""
 
 import math
 from collections.abc import Mapping

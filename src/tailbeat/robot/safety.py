@@ -43,7 +43,7 @@ class Health:
 
     `hardware` names the servo's errors and `imu_frozen` says that the IMU's numbers do not change;
     `follows`: whether the shaft moves when asked; `jumps`: frames in a row with an impossible pose;
-    `clock_step` [s] of the laptop's clock since arming; `guarded`: whether the watchdog process
+    `clock_step` [s] of the station's clock since arming; `guarded`: whether the watchdog process
     would turn torque off if the loop died."""
 
     pose_age: float = math.inf

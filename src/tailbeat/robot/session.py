@@ -22,7 +22,7 @@ from tailbeat.robot.results import DriveResult, summarise
 Say = Callable[[str], None]
 Each = Callable[[Loop], None]
 OPERATOR = "the operator"  # who asked to stop, where a signal did
-WAIT_TO_ARM = 10.0  # s for the first poses and the laptop's clock
+WAIT_TO_ARM = 10.0  # s for the first poses and the station's clock
 
 
 def log_in(path: Path) -> Path:
@@ -74,7 +74,7 @@ def _open_devices(config: DriveConfig, key: bytes) -> Iterator[Devices]:
         _prepare(gyro, ports.imu)
         receiver = link.Receiver(key)  # it is told the pool's size
         with link.bind(*ports.listen) as heard:
-            yield Devices(motor, gyro, receiver, heard, ports.laptop)
+            yield Devices(motor, gyro, receiver, heard, ports.station)
     finally:
         motor.close()
         if gyro is not None:

@@ -1,7 +1,7 @@
 """One seam for what gives pictures: a camera, a film, or the virtual pool's socket.
 
 `read` gives the newest frame and when its exposure's middle was, on this machine's monotonic clock
-(the virtual camera says its own laptop's). A thread drains whatever queues, since a queue is lag
+(the virtual camera says its own station's). A thread drains whatever queues, since a queue is lag
 (OpenCV's holds four frames, and more where it is told one). A camera that is gone, or whose frames
 stop, raises one CameraFault; nothing hangs.
 """

@@ -22,7 +22,7 @@ from tailbeat.vision.camera import CameraFault, open_camera
 from tailbeat.vision.tags import FISH, TARGET
 from tailbeat.vision.tracker import Picture, Sighting, Tracker, TrackerLimits
 
-PREVIEW = 0.1  # s between two pictures for the console
+PREVIEW = 0.1  # s between two pictures for the operator page
 PREVIEW_SIZE = (640, 360)
 QUALITY = 70  # of their JPEG
 SILENT = 5.0  # s without a word from a process that has spoken: it hangs; cameras give up earlier
