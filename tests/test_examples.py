@@ -47,3 +47,11 @@ def test_the_test_bench_is_identified():
 def test_an_own_algorithm_runs_on_an_own_reward():
     first, second = said("own_reward.py", "--rounds", "2").splitlines()
     assert "cm nearer" in first and first.split(":")[1] != second.split(":")[1]
+
+
+def test_the_readme_s_python_runs_and_prints_what_it_says(capsys):
+    text = (EXAMPLES.parent / "README.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    exec(code, {})
+    rate, seconds = capsys.readouterr().out.split()
+    assert f"# {float(rate):.1f} of 20 targets, {float(seconds):.1f} s" in code
