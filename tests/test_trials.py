@@ -36,13 +36,12 @@ from tailbeat.evaluate.trial import Condition, Pool, swim, swim_all
 from tailbeat.files import BadInput, plain
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.runs import tracked_pose
-from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.link.places import POOL
 from tailbeat.pool.water import Water
 from tailbeat.report.page import of_folder
 
 FISH, TWIN = load_fish("pulley-fish"), load_fish("pulley-fish-pool")
 POLICY = "pulley-fish-pool-generator"
-POOL = (LENGTH, WIDTH)
 SPACE = load_policy(POLICY).contract.actions
 
 

@@ -27,7 +27,7 @@ from tailbeat.fish.outline import outline
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import Frame
-from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.link.places import POOL
 from tailbeat.link.sender import Sender
 from tailbeat.pool.plant import Surroundings, at_rest, build_plant, step_plant
 from tailbeat.pool.water import Water
@@ -48,7 +48,7 @@ class PlantShaft(Shaft):
     water: Water = field(default_factory=Water, kw_only=True)
 
     def __post_init__(self) -> None:
-        around = [Surroundings(walls=(LENGTH, WIDTH))]
+        around = [Surroundings(walls=POOL)]
         self.plant = build_plant(self.fish, [self.water], around=around)
         self.state, self.gain, self.owed = (
             at_rest(self.plant),

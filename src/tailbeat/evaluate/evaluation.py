@@ -22,7 +22,7 @@ from tailbeat.evaluate.track import TrackResult
 from tailbeat.evaluate.trial import CHUNK, Condition, Pool, Progress, swim_all
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import digest, load_fish
-from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.link.places import POOL
 from tailbeat.pool.water import Water, ablations, ensemble, fingerprint
 from tailbeat.robot.fits import check_swims
 
@@ -48,7 +48,7 @@ class EvaluationConfig:
     pool: str = "ensemble"
     tasks: tuple[str, ...] = NAMES
     episodes: int = 250
-    walls: tuple[float, float] = (LENGTH, WIDTH)
+    walls: tuple[float, float] = POOL
     seed: int = 0
 
 

@@ -12,14 +12,14 @@ from tailbeat.env.task import Settings, Task
 from tailbeat.env.world import World
 from tailbeat.evaluate.trial import Progress
 from tailbeat.fish.description import Fish
-from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.link.places import POOL
 from tailbeat.operator.tour import TargetResult
 from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water
 
 Array = NDArray[np.float64]
-WALLS = (LENGTH, WIDTH)
+WALLS = POOL
 PATIENCE = 30.0  # s for one target
 
 

@@ -22,7 +22,7 @@ from tailbeat.evaluate import store
 from tailbeat.evaluate.runs import SHOWN, Runs
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
-from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.link.places import POOL
 from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water
@@ -72,7 +72,7 @@ class Pool:
     waters: tuple[Water, ...]
     count: int
     seed: int
-    walls: tuple[float, float] = (LENGTH, WIDTH)
+    walls: tuple[float, float] = POOL
 
     def condition(self, name: str, scene: Scene, **changed: Any) -> Condition:
         """A condition in the pool's waters, one after the other."""

@@ -25,7 +25,7 @@ from tailbeat.identify.protocol import (
 )
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.identify.shaft import mean_held
-from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.link.places import LENGTH, POOL, WIDTH
 from tailbeat.pool.plant import (
     Surroundings,
     Swum,
@@ -110,7 +110,7 @@ def record_fluid(
         side, launch = rng.uniform(-0.2, 0.2, 2), launch_of(command, fish)
         begin = _begin(command, 0.0 if launch is None else launch[0])
         start = np.array([[begin, side[0], side[1] / 2]])
-        around = Surroundings(walls=(LENGTH, WIDTH))
+        around = Surroundings(walls=POOL)
         swum = _play(fish, command, water, around, None, DT, start, launch)
         pose = tracked_pose(fish, swum.q[0, :, :3])
         seconds = _until_wall(swum.time, pose)

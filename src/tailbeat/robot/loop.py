@@ -115,9 +115,9 @@ class Loop:
             self._obey(order, now)
         question = self.poses.question(now)
         if question is not None:
-            self._to_laptop(question)
+            self._to_station(question)
 
-    def _to_laptop(self, datagram: bytes) -> None:
+    def _to_station(self, datagram: bytes) -> None:
         with contextlib.suppress(OSError):  # a network that is down shows in the poses' age
             self.devices.socket.sendto(datagram, self.devices.station)
 
@@ -126,7 +126,7 @@ class Loop:
         target = self.poses.newest_target()
         said = self.reporter.report(row, self.late, self.devices.receiver, self.limits, target)
         if said is not None:
-            self._to_laptop(said)
+            self._to_station(said)
 
     def health(self, now: float) -> Health:
         """What is known at this moment."""

@@ -45,7 +45,7 @@ class Camera(Protocol):
         middle of its exposure [ns]. Raises CameraFault."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close it."""
 
 
 @dataclass(eq=False)
