@@ -13,7 +13,7 @@ export TAILBEAT_DATA
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help mutation swim benchmark test check format browser clean
+.PHONY: help mutation swim benchmark docs test check format browser clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /\1\t/' | expand -t 10
@@ -23,6 +23,10 @@ swim: $(READY)  ## the main job: open the printed address, drag the target
 
 benchmark: $(READY)  ## measure speed on this machine
 	$(TAILBEAT) benchmark $(ARGS)
+
+docs: export NO_MKDOCS_2_WARNING = 1
+docs: $(READY)  ## build the documentation site into build/site; a wrong link is an error
+	$(VENV)/bin/mkdocs build --strict -q $(ARGS)
 
 test: check browser  ## check, then every test that is neither slow nor needs a GPU
 	$(VENV)/bin/pytest -n logical --no-loadscope-reorder $(ARGS)
@@ -52,5 +56,5 @@ clean:  ## remove caches and builds; runs/ and .venv stay
 
 $(READY): pyproject.toml constraints.txt
 	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/pip install -q -c constraints.txt -e '.[all,dev]'
+	$(VENV)/bin/pip install -q -c constraints.txt -e '.[all,dev,docs]'
 	@touch $@
