@@ -27,19 +27,55 @@ CHUNK = 4096  # bytes: about a seventh of a second of rows, so much may be lost
 WAITING = 500  # rows, ten seconds
 TOPIC, NOTES = "/swim", "tailbeat"
 SECOND = 1_000_000_000
-ARRAYS = ("observation", "action", "decided_on")
-TEXTS = ("state", "reason", "cause")
+# What a row may hold. A number that is not finite is left out of its row.
+NUMBERS = {
+    "time_s": "when the period was due, monotonic clock [s]",
+    "command_rad": "setpoint that the servo was sent last [rad]",
+    "setpoint_rad": "setpoint of the policy, before limits; while it swims [rad]",
+    "motor_angle_rad": "shaft angle that the servo measured [rad]",
+    "motor_velocity_rad_s": "shaft speed that the servo measured [rad/s]",
+    "yaw_rate_rad_s": "yaw rate of the IMU, counter-clockwise positive [rad/s]",
+    "x_m": "newest believed pose: x in the pool [m]",
+    "y_m": "newest believed pose: y in the pool [m]",
+    "yaw_rad": "newest believed pose: heading, counter-clockwise from x [rad]",
+    "pose_age_s": "time since the newest pose was captured [s]",
+    "clock_doubt_s": "possible error of the compared clocks [s]",
+    "temperature_deg_c": "servo temperature [deg C]",
+    "voltage_v": "supply at the servo [V]",
+    "current_a": "mean servo current [A]",
+    "band_share": "fraction of the tail's power below the band's upper edge",
+    "below_band_share": "fraction of the tail's power below the band's lower edge",
+    "late_s": "how late the period began [s]",
+    "busy_s": "time from the period's begin to its row [s]",
+    "compute_s": "processor time of the loop's thread in the period [s]",
+    "missed": "periods missed within the last second",
+    "spikes": "yaw rates refused since the start",
+    "pose_jumps": "implausible poses in a row",
+}
+ARRAYS = {
+    "observation": "24 inputs of the policy, scaled; empty while it does not swim",
+    "action": "outputs of the policy; empty while it does not swim",
+    "decided_on": "three newest frames, newest first, each x, y, yaw, target x, target y, age"
+    " [m, m, rad, m, m, s]; empty while the policy does not swim",
+}
+TEXTS = {
+    "state": "disarmed, armed, run, hold or stop",
+    "reason": "why it is in this state, as the operator reads it",
+    "cause": "the reason's name",
+}
 # What `rows` must have to be a recording that identification reads; see `log_export`.
 COLUMNS = ("command_rad", "motor_angle_rad", "yaw_rate_rad_s", "x_m", "y_m", "yaw_rad")
 
 
 def schema() -> dict[str, Any]:
-    """Of a row: numbers by their unit-suffixed names, null where there was none."""
-    number = {"type": ["number", "null"]}
+    """JSON schema of a row, in what Foxglove understands: one type a field, no `null` among them
+    (its parser refuses a list of types, and with it the whole topic)."""
+    number, text = {"type": "number"}, {"type": "string"}
     listed = {"type": "array", "items": number}
-    named = {"time_s": number, **dict.fromkeys(COLUMNS, number), **dict.fromkeys(ARRAYS, listed)}
-    texts = {name: {"type": "string"} for name in TEXTS}
-    return {"type": "object", "properties": {**named, **texts}, "additionalProperties": number}
+    kinds = ((NUMBERS, number), (ARRAYS, listed), (TEXTS, text))
+    fields = {n: {**kind, "description": d} for names, kind in kinds for n, d in names.items()}
+    base = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "tailbeat.Row"}
+    return {**base, "type": "object", "properties": fields, "additionalProperties": False}
 
 
 @dataclass(eq=False)
@@ -105,7 +141,8 @@ def _write(log: Log, notes: dict[str, str]) -> None:
 
 
 def _text(row: Mapping[str, Any]) -> str:
-    return json.dumps({name: _plain(value) for name, value in row.items()})
+    plain = {name: _plain(value) for name, value in row.items()}
+    return json.dumps({name: value for name, value in plain.items() if value is not None})
 
 
 def _plain(value: Any) -> Any:
@@ -123,13 +160,14 @@ def _plain(value: Any) -> Any:
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Every whole row of a log, also of one whose writer was killed. Raises BadInput."""
+    """Every whole row of a log, also of one whose writer was killed; a number that a row lacks is
+    None. Raises BadInput."""
     if not path.is_file():
         raise BadInput(f"{path}: no such file; give a log, .mcap.")
-    rows = []
+    absent, rows = dict.fromkeys(NUMBERS), []
     with path.open("rb") as file:
         for text in _messages(file):
-            rows.append(json.loads(text))
+            rows.append({**absent, **json.loads(text)})
     if not rows:
         raise BadInput(f"{path}: no rows of a swim in it; give a log of `tailbeat drive`.")
     return rows
