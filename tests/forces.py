@@ -2,7 +2,7 @@
 
 Why a second implementation: the tests hold the engine to it. The engine's law
 changed once without a changelog line (Kutta lift, MuJoCo 3.14) and lacks a half (added mass). What
-that means for published coefficients is in docs/fluid.md.
+that means for published coefficients is in docs/explain/fluid-law.md.
 
 Frame of the law: the geom's own axes, at the geom's centre; velocities are of that centre relative
 to the water; forces and torques are those of the water on the geom. SI, 64 bit. Leading batch axes

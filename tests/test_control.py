@@ -219,7 +219,7 @@ def test_a_target_is_seen_from_the_fish():
 
 
 def test_the_docs_show_the_table():
-    page = (Path(__file__).parents[1] / "docs" / "control.md").read_text()
+    page = (Path(__file__).parents[1] / "docs" / "explain" / "action-spaces.md").read_text()
     assert as_markdown() in page
 
 

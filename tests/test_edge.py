@@ -131,7 +131,7 @@ def test_the_even_engine_swims_backward_for_good_and_a_trailing_edge_does_not() 
 def test_correcting_every_control_period_errs_by_one_percent_of_the_path(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Median 0.5 %, at most 1.2 % (strokes of 0.6 rad); docs/fluid.md has 4 to 40 ms."""
+    """Median 0.5 %, at most 1.2 % (strokes of 0.6 rad)."""
     fish, errors = load_fish("pulley-fish-pool"), []
     for launch in (-0.3, -0.03, 0.3):
         monkeypatch.setattr(edge, "HOLD", PERIOD)

@@ -54,7 +54,7 @@ def test_the_policies_fit_the_shipped_twin(name):
 
 
 def test_the_shipped_generator_reaches_its_targets_in_twin_and_pool():
-    """Far below what docs/training.md reports of a thousand: here are but forty each."""
+    """Far below what the documentation reports of a thousand: here are but forty each."""
     policy = load_policy(BEST)
     settings = settings_of(FRONT, policy.contract.actions)
     twin = reach(policy, in_twin(TWIN, settings), 40, seed=3)

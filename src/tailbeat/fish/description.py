@@ -28,14 +28,14 @@ class Medium(_Model):
 
 
 class Simulation(_Model):
-    """Step [s] and integrator. Why `implicit` and 2 ms by default: docs/twin.md."""
+    """Step [s] and integrator. Why `implicit` and 2 ms by default: docs/explain/twin.md."""
 
     step: u.Time = Field(default=0.002, gt=0, le=0.02)
     integrator: Literal["implicit", "implicitfast", "Euler", "RK4"] = "implicit"
 
 
 class Zone(_Model):
-    """Five coefficients of the ellipsoid law (docs/fluid.md), dimensionless, non-negative."""
+    """Five coefficients of the ellipsoid law, dimensionless, not below 0; docs/explain/fluid-law.md."""
 
     blunt: u.Ratio = Field(ge=0)
     slender: u.Ratio = Field(ge=0)

@@ -13,7 +13,8 @@ keeps its part along the chord when u changes sign: thrust stays thrust. A rear 
 lost some of it; r is identified from launched swims.
 
 `u` follows from positions and velocities alone: the law has no memory. One fish or thousands weigh
-their own coefficients with `weigh` once every `HOLD`; docs/fluid.md says what that interval errs.
+their own coefficients with `weigh` once every `HOLD`. What that interval errs is in
+docs/experiments/2026-11-steps-and-integrators.md.
 """
 
 from dataclasses import dataclass

@@ -135,12 +135,12 @@ def _warnings(fish: Fish, k_read: float) -> list[str]:
     if fish.added_inertia == 0:
         found.append(
             "added inertia is off: the engine applies only the velocity half of added mass, which"
-            " pulls a beating fin rearwards (docs/twin.md)"
+            " pulls a beating fin rearwards (docs/explain/twin.md)"
         )
     if fish.trailing_edge is None:
         found.append(
             "lift has no trailing edge: a twin that is launched backward may swim backward for good"
-            " (docs/fluid.md)"
+            " (docs/explain/fluid-law.md)"
         )
     for name, zone in fish.zones.items():
         if zone.kutta > 6.3:

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 def whole(fish: Fish) -> Fish:
     """The fish with every correction on: added mass as inertia, across the parts alone, and lift
-    with a trailing edge; explicit Euler, which is exact and cheap with it (docs/twin.md)."""
+    with a trailing edge; explicit Euler, exact and cheap with it (docs/explain/twin.md)."""
     changed = {
         "added_inertia": 1.0,
         "added_along": 0.0,

@@ -129,7 +129,7 @@ def forward_checks(fish: Fish, runs: Sequence[Run]) -> list[Run]:
 
     No data, but knowledge: a beating fish does not swim backwards. The engine's lone velocity half
     of added mass pulls a beating fin rearwards, and its even lift holds a launched fish to a
-    backward gait (docs/twin.md). Replayed swims say for themselves what a launched fish does.
+    backward gait (docs/explain/twin.md). Replayed swims show themselves what a launched fish does.
     """
     cruises = [run for run in runs if run.motor is None]
     if not cruises:
