@@ -106,7 +106,7 @@ def hinge_force(plant: Plant, rate: float, push: float, angle: float) -> float:
 
 
 def test_an_oscillating_plate_in_still_water_is_not_pulled_anywhere():
-    """Potential flow has no mean force; the engine's velocity half alone has (docs/explain/twin.md)."""
+    """Potential flow has no mean force; the engine's velocity half alone has one."""
     slender = as_strips(build_plant(FISH, [BARE]))
     phase = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     for omega, stroke in ((6.0, 0.6), (50.0, 0.075)):
@@ -332,7 +332,7 @@ def test_what_the_plant_cannot_carry_is_refused():
 
 
 def test_the_water_is_frozen():
-    """The hash stands in docs/explain/pool.md; a change of the water is a change of every result."""
+    """The hash stands in docs/explain/pool.md: a change of the water changes every result."""
     page = (Path(__file__).parents[1] / "docs" / "explain" / "pool.md").read_text()
     assert f"`{fingerprint()}`" in page
 
