@@ -35,7 +35,7 @@ class Simulation(_Model):
 
 
 class Zone(_Model):
-    """Five coefficients of the ellipsoid law, dimensionless, 0 or more; docs/explain/fluid-law.md."""
+    """Five coefficients of the ellipsoid law (no unit, 0 or more): docs/explain/fluid-law.md."""
 
     blunt: u.Ratio = Field(ge=0)
     slender: u.Ratio = Field(ge=0)
