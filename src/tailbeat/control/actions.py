@@ -25,26 +25,32 @@ PERIOD = 0.02  # s, of control
 class Generator:
     """Scales and ceilings of the trajectory generator.
 
-    `ceiling` [Hz] binds the fundamental, as in the paper (4 Hz in training), where the second
-    harmonic reaches twice as far; or, with `binds` "signal", the signal: the fundamental then stays
-    below half. `offset`, `first`, `second` [rad] are the largest theta_c, |a_1|, |b_1| and |a_2|,
-    |b_2|: the paper does not print them; these are chosen. `tau` [s] is the paper's. `low`, `high`
-    [rad] are the servo's range, to which the setpoint is clipped.
-
-    `floor` [Hz] is the lowest fundamental that an action can ask for. 0 lets the generator stop.
-    Contracts written before this field have none and mean 0.
+    The paper prints `tau` and the ceiling of 4 Hz. It does not print `offset`, `first` and
+    `second`: these are chosen.
     """
 
     low: float
+    """Lowest angle of the servo [rad]. The setpoint is clipped to it."""
     high: float
+    """Highest angle of the servo [rad]. The setpoint is clipped to it."""
     ceiling: float = 4.0
+    """Highest frequency [Hz] of what `binds` names."""
     binds: Literal["fundamental", "signal"] = "fundamental"
+    """What the ceiling limits. With `fundamental` (the paper) the second harmonic reaches twice the
+    ceiling. With `signal` the fundamental stays below half of it."""
     offset: float = 0.8
+    """Largest mean angle, theta_c [rad]."""
     first: float = 1.0
+    """Largest size of the first harmonic's a_1 and b_1 [rad]."""
     second: float = 0.4
+    """Largest size of the second harmonic's a_2 and b_2 [rad]."""
     tau: float = 0.1
+    """Time constant with which the generator follows the action [s]."""
     floor: float = 0.0
+    """Lowest fundamental that an action can ask for [Hz]. With 0 the generator can stop. A contract
+    without this field means 0."""
     kind: Literal["generator"] = "generator"
+    """Name of the action space."""
 
     @property
     def fundamental(self) -> float:
@@ -57,18 +63,25 @@ class Direct:
     """The action is the motor's angle, -1 to 1 over `low` to `high` [rad]."""
 
     low: float
+    """Lowest angle of the servo [rad]."""
     high: float
+    """Highest angle of the servo [rad]."""
     kind: Literal["direct"] = "direct"
+    """Name of the action space."""
 
 
 @dataclass(frozen=True)
 class Filtered:
-    """Direct action behind a first-order lag; `tau` 40 ms puts its corner at 4 Hz (chosen)."""
+    """Direct action behind a first-order lag."""
 
     low: float
+    """Lowest angle of the servo [rad]."""
     high: float
+    """Highest angle of the servo [rad]."""
     tau: float = 0.04
+    """Time constant of the lag [s]. 40 ms puts its corner at 4 Hz (chosen)."""
     kind: Literal["filtered"] = "filtered"
+    """Name of the action space."""
 
 
 ActionSpace = Generator | Direct | Filtered

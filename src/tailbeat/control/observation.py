@@ -18,12 +18,16 @@ COMMANDS = 3  # last commands
 
 @dataclass(frozen=True)
 class Entry:
-    """One number: what is observed is raw / scale; `source` is the sensor it comes from."""
+    """One number: what is observed is raw / scale."""
 
     name: str
+    """What is observed."""
     unit: str
+    """Unit of the raw number."""
     scale: float
+    """Divisor of the raw number, in its unit."""
     source: str
+    """Sensor that the raw number comes from."""
 
 
 @dataclass(frozen=True)

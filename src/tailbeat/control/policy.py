@@ -30,22 +30,26 @@ SPACES = {"generator": Generator, "direct": Direct, "filtered": Filtered}
 
 @dataclass(frozen=True)
 class Contract:
-    """What a policy was trained to see, do and swim in.
-
-    `fish` and `fish_digest` name the description; `band` [Hz] is the identified one; `period` [s]
-    of control; `training` holds versions, stage, seed and recipe; `golden` are pairs of observation
-    (k, 24) and action (k, size).
-    """
+    """What a policy was trained to see, do and swim in."""
 
     version: int
+    """Version of the contract's format."""
     fish: str
+    """Name of the fish."""
     fish_digest: str
+    """Digest of the fish's description, so that a change of any number is seen."""
     band: tuple[float, float]
+    """Identified beat frequencies, lowest and highest [Hz]."""
     period: float
+    """Period of control [s]."""
     observation: tuple[Entry, ...]
+    """Inputs of the network in their order, with units and scales."""
     actions: ActionSpace
+    """Action space with every scale, ceiling and time constant."""
     training: dict[str, Any]
+    """How the policy was trained: recipe, seed, stage, versions and what the task was."""
     golden: tuple[tuple[list[float], ...], tuple[list[float], ...]]
+    """Observations (k, 24) and the actions (k, size) that the network must give for them."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,27 +21,36 @@ class _Model(BaseModel):
 
 
 class Medium(_Model):
-    """The water: one density [kg/m^3] and one dynamic viscosity [Pa s]."""
+    """The water."""
 
     density: u.Density = Field(gt=0)
+    """Density of the water."""
     viscosity: u.Viscosity = Field(ge=0)
+    """Dynamic viscosity of the water."""
 
 
 class Simulation(_Model):
-    """Step [s] and integrator. Why `implicit` and 2 ms by default: docs/explain/twin.md."""
+    """Step and integrator of the engine; docs/explain/twin.md says why these are the defaults."""
 
     step: u.Time = Field(default=0.002, gt=0, le=0.02)
+    """Time step of the engine."""
     integrator: Literal["implicit", "implicitfast", "Euler", "RK4"] = "implicit"
+    """Integrator of the engine."""
 
 
 class Zone(_Model):
-    """Five coefficients of the ellipsoid law (no unit, 0 or more): docs/explain/fluid-law.md."""
+    """Five coefficients for all parts that name this zone; docs/explain/fluid-law.md has the law."""
 
     blunt: u.Ratio = Field(ge=0)
+    """Pressure drag of what faces the flow. There is no 1/2 in the law."""
     slender: u.Ratio = Field(ge=0)
+    """Drag of what lies along the flow. It enters angular drag too."""
     angular: u.Ratio = Field(ge=0)
+    """Drag against turning."""
     kutta: u.Ratio = Field(ge=0)
+    """Lift of a plate at incidence, at right angles to the flow."""
     magnus: u.Ratio = Field(ge=0)
+    """Lift of a part that turns while it moves."""
 
     def row(self) -> tuple[float, ...]:
         """The five numbers in the engine's order."""
@@ -49,31 +58,32 @@ class Zone(_Model):
 
 
 class TrailingEdge(_Model):
-    """Only the rear end of a wet part sheds circulation (`edge.py`).
-
-    Its lift is that of the engine's law ahead and `reverse` times it astern; the two are blended
-    over `speed` [m/s] of the flow along the chord. `reverse` is 1 in the bare engine, 0 without
-    lift astern, and -1 where the rear end keeps the circulation whichever way the water goes.
-    """
+    """Only the rear end of a wet part sheds circulation (`edge.py`)."""
 
     speed: u.Speed = Field(default=0.03, gt=0, le=0.5)
+    """Flow along the chord over which the lift ahead and the lift astern are blended."""
     reverse: u.Ratio = Field(default=-1.0, ge=-1, le=1)
+    """Lift astern over the lift ahead. 1 is the bare engine, and 0 is no lift astern. With -1 the
+    rear end keeps its circulation in either direction of the flow."""
 
 
 class Part(_Model):
-    """A box-shaped piece of a body: `size` is its full length, width and height.
-
-    `mass` enters the body's mass, centre and inertia as a uniform box. With a `zone` the part also
-    feels water, as an ellipsoid whose semi-axes are half its size. `added_mass` [kg] is the water
-    it carries sideways; it counts only when `added_inertia` of the fish is above zero.
-    """
+    """A box-shaped piece of a body. With a `zone` it feels water, as an ellipsoid whose semi-axes
+    are half its size."""
 
     name: str
+    """Name of the part, for messages."""
     position: u.Point3
+    """Centre of the box."""
     size: u.Point3
+    """Full length, width and height of the box, each above 0."""
     mass: u.Mass = Field(default=0.0, ge=0)
+    """Mass of a uniform box. It enters the body's mass, centre and inertia."""
     zone: str | None = None
+    """Name of the zone whose coefficients act on the part. Without it the part feels no water."""
     added_mass: u.Mass = Field(default=0.0, ge=0)
+    """Water that the part carries sideways. It counts only if the fish's `added_inertia` is above
+    0."""
 
     @model_validator(mode="after")
     def _sizes(self) -> "Part":
@@ -83,156 +93,193 @@ class Part(_Model):
 
 
 class Inertial(_Model):
-    """Mass, centre of mass and principal inertias (x, y, z) of a body, from CAD or a balance."""
+    """Mass, centre and inertias of a body, from CAD or a balance."""
 
     mass: u.Mass = Field(gt=0)
+    """Mass of the body."""
     centre: u.Point3
+    """Centre of mass."""
     inertia: u.Inertia3
+    """Principal moments of inertia about x, y, z through the centre."""
 
 
 class Mesh(_Model):
-    """The user's own STL or OBJ for the looks of a body; `scale` turns its units into metres."""
+    """The user's own STL or OBJ, for the looks of a body."""
 
     file: str
+    """Path of the STL or OBJ, absolute or from the working folder."""
     scale: u.Ratio = Field(default=1.0, gt=0)
+    """Factor from the mesh's units to metres."""
     position: u.Point3 = (0.0, 0.0, 0.0)
+    """Place of the mesh's origin."""
 
 
 class Body(_Model):
-    """A rigid piece: its parts, and `inertial` where it is known better than from the parts."""
+    """A rigid piece of the fish."""
 
     parts: tuple[Part, ...] = Field(min_length=1)
+    """Boxes that the body is made of."""
     inertial: Inertial | None = None
+    """Mass, centre and inertias, where they are known better than from the parts."""
     mesh: Mesh | None = None
+    """Mesh for the looks."""
 
 
 class Link(Body):
-    """One tail link behind its passive hinge.
-
-    `hinge` is the x of the hinge [m]; `guides` the tendon holes (x, y) of the left tendon, in order
-    from the head, the right tendon's being their mirror image; `crossed` swaps sides on this link.
-    `strip_height` and `strip_length` are of the flexible strip that the hinge stands for: a tail's
-    identification spreads the measured stiffness in proportion to height over length.
-    """
+    """One tail link behind its passive hinge."""
 
     hinge: u.Length
+    """x of the hinge. It falls from link to link."""
     stiffness: u.AngularStiffness = Field(gt=0)
+    """Stiffness of the hinge."""
     strip_height: u.Length | None = Field(default=None, gt=0)
+    """Height of the flexible strip that the hinge stands for. A tail's identification spreads the
+    measured stiffness in proportion to height over length."""
     strip_length: u.Length | None = Field(default=None, gt=0)
+    """Length of the flexible strip that the hinge stands for."""
     guides: u.Points2 = ()
+    """Holes (x, y) of the left tendon, from the head. The right tendon's are the mirror image."""
     crossed: bool = False
+    """Whether the two tendons swap sides on this link."""
 
 
 class Motor(_Model):
-    """What moves the tendons.
-
-    A `pulley` turns about the vertical axis and winds one tendon while paying out the other; a
-    `crank` turns about the transverse axis with one arm per side, 180 degrees apart, and may turn
-    for ever. `radius` is the pulley's or the crank's; `half_width` the |y| of the crank's arms.
-    """
+    """What moves the tendons."""
 
     kind: Literal["pulley", "crank"]
+    """A `pulley` turns about the vertical axis and winds one tendon while it pays out the other. A
+    `crank` turns about the transverse axis, has one arm per side, 180 degrees apart, and may turn
+    without end."""
     position: u.Point3
+    """Place of the axis."""
     radius: u.Length = Field(gt=0)
+    """Radius of the pulley or of the crank."""
     half_width: u.Length = Field(default=0.0, ge=0)
+    """Distance of the crank's arms from the midplane, |y|."""
     mass: u.Mass = Field(default=0.0, ge=0)
+    """Mass of pulley and horn."""
     range: u.AngleRange | None = None
+    """Lowest and highest angle, within -85 to 85 deg. A pulley needs it."""
 
 
 class Servo(_Model):
-    """Position servo: torque = kp (command(t - delay) - angle) - kv speed, within the limit.
-
-    `armature` and `damping` and `friction` sit on the shaft. Units: N m/rad, N m s/rad, kg m^2,
-    N m, s.
-    """
+    """Position servo: torque = kp (command(t - delay) - angle) - kv speed, within the limit."""
 
     kp: u.AngularStiffness = Field(gt=0)
+    """Gain on the angle's error."""
     kv: u.AngularDamping = Field(ge=0)
+    """Gain on the shaft's speed."""
     armature: u.Inertia = Field(gt=0)
+    """Inertia of rotor and gears at the shaft."""
     damping: u.AngularDamping = Field(ge=0)
+    """Viscous damping on the shaft."""
     friction: u.Torque = Field(default=0.0, ge=0)
+    """Coulomb friction on the shaft."""
     force_limit: u.Torque = Field(gt=0)
+    """Largest torque."""
     delay: u.Time = Field(ge=0, le=0.2)
+    """Time from a command to its effect."""
 
 
 class Tendons(_Model):
-    """The antagonistic pair.
-
-    Without `stiffness` the pair is inextensible (a constraint). With it, each tendon is a spring
-    [N/m] with `damping` [N s/m] that pulls once it is longer than its rest length by `slack` [m],
-    and never pushes; with `two_way` it pushes too.
-    """
+    """The antagonistic pair. Without `stiffness` it is inextensible (a constraint). With it, each
+    tendon is a spring that pulls and never pushes."""
 
     stiffness: u.LinearStiffness | None = Field(default=None, gt=0)
+    """Stiffness of one tendon."""
     damping: u.LinearDamping = Field(default=0.0, ge=0)
+    """Damping of one tendon."""
     slack: u.Length = Field(default=0.0, ge=0)
+    """Length beyond the rest length at which a tendon begins to pull. It needs `stiffness`."""
     two_way: bool = False
+    """Whether a tendon pushes too. It needs `stiffness`."""
     head_guides: u.Points2 = ()
+    """Holes (x, y) of the left tendon in the head. The right tendon's are the mirror image."""
 
 
 class Tail(_Model):
-    """The chain of links. `k_eff` is the stiffness at the shaft that the numbers must give,
-    `damping_time` the ratio of damping to stiffness in every hinge, `friction` the Coulomb friction
-    of tail and tendons as the shaft feels it."""
+    """The chain of links."""
 
     k_eff: u.AngularStiffness | None = None
+    """Stiffness at the shaft that the hinges must give together."""
     stiffness_scale: u.Ratio = Field(default=1.0, gt=0)
+    """Factor on the stiffness of every hinge."""
     damping_time: u.Time = Field(default=0.0, ge=0)
+    """Damping over stiffness, the same in every hinge."""
     friction: u.Torque = Field(default=0.0, ge=0)
+    """Coulomb friction of tail and tendons at the shaft."""
     links: tuple[Link, ...] = Field(min_length=1)
+    """Links from the head to the fin."""
 
 
 class Marker(_Model):
-    """A point that a camera follows. `body` is `head` or the index of a link."""
+    """A point that a camera follows."""
 
     name: str
+    """Number of the marker, as in a recording's columns `marker0_x_m`, `marker0_y_m`."""
     body: Literal["head"] | int
+    """Body that carries the marker: `head`, or the index of a link, from 0."""
     position: u.Point3
+    """Place of the marker."""
 
 
 class Uncertain(_Model):
-    """A number that no bench measured and the fluid fit may move, with its range and spread.
-
-    `field` is a dotted path such as `tendons.slack`; `low`, `high` and the values are SI. With
-    `log`, `spread` is the standard deviation of ln(value), else in SI.
-    """
+    """A number that no test bench measured and the fluid fit may move."""
 
     field: str
+    """Dotted path of the number, such as `tendons.slack`."""
     unit: str
+    """SI unit of the number, for tables."""
     low: float
+    """Lowest value that the fit may try, in SI."""
     high: float
+    """Highest value that the fit may try, in SI."""
     spread: float = Field(gt=0)
+    """Standard deviation of the prior: of ln(value) with `log`, else in SI."""
     log: bool = True
+    """Whether the fit searches ln(value)."""
 
 
 class Fish(_Model):
-    """A fish; see the module's docstring for frame and units.
-
-    `tracked` is the point whose pose recordings hold; `band` the beat frequencies [Hz] that the
-    description is meant for; `added_inertia` scales the parts' `added_mass` (0 is off), of which
-    the share `added_along` acts along the parts too (1: alike in all directions; `surge.py`).
-    `trailing_edge` says how lift depends on the direction of the flow; without it the rear and the
-    front end of each part count alike, as in the bare engine and the paper.
-    """
+    """A fish; see the module's docstring for frame and units."""
 
     name: str
+    """Name of the fish."""
     summary: str = ""
+    """One line about the fish, for tables."""
     medium: Medium
+    """Water around the fish."""
     simulation: Simulation = Simulation()
+    """Step and integrator."""
     band: u.FrequencyRange
+    """Lowest and highest beat frequency that the description is meant for."""
     zones: dict[str, Zone]
+    """Fluid coefficients by the zone's name."""
     head: Body
+    """The rigid front of the fish."""
     motor: Motor
+    """Pulley or crank."""
     servo: str
+    """Name of the servo in `servos` that drives the motor."""
     servos: dict[str, Servo]
+    """Servos by name."""
     tendons: Tendons = Tendons()
+    """The pair of tendons."""
     tail: Tail
+    """Links, hinges and friction."""
     markers: tuple[Marker, ...] = ()
+    """Points that a camera follows."""
     tracked: u.Point3 = (0.0, 0.0, 0.0)
+    """Point whose pose recordings hold."""
     uncertain: tuple[Uncertain, ...] = ()
+    """Numbers that the fluid fit may move beside the coefficients."""
     added_inertia: u.Ratio = Field(default=0.0, ge=0)
+    """Factor on the parts' `added_mass`. 0 turns it off."""
     added_along: u.Ratio = Field(default=1.0, ge=0, le=1)
+    """Fraction of the added mass that acts along the parts too. 1 is alike in all directions."""
     trailing_edge: TrailingEdge | None = None
+    """How lift depends on the direction of the flow. Without it the rear and the front end of each
+    part count alike, as in the bare engine and the paper."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "Fish":

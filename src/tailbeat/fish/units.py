@@ -1,5 +1,6 @@
 """Quantities in a description: a number in SI, text with a unit, or a table with its source."""
 
+from functools import partial
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
@@ -79,7 +80,8 @@ def _scaled(value: Any, factor: float) -> Any:
 
 
 def _quantity(dimension: str) -> BeforeValidator:
-    return BeforeValidator(lambda raw: _to_si(raw, dimension))
+    # `partial`, not a lambda: the reference of the site reads the dimension from it.
+    return BeforeValidator(partial(_to_si, dimension=dimension))
 
 
 Pair = tuple[float, float]
