@@ -39,7 +39,7 @@ class Simulation(_Model):
 
 
 class Zone(_Model):
-    """Five coefficients for all parts that name this zone; docs/explain/fluid-law.md has the law."""
+    """Five coefficients for the parts that name this zone; see docs/explain/fluid-law.md."""
 
     blunt: u.Ratio = Field(ge=0)
     """Pressure drag of what faces the flow. There is no 1/2 in the law."""
@@ -241,7 +241,7 @@ class Uncertain(_Model):
 
 
 class Fish(_Model):
-    """A fish; see the module's docstring for frame and units."""
+    """The whole fish. Everything is SI inside."""
 
     name: str
     """Name of the fish."""
