@@ -19,7 +19,7 @@ import tailbeat as tb
 
 FISH = "pulley-fish-pool"
 SOURCE = Path(tb.__file__).parent
-DOCS = Path(__file__).parents[1] / "docs" / "api.md"
+DOCS = Path(__file__).parents[1] / "docs" / "start" / "python.md"
 NAMES = [name for name in tb.__all__ if name != "__version__"]
 
 

@@ -55,3 +55,13 @@ def test_the_readme_s_python_runs_and_prints_what_it_says(capsys):
     exec(code, {})
     rate, seconds = capsys.readouterr().out.split()
     assert f"# {float(rate):.1f} of 20 targets, {float(seconds):.1f} s" in code
+
+
+def test_the_python_of_the_first_lines_runs(capsys):
+    text = (EXAMPLES.parent / "docs/start/python.md").read_text()
+    first, *others = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    exec(first, {})
+    rate = capsys.readouterr().out.splitlines()[1].split()[0]
+    assert f"`found.within_5cm` is {float(rate):.1f}" in text
+    for code in others:
+        exec(code, {})

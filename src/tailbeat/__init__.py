@@ -1,7 +1,7 @@
 """tailbeat: from bench recordings of a soft robotic fish to a learned controller that swims.
 
 `import tailbeat as tb` imports nothing else. Each public name is imported when it is first used,
-and says which extra to install where a package is missing. docs/api.md lists them.
+and says which extra to install where a package is missing. docs/start/python.md lists them.
 """
 
 import ctypes
