@@ -84,7 +84,7 @@ def test_the_loop_s_punctuality_is_measured_and_judged(tmp_path: Path):
 
 @pytest.mark.slow
 def test_every_fault_in_real_time(tmp_path: Path):
-    """Within the times that docs/deploy.md states; wants a machine that is not busy otherwise."""
+    """Within the times that docs/results states; wants a machine that is not busy otherwise."""
     out = tmp_path / "faults.json"
     words = command("faults", "--kills", "20", "--json", out)
     done = subprocess.run(words, capture_output=True, text=True, timeout=1200)

@@ -69,7 +69,7 @@ def test_poses_over_the_whole_pool_are_within_five_millimetres_and_a_degree():
 
 
 def test_a_tag_in_the_corner_is_seen_and_one_afloat_hides_the_fish_beneath(tracker, renderer):
-    """Why `tailbeat swim` lays the target's tag aside; docs/deploy.md."""
+    """Why `tailbeat swim` lays the target's tag aside; docs/how-to/drive.md."""
     x, y = map(float, ASIDE.split(","))
     away = film(tracker, renderer, [Scene(fish=(1.5, 0.5, 0.7), target=(x, y, 0.0))] * 20)
     above = film(tracker, renderer, [Scene(fish=(1.5, 0.5, 0.7), target=(1.5, 0.5, 0.0))] * 20, 90)

@@ -68,7 +68,8 @@ def calibrate(
     ] = 20,
     json: JsonOption = None,
 ) -> None:
-    """Find the camera's lens and its place over the pool. docs/camera.md says how."""
+    """Find the camera's lens and its place over the pool. The steps are in
+    docs/how-to/calibrate-the-camera.md."""
     if json is not None:
         refuse_existing(json)
     need_camera()

@@ -50,7 +50,7 @@ def read_folder(folder: Path) -> Folder:
         if not found[kind]:
             raise BadInput(
                 f"{folder}: no recording whose name begins with {kind}; record it, or make one with"
-                f" `tailbeat record` (docs/bench.md names them)."
+                f" `tailbeat record` (docs/how-to/record.md names them)."
             )
     motor = found["motor-"]
     held = [p for p in motor if p.stem in HELD_OUT_MOTOR] if len(motor) > 2 else []

@@ -7,7 +7,7 @@ from tailbeat.report import tables
 
 
 def markdown(results: Sequence[FaultResult]) -> str:
-    """The table as docs/deploy.md has it."""
+    """The table of faults in Markdown."""
     head = ("fault", "the operator reads", "safe state", "told after [s]", "safe after [s]")
     return tables.markdown(head, [_cells(one) for one in results]) + "\n"
 

@@ -19,7 +19,7 @@ SEEN = 0.9  # share of frames
 WHITE = 250
 DO = {
     "camera": "plug it in; end what else uses it; v4l2-ctl --list-devices",
-    "calibration": "tailbeat calibrate; docs/camera.md says how",
+    "calibration": "tailbeat calibrate; docs/how-to/calibrate-the-camera.md says how",
     "frames per second": "exposure locked, 2 ms or less? MJPG? nothing else on the station?",
     "exposure": "lock it so that white is not quite white: v4l2-ctl -l; move lamps that shine back",
     "fish's tag": "its own id, whole, flat and without glare in view; tailbeat track says why not",
