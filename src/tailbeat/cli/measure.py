@@ -19,7 +19,7 @@ def protocol(
     ] = 4.0,
     json: JsonOption = None,
 ) -> None:
-    """Write the commands that the test bench plays. docs/how-to/record.md says how to record them."""
+    """Write the commands that the test bench plays. docs/how-to/record.md has the steps."""
     from tailbeat.identify.commands import write_protocol
 
     paths = write_protocol(kind, fish, out, speed)
