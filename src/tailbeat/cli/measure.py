@@ -9,6 +9,10 @@ from tailbeat.cli import output
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
 from tailbeat.files import refuse_existing, write_json
 
+SourceOption = Annotated[
+    str, typer.Option(help="Who recorded it and where it is from; written to the metadata.")
+]
+
 
 def protocol(
     kind: Annotated[str, typer.Argument(help="tail, motor or fluid.")],
@@ -69,8 +73,9 @@ def import_fishsim(
 
 
 def import_xl330(
-    log: Annotated[Path, typer.Argument(help="A pendulum log of Rhoban/bam, JSON.")],
+    log: Annotated[Path, typer.Argument(help="A pendulum log as Rhoban/bam writes them, JSON.")],
     out: Annotated[Path, typer.Option("--out", help="Recording to write, .csv or .parquet.")],
+    source: SourceOption = "",
     json: JsonOption = None,
 ) -> None:
     """Convert a servo's pendulum log to a recording. Gain and load go into its metadata."""
@@ -78,8 +83,55 @@ def import_xl330(
 
     if json is not None:
         refuse_existing(json)
-    recording = convert(log, out)
+    recording = convert(log, out, source)
     if json is not None:
         write_json(json, {"recording": str(out), "rows": recording.time.size, **recording.meta})
     gain = recording.meta["gain"]
     output.say(f"wrote {out}: {recording.time.size} samples at gain {gain}")
+
+
+def import_table(
+    table: Annotated[Path, typer.Argument(help="A table: .csv, .json or .parquet.")],
+    out: Annotated[Path, typer.Option("--out", help="Recording to write, .csv or .parquet.")],
+    columns: Annotated[
+        str,
+        typer.Option(
+            "--map",
+            help="Which column is what: time=NAME,angle=NAME; also command, motor_angle, torque, x,"
+            " y, yaw, enabled, condition, marker0_x.",
+        ),
+    ],
+    unit: Annotated[
+        str,
+        typer.Option(
+            help="Units of the file: rad, deg, turns, counts; s, ms, us; m, cm, mm; Nm, mNm;"
+            " default: SI."
+        ),
+    ] = "",
+    meta: Annotated[
+        str,
+        typer.Option(
+            help="Metadata: gain=400,load_mass_kg=mass; a number, or a JSON header field."
+        ),
+    ] = "",
+    rows: Annotated[
+        str | None, typer.Option(help="JSON field with the list of entries; default: the only one.")
+    ] = None,
+    source: SourceOption = "",
+    counts_per_turn: Annotated[
+        float | None, typer.Option(help="Encoder counts of one turn, for --unit counts.")
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Convert any table to a recording in SI units. Name its columns and state its units."""
+    from tailbeat.importers.table import TableConfig, convert, parse_pairs
+
+    if json is not None:
+        refuse_existing(json)
+    pairs, known = parse_pairs("--map", columns), parse_pairs("--meta", meta)
+    units = [word.strip() for word in unit.split(",") if word.strip()]
+    config = TableConfig(pairs, units, known, rows, source, counts_per_turn)
+    recording = convert(table, out, config)
+    if json is not None:
+        write_json(json, {"recording": str(out), "rows": recording.time.size, **recording.meta})
+    output.say(f"wrote {out}: {recording.time.size} samples of {', '.join(recording.columns)}")

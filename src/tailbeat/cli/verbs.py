@@ -54,6 +54,12 @@ PANELS = {
             "Convert a servo's pendulum log to a recording.",
             "pendulum.json --out pendulum.csv",
         ),
+        Verb(
+            "import table",
+            "measure:import_table",
+            "Convert any table to a recording in SI units.",
+            "log.json --map time=t,angle=position --unit deg --out log.csv",
+        ),
     ),
     "Identify it": (
         Verb(

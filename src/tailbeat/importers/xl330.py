@@ -1,4 +1,4 @@
-"""Pendulum logs of a Dynamixel XL330, from Rhoban/bam, as recordings."""
+"""Pendulum logs of a Dynamixel XL330, in the form in which Rhoban/bam writes them."""
 
 import json
 from pathlib import Path
@@ -14,20 +14,21 @@ Array = NDArray[np.float64]
 XL330_FULL_PWM = 885  # register value of a duty of 1
 
 
-def convert(log: Path, out: Path) -> Recording:
+def convert(log: Path, out: Path, source: str = "") -> Recording:
     """Read a pendulum log, write a recording."""
     refuse_existing(out)
-    recording = import_xl330(log)
+    recording = import_xl330(log, source)
     write_recording(recording, out)
     return recording
 
 
-def import_xl330(path: str | Path) -> Recording:
-    """A pendulum log of Rhoban/bam (JSON) as command, angle and what the servo reported.
+def import_xl330(path: str | Path, source: str = "") -> Recording:
+    """A pendulum log (JSON, as Rhoban/bam writes it) as command, angle and what the servo reported.
 
     Angle 0 hangs down. `enabled_ratio` is 1 with torque on. Gain (firmware P register) and load go
-    into the metadata. The logs' `load` is the present PWM as an unsigned 16-bit count, here a duty.
-    Raises BadInput naming file and field.
+    into the metadata, and `source`, who recorded it, in the user's words. An XL330's `load` is the
+    present PWM as an unsigned 16-bit count, here a duty; what it is on other servos is not known,
+    and it is left out. Raises BadInput naming file and field.
     """
     file = Path(path)
     log = _read_log(file)
@@ -35,18 +36,18 @@ def import_xl330(path: str | Path) -> Recording:
         "command_rad": "goal_position",
         "angle_rad": "position",
         "velocity_rad_s": "speed",
-        "pwm_ratio": "load",
         "voltage_v": "input_volts",
         "enabled_ratio": "torque_enable",
     }
     time = _entries(file, log, "timestamp")
     _check_log_time(file, time)
     columns = {column: _entries(file, log, field) for column, field in names.items()}
-    counts = columns["pwm_ratio"]
-    columns["pwm_ratio"] = np.where(counts > 32767, counts - 65536, counts) / XL330_FULL_PWM
+    if log.get("motor") == "xl330":
+        counts = _entries(file, log, "load")
+        columns["pwm_ratio"] = np.where(counts > 32767, counts - 65536, counts) / XL330_FULL_PWM
     meta = {
-        "source": f"Rhoban/bam {file.name}",
-        "motor": str(log.get("motor", "xl330")),
+        "source": source or f"not stated; imported from {file.name}",
+        "motor": str(log.get("motor", "not stated")),
         "trajectory": str(log.get("trajectory", "unknown")),
         **{
             key: f"{_header(file, log, field):g}"

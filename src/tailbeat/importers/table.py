@@ -1,0 +1,296 @@
+"""Any table as a recording: CSV, JSON or Parquet, columns named and units stated by the user.
+
+A JSON file is a list of objects, an object of lists, or an object in which one field holds the list
+of objects and the others are its header.
+"""
+
+import csv
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput, refuse_existing
+from tailbeat.recording import Recording, write_recording
+
+Array = NDArray[np.float64]
+UNITS: dict[str, tuple[str, float]] = {  # unit -> quantity and its size in SI
+    "rad": ("angle", 1.0),
+    "deg": ("angle", np.pi / 180),
+    "turns": ("angle", 2 * np.pi),
+    "counts": ("angle", np.nan),  # needs the counts per turn
+    "s": ("time", 1.0),
+    "ms": ("time", 1e-3),
+    "us": ("time", 1e-6),
+    "m": ("length", 1.0),
+    "cm": ("length", 1e-2),
+    "mm": ("length", 1e-3),
+    "Nm": ("torque", 1.0),
+    "mNm": ("torque", 1e-3),
+}
+COLUMNS: dict[str, tuple[str, str]] = {  # what --map names -> column and quantity
+    "time": ("time_s", "time"),
+    "command": ("command_rad", "angle"),
+    "angle": ("angle_rad", "angle"),
+    "motor_angle": ("motor_angle_rad", "angle"),
+    "yaw": ("yaw_rad", "angle"),
+    "torque": ("torque_nm", "torque"),
+    "x": ("x_m", "length"),
+    "y": ("y_m", "length"),
+    "enabled": ("enabled_ratio", ""),
+    "condition": ("condition", ""),
+}
+MARKER = re.compile(r"marker\d+_[xy]")
+WORDS = {"true": 1.0, "false": 0.0}
+TEXTS = ("load", "motor", "trajectory")  # metadata that may be words
+
+
+@dataclass(frozen=True)
+class TableConfig:
+    """What the file's columns are: `columns` recording -> file, `units` (SI for what is left out),
+    `meta` key -> header field, number, or word; `rows`, the JSON field that holds the entries
+    (None: the only list); `source`, who recorded it, in the user's words; `counts_per_turn`."""
+
+    columns: Mapping[str, str]
+    units: Sequence[str] = ()
+    meta: Mapping[str, str] = field(default_factory=dict)
+    rows: str | None = None
+    source: str = ""
+    counts_per_turn: float | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A file's columns as they stand there, and its header fields."""
+
+    file: Path
+    columns: Mapping[str, Sequence[Any]]
+    header: Mapping[str, Any]
+
+
+def parse_pairs(option: str, text: str) -> dict[str, str]:
+    """`a=b,c=d` as a mapping. Raises BadInput naming the option."""
+    pairs = [part.partition("=") for part in text.split(",") if part.strip()]
+    for name, equals, value in pairs:
+        if not (name.strip() and equals and value.strip()):
+            raise BadInput(f"{option} {text!r}: give pairs like time=timestamp,angle=position.")
+    return {name.strip(): value.strip() for name, _, value in pairs}
+
+
+def convert(path: Path, out: Path, config: TableConfig) -> Recording:
+    """Read a table, write a recording."""
+    refuse_existing(out)
+    recording = import_table(path, config)
+    write_recording(recording, out)
+    return recording
+
+
+def import_table(path: str | Path, config: TableConfig) -> Recording:
+    """The mapped columns of a table in SI units. Raises BadInput naming file, column and row."""
+    table = read_table(Path(path), config.rows)
+    scales = _scales(config)
+    if "time" not in config.columns:
+        raise BadInput("--map has no time; say which column holds it, as time=NAME.")
+    columns: dict[str, Array] = {}
+    labels: dict[str, NDArray[np.str_]] = {}
+    for name, source in config.columns.items():
+        column, quantity = _target(name)
+        values = _column(table, name, source)
+        if name == "condition":
+            labels[name] = np.array([str(value) for value in values])
+        else:
+            gaps = MARKER.fullmatch(name) is not None
+            columns[column] = _numbers(table, source, values, gaps) * scales.get(quantity, 1.0)
+    time = columns.pop("time_s")
+    _check_rises(table, config.columns["time"], time, labels.get("condition"))
+    return Recording(table.file.stem, time, columns, _meta(table, config), labels)
+
+
+# ---- reading ------------------------------------------------------------------------------------
+
+
+def read_table(file: Path, rows: str | None = None) -> Table:
+    """Columns and header of a CSV, JSON or Parquet file."""
+    if not file.is_file():
+        raise BadInput(f"{file}: no such file; give a table as .csv, .json or .parquet.")
+    if file.suffix == ".json":
+        return _read_json(file, rows)
+    if rows is not None:
+        raise BadInput(f"--rows {rows}: only a JSON file has such a field; leave it out.")
+    columns = _read_parquet(file) if file.suffix == ".parquet" else _read_csv(file)
+    return Table(file, columns, {})
+
+
+def _read_parquet(file: Path) -> dict[str, Sequence[Any]]:
+    try:
+        frame = pl.read_parquet(file)
+    except pl.exceptions.PolarsError:
+        raise BadInput(f"{file}: not a Parquet file; give another.") from None
+    return {name: frame[name].to_list() for name in frame.columns}
+
+
+def _read_csv(file: Path) -> dict[str, Sequence[Any]]:
+    """Cells as text; separated by comma, semicolon or tab, whichever the header has most of."""
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise BadInput(f"{file}: not text; give a CSV in UTF-8, JSON or Parquet.") from None
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    mark = max(",;\t", key=(lines[0] if lines else "").count)
+    cells = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
+    if len(cells) < 3:
+        raise BadInput(f"{file}: no header and two rows; give a table with named columns.")
+    for row, line in enumerate(cells[1:], start=1):
+        if len(line) != len(cells[0]):
+            raise BadInput(
+                f"{file}: row {row} has {len(line)} cells and the header {len(cells[0])}; mend or"
+                f" remove the row."
+            )
+    return {name: [line[i] for line in cells[1:]] for i, name in enumerate(cells[0])}
+
+
+def _read_json(file: Path, rows: str | None) -> Table:
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise BadInput(f"{file}: not JSON ({error}); give another file.") from None
+    header: dict[str, Any] = {}
+    if isinstance(data, dict):
+        header = {k: v for k, v in data.items() if not isinstance(v, list | dict)}
+        data = _entries(file, data, rows)
+    if isinstance(data, dict):
+        lengths = {name: len(values) for name, values in data.items()}
+        if len(set(lengths.values())) > 1:
+            raise BadInput(f"{file}: lists of unequal length ({lengths}); make them equal.")
+        return Table(file, data, header)
+    return Table(file, _from_objects(file, data), header)
+
+
+def _entries(file: Path, data: dict[str, Any], rows: str | None) -> Any:
+    """The list of objects of a file with a header, or its lists."""
+    lists = {name: value for name, value in data.items() if isinstance(value, list)}
+    if rows is not None:
+        if rows not in lists:
+            raise BadInput(f"{file}: field {rows!r} of --rows is no list; {_there(lists)}.")
+        return lists[rows]
+    nested = [name for name, value in lists.items() if value and isinstance(value[0], dict)]
+    if len(nested) > 1:
+        raise BadInput(f"{file}: several lists of entries ({', '.join(nested)}); name one: --rows.")
+    if not lists:
+        raise BadInput(f"{file}: no list of entries in it; give a JSON file that has one.")
+    return lists[nested[0]] if nested else lists
+
+
+def _from_objects(file: Path, data: Any) -> dict[str, Sequence[Any]]:
+    objects = isinstance(data, list) and all(isinstance(entry, dict) for entry in data)
+    if not objects or len(data) < 2:
+        raise BadInput(f"{file}: no list of at least two objects; give one, or lists by name.")
+    names = {name: None for entry in data for name in entry}  # a dict keeps their order
+    return {name: [entry.get(name) for entry in data] for name in names}
+
+
+# ---- columns ------------------------------------------------------------------------------------
+
+
+def _there(names: Mapping[str, Any] | Sequence[str]) -> str:
+    return f"there are {', '.join(names)}" if names else "there is none"
+
+
+def _scales(config: TableConfig) -> dict[str, float]:
+    """Quantity -> size of the file's unit in SI."""
+    scales = {}
+    for unit in config.units:
+        if unit not in UNITS:
+            raise BadInput(f"--unit {unit}: no unit that is known; allowed are {', '.join(UNITS)}.")
+        quantity, scale = UNITS[unit]
+        if quantity in scales:
+            raise BadInput(f"--unit: {unit} is the second unit of {quantity}; give one of each.")
+        scales[quantity] = _per_count(config) if unit == "counts" else scale
+    return scales
+
+
+def _per_count(config: TableConfig) -> float:
+    if config.counts_per_turn is None or not config.counts_per_turn > 0:
+        raise BadInput("--unit counts needs --counts-per-turn, a number above 0.")
+    return 2 * np.pi / config.counts_per_turn
+
+
+def _target(name: str) -> tuple[str, str]:
+    """Column and quantity of a name in --map."""
+    if MARKER.fullmatch(name):
+        return f"{name}_m", "length"
+    if name not in COLUMNS:
+        raise BadInput(f"--map {name}: allowed are {', '.join(COLUMNS)}, marker0_x and so on.")
+    return COLUMNS[name]
+
+
+def _column(table: Table, name: str, source: str) -> Sequence[Any]:
+    if source not in table.columns:
+        raise BadInput(
+            f"{table.file}: column {source!r} (--map {name}) is missing; {_there(table.columns)}."
+        )
+    return table.columns[source]
+
+
+def _numbers(table: Table, name: str, values: Sequence[Any], gaps: bool) -> Array:
+    """Finite numbers (n,); NaN for an empty cell where `gaps` are allowed."""
+    found = np.array([_number(value) for value in values])
+    empty = np.array([value is None or value == "" for value in values])
+    bad = np.flatnonzero(~np.isfinite(found) & ~(empty & gaps))
+    if bad.size:
+        row = int(bad[0])
+        raise BadInput(
+            f"{table.file}: column {name}, row {row + 1}: {values[row]!r} is not a finite number;"
+            f" mend or remove the row."
+        )
+    return found
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, str) and value.lower() in WORDS:
+        return WORDS[value.lower()]
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return float("nan")
+
+
+def _check_rises(table: Table, name: str, time: Array, condition: NDArray[np.str_] | None) -> None:
+    back = np.diff(time) <= 0
+    if condition is not None:
+        back &= condition[1:] == condition[:-1]
+    if back.any():
+        row = int(np.argmax(back)) + 1
+        raise BadInput(
+            f"{table.file}: column {name}, row {row + 1}: {time[row]:.9g} s does not come after"
+            f" {time[row - 1]:.9g} s; time must rise: sort the rows, drop the double, or map"
+            f" condition to a column that changes where time starts anew."
+        )
+
+
+# ---- metadata -----------------------------------------------------------------------------------
+
+
+def _meta(table: Table, config: TableConfig) -> dict[str, str]:
+    """The user's word on where it is from, never ours."""
+    source = config.source or f"not stated; imported from {table.file.name}"
+    return {"source": source} | {
+        key: _meta_value(table, key, value) for key, value in config.meta.items()
+    }
+
+
+def _meta_value(table: Table, key: str, value: str) -> str:
+    if value in table.header:
+        return str(table.header[value])
+    if key not in TEXTS and not np.isfinite(_number(value)):
+        raise BadInput(
+            f"{table.file}: --meta {key}={value}: no number, and no header field {value!r};"
+            f" {_there(table.header)}."
+        )
+    return value
