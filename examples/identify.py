@@ -4,7 +4,7 @@ python examples/identify.py [--generations 20]
 
 tail            value  95 % interval      made with
 k [N m/rad]    0.9834   0.9781  0.9886  0.98
-motor-mixed (validate): 0.03 deg rms
+servo-mixed (validate): 0.03 deg rms
 """
 
 import argparse
@@ -12,8 +12,8 @@ import tempfile
 from pathlib import Path
 
 import tailbeat as tb
-from tailbeat.identify.motor_job import MotorConfig
 from tailbeat.identify.search import Effort
+from tailbeat.identify.servo_job import ServoConfig
 
 BENCH = Path(__file__).parent / "bench"
 
@@ -33,13 +33,13 @@ def servo(generations: int) -> None:
     """Commands and encoder angles give the servo's parameters; one recording is held out."""
     fish = tb.load_fish("pulley-fish")
     fitted, held_out = (
-        [tb.as_bench(tb.read_recording(BENCH / f"motor-{name}.csv"), fish) for name in names]
+        [tb.as_bench(tb.read_recording(BENCH / f"servo-{name}.csv"), fish) for name in names]
         for names in (("beat", "chirp", "steps"), ("mixed",))
     )
     effort = Effort(generations=generations, population=32, polish=20, scouts=500)
-    config = MotorConfig(seeds=1, effort=effort)
+    config = ServoConfig(seeds=1, effort=effort)
     with tempfile.TemporaryDirectory() as scratch:  # an interrupted search goes on from here
-        found = tb.identify_motor(fish, fitted, held_out, config, Path(scratch))
+        found = tb.identify_servo(fish, fitted, held_out, config, Path(scratch))
     print("servo:", ", ".join(f"{name} {value:.3g}" for name, value in found.servo.items()))
     for overlay in found.overlays:
         error = (overlay.error_deg() ** 2).mean() ** 0.5

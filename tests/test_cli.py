@@ -103,6 +103,8 @@ def test_bad_input_is_one_sentence_exit_two_and_nothing_written(tmp_path, swim):
         ("rig --help", "rig is now emulate"),
         ("bench", "bench is now benchmark"),
         ("identify motor --help", "identify motor is now identify servo"),
+        ("protocol motor -h", "protocol motor is now protocol servo: tailbeat protocol servo -h"),
+        ("record motor", "record motor is now record servo"),
         ("drive x --rig", "drive: --rig is now --emulated"),
         ("doctor --laptop=a:1", "doctor: --laptop is now --station"),
         ("swim --console a:1", "swim: --console is now --page"),
@@ -178,8 +180,8 @@ def test_the_worked_example_of_the_servo(tmp_path):
     out = tmp_path / "fish.toml"
     done = tailbeat(
         "identify", "servo", "--fish", "pulley-fish",
-        "--fit", *(EXAMPLES / f"motor-{name}.csv" for name in ("chirp", "steps", "triangle")),
-        "--validate", EXAMPLES / "motor-mixed.csv", EXAMPLES / "motor-beat.csv",
+        "--fit", *(EXAMPLES / f"servo-{name}.csv" for name in ("chirp", "steps", "triangle")),
+        "--validate", EXAMPLES / "servo-mixed.csv", EXAMPLES / "servo-beat.csv",
         "--out", out, "--seeds", 1, "--json", tmp_path / "r.json",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -198,14 +200,14 @@ def test_the_worked_example_of_the_servo(tmp_path):
 
 
 def test_protocols_and_bad_benches(tmp_path):
-    done = tailbeat_process("protocol", "motor", "--fish", "pulley-fish", "--out", tmp_path / "p")
+    done = tailbeat_process("protocol", "servo", "--fish", "pulley-fish", "--out", tmp_path / "p")
     assert done.returncode == 0, done.stderr
-    assert len(list((tmp_path / "p").glob("motor-*.csv"))) == 5
+    assert len(list((tmp_path / "p").glob("servo-*.csv"))) == 5
     for words, refusal in (
         (("protocol", "wings", "--fish", "pulley-fish", "--out", tmp_path), "allowed are tail"),
         (("protocol", "tail", "--fish", "crank-fish", "--out", tmp_path), "cannot be swung"),
         (
-            ("identify", "tail", EXAMPLES / "motor-beat.csv", "--fish", "pulley-fish", "--out",
+            ("identify", "tail", EXAMPLES / "servo-beat.csv", "--fish", "pulley-fish", "--out",
              tmp_path / "f.toml"),
             "column torque_nm is missing",
         ),

@@ -40,7 +40,7 @@ def test_the_test_bench_is_identified():
     printed = said("identify.py", "--generations", "3")
     stiffness = re.search(r"k \[N m/rad\] +(\S+) +(\S+) +(\S+)", printed)
     assert stiffness and float(stiffness[2]) < 0.98 < float(stiffness[3])
-    (held_out,) = re.findall(r"motor-mixed \(validate\): (\S+) deg", printed)
+    (held_out,) = re.findall(r"servo-mixed \(validate\): (\S+) deg", printed)
     assert float(held_out) < 0.2
 
 

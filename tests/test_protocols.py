@@ -6,14 +6,15 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from tailbeat.evaluate import fresh_recordings
 from tailbeat.files import BadInput
 from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import load_fish
-from tailbeat.identify.chain import ChainPaths, identify_all
+from tailbeat.identify.chain import ChainPaths, identify_all, read_folder
 from tailbeat.identify.job import FluidConfig
 from tailbeat.identify.search import Effort
 from tailbeat.identify.tail import identify_tail
-from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
+from tailbeat.pool.protocols import record_fluid, record_servo, record_tail
 from tailbeat.pool.record import record
 from tailbeat.pool.recorder import COUNT, Sensors
 from tailbeat.pool.water import Water, fingerprint
@@ -28,7 +29,7 @@ LITTLE = FluidConfig(zones=1, seeds=1, effort=Effort(generations=1))
 def folder(tmp_path_factory):
     """All three experiments, as files."""
     out = tmp_path_factory.mktemp("pool")
-    for kind in ("tail", "motor", "fluid"):
+    for kind in ("tail", "servo", "fluid"):
         record(kind, "pulley-fish", out, seed=0)
     return out
 
@@ -49,9 +50,9 @@ def test_what_is_recorded_is_what_sensors_give(folder):
 
 
 def test_the_same_seed_is_the_same_recording_and_the_plant_stays_hidden():
-    first, again = (next(record_motor(FISH, seed=3)) for _ in range(2))
+    first, again = (next(record_servo(FISH, seed=3)) for _ in range(2))
     assert np.array_equal(first.columns["angle_rad"], again.columns["angle_rad"])
-    other = next(record_motor(FISH, seed=4))
+    other = next(record_servo(FISH, seed=4))
     assert first.time.size != other.time.size or not np.array_equal(first.time, other.time)
     hidden = {f.name for f in fields(Water)}
     assert not hidden & set(first.meta) and not hidden & set(first.columns)
@@ -83,7 +84,7 @@ def test_one_folder_one_command(folder, tmp_path):
     """The whole chain with little effort: every stage runs, and its result goes on to the next."""
     few = tmp_path / "few"
     few.mkdir()
-    for name in ("tail-sweep", "motor-chirp", "motor-steps", "motor-beat", "fluid-01", "fluid-05"):
+    for name in ("tail-sweep", "servo-chirp", "servo-steps", "servo-beat", "fluid-01", "fluid-05"):
         (few / f"{name}.csv").write_bytes((folder / f"{name}.csv").read_bytes())
     (few / "fluid-06.csv").write_bytes((folder / "fluid-07.csv").read_bytes())
     out = tmp_path / "mine.toml"
@@ -98,8 +99,24 @@ def test_one_folder_one_command(folder, tmp_path):
     page = (tmp_path / "mine.md").read_text()
     assert "fluid-06 | held out" in page and "mine-tail.png" in page
     saved = json.loads((tmp_path / "mine.json").read_text())
-    assert saved["stages"]["motor"]["parameters"]["kp"]["value"] == pytest.approx(5.41, rel=0.05)
+    assert saved["stages"]["servo"]["parameters"]["kp"]["value"] == pytest.approx(5.41, rel=0.05)
     assert not list(tmp_path.glob(".*"))
+
+
+def test_a_folder_recorded_before_the_renaming_is_read(folder, tmp_path):
+    """The servo's recordings were called `motor-*.csv`; the same ones are held out."""
+    for path in folder.iterdir():
+        (tmp_path / path.name.replace("servo-", "motor-")).symlink_to(path)
+    before, today = read_folder(tmp_path), read_folder(folder)
+    for old, new in (
+        (before.servo_fit, today.servo_fit),
+        (before.servo_validate, today.servo_validate),
+    ):
+        assert [path.resolve() for path in old] == new
+    assert [path.stem for path in before.servo_validate] == ["motor-beat", "motor-mixed"]
+    with pytest.raises(BadInput, match="servo recordings exist already"):
+        record("servo", "pulley-fish", tmp_path, 0)
+    assert len(fresh_recordings.read(tmp_path).servo) == 5
 
 
 def test_given_commands_are_played_and_checked(tmp_path):
@@ -125,7 +142,7 @@ def test_a_folder_without_a_bench_is_refused(folder, tmp_path):
         )
     with pytest.raises(BadInput, match="exist already"):
         record("tail", "pulley-fish", folder, 0)
-    with pytest.raises(BadInput, match="allowed are tail, motor, fluid"):
+    with pytest.raises(BadInput, match="allowed are tail, servo, fluid"):
         record("wings", "pulley-fish", tmp_path, 0)
 
 

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from tailbeat.fish.store import load_fish
-from tailbeat.identify.protocol import limits, motor_commands
+from tailbeat.identify.protocol import limits, servo_commands
 from tailbeat.recording import Recording, write_recording
 
 HERE = Path(__file__).parent
@@ -33,7 +33,7 @@ def main() -> None:
     write("tail-static", slow_pull(truth, 0.3, 30.0, 2))
     write("tail-release", release(truth, 0.3, 3.0, 3))
     fish = load_fish("pulley-fish")
-    for seed, (name, command) in enumerate(motor_commands(fish, limits(fish)).items()):
+    for seed, (name, command) in enumerate(servo_commands(fish, limits(fish)).items()):
         write(name, servo_run(fish, command, seed))
 
 

@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from tailbeat.fish.store import with_values as with_values
     from tailbeat.fish.twin import compile_twin as compile_twin
     from tailbeat.identify.job import identify_fluid as identify_fluid
-    from tailbeat.identify.motor import as_bench as as_bench
-    from tailbeat.identify.motor_job import identify_motor as identify_motor
     from tailbeat.identify.predict import predict as predict
     from tailbeat.identify.runs import as_run as as_run
+    from tailbeat.identify.servo import as_bench as as_bench
+    from tailbeat.identify.servo_job import identify_servo as identify_servo
     from tailbeat.identify.tail import identify_tail as identify_tail
     from tailbeat.recording import Recording as Recording
     from tailbeat.recording import read_recording as read_recording
@@ -54,12 +54,12 @@ _HOMES = {
     "RunConfig": "train.config:RunConfig",
     "Settings": "env.task:Settings",
     "Task": "env.task:Task",
-    "as_bench": "identify.motor:as_bench",
+    "as_bench": "identify.servo:as_bench",
     "as_run": "identify.runs:as_run",
     "compile_twin": "fish.twin:compile_twin",
     "decide": "control.policy:decide",
     "identify_fluid": "identify.job:identify_fluid",
-    "identify_motor": "identify.motor_job:identify_motor",
+    "identify_servo": "identify.servo_job:identify_servo",
     "identify_tail": "identify.tail:identify_tail",
     "in_pool": "evaluate.reach:in_pool",
     "in_twin": "evaluate.reach:in_twin",

@@ -109,16 +109,16 @@ def identify_servo(
     json: JsonOption = None,
 ) -> None:
     """Fit the servo to recorded commands and encoder angles. It runs free against a known load."""
-    from tailbeat.identify import motor_job, motor_report, stages
+    from tailbeat.identify import servo_job, servo_report, stages
     from tailbeat.report import bench_figures
 
-    config = motor_job.MotorConfig(
+    config = servo_job.ServoConfig(
         seeds, seed, gears=gears, gain=gain, load=load, cross_validate=cross_validate
     )
     paths = stages.Paths(fish, fit, out, validate or [], json)
     with progress.search_progress() as report:
-        found = stages.motor(paths, config, report, bench_figures.motor)
-    results.motor(motor_report.as_report(found))
+        found = stages.servo(paths, config, report, bench_figures.servo_fit)
+    results.servo(servo_report.as_report(found))
     output.say(f"wrote {', '.join(map(str, paths.written))}")
 
 

@@ -9,6 +9,8 @@ VERBS = {
     ("rig",): "emulate",
     ("bench",): "benchmark",
     ("identify", "motor"): "identify servo",
+    ("protocol", "motor"): "protocol servo",
+    ("record", "motor"): "record servo",
 }
 OPTIONS = {
     ("--rig", "drive"): "--emulated",

@@ -51,7 +51,7 @@ def tail(report: dict[str, Any]) -> None:
     _warn(report["warnings"])
 
 
-def motor(report: dict[str, Any]) -> None:
+def servo(report: dict[str, Any]) -> None:
     """Servo numbers, recordings, trade-offs, and what the data do not support."""
     runs = [
         {name.replace("_deg", " [deg]"): value for name, value in run.items()}

@@ -14,20 +14,21 @@ import numpy as np
 from tailbeat.evaluate.speed_map import SpeedMap, speed_map
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
-from tailbeat.identify.motor import as_bench, described_servo
-from tailbeat.identify.motor_job import Overlay
 from tailbeat.identify.predict import predict, row
 from tailbeat.identify.protocol import (
     EVERY,
-    HELD_OUT_MOTOR,
+    HELD_OUT_SERVO,
     fluid_runs,
     limits,
-    motor_commands,
+    present_name,
+    servo_commands,
 )
 from tailbeat.identify.runs import as_run
+from tailbeat.identify.servo import as_bench, described_servo
+from tailbeat.identify.servo_job import Overlay
 from tailbeat.identify.shaft import free_run
 from tailbeat.identify.tail import identify_tail
-from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
+from tailbeat.pool.protocols import record_fluid, record_servo, record_tail
 from tailbeat.recording import Recording, read_recording, write_recording
 
 SERVOS = ("identified", "idealised")
@@ -39,7 +40,7 @@ class Day:
     """One day's recordings."""
 
     tail: list[Recording]
-    motor: list[Recording]
+    servo: list[Recording]
     fluid: list[Recording]
 
 
@@ -88,25 +89,29 @@ class FreshResult:
 
 def record(fish: Fish, out: Path, seed: int) -> None:
     """Record what is not there yet, under a seed that no identification used."""
-    motor = [
-        one for name, one in motor_commands(fish, limits(fish)).items() if name in HELD_OUT_MOTOR
+    servo = [
+        one for name, one in servo_commands(fish, limits(fish)).items() if name in HELD_OUT_SERVO
     ]
     swims = list(fluid_runs(fish, limits(fish)).values())[EVERY - 1 :: EVERY]
     other = 1_000 + seed
+    there = {present_name(path.stem) for path in out.glob("*.csv")}
     for made in (
         record_tail(fish, other),
-        record_motor(fish, other, commands=motor),
+        record_servo(fish, other, commands=servo),
         record_fluid(fish, other, commands=swims),
     ):
         for recording in made:
-            path = out / f"{recording.name}.csv"
-            if not path.is_file():
-                write_recording(recording, path)
+            if recording.name not in there:
+                write_recording(recording, out / f"{recording.name}.csv")
 
 
 def read(out: Path) -> Day:
     """The day's recordings; raises BadInput where a bench is missing."""
-    found = {k: sorted(out.glob(f"{k}-*.csv")) for k in ("tail", "motor", "fluid")}
+    names = sorted(out.glob("*.csv"))
+    found = {
+        kind: [path for path in names if present_name(path.stem).startswith(f"{kind}-")]
+        for kind in ("tail", "servo", "fluid")
+    }
     for kind, paths in found.items():
         if not paths:
             raise BadInput(f"{out}: no {kind} recordings; evaluate with --tasks twin again.")
@@ -140,7 +145,7 @@ def _swim_row(found: Mapping[str, Any]) -> SwimRow:
 
 def overlays(day: Day, twin: Fish) -> list[Overlay]:
     """The twin's servo and the idealised one on the day's commands, in free run."""
-    benches = [as_bench(one, twin) for one in day.motor]
+    benches = [as_bench(one, twin) for one in day.servo]
     ideal = twin.servos.get(IDEAL, twin.servos[twin.servo])
     own, other = (
         free_run(described_servo(servo), benches) for servo in (twin.servos[twin.servo], ideal)

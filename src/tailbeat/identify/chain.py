@@ -1,4 +1,4 @@
-"""Identify a whole fish from a folder of recordings: tail, then motor, then fluid."""
+"""Identify a whole fish from a folder of recordings: tail, then servo, then fluid."""
 
 import hashlib
 import shutil
@@ -11,9 +11,9 @@ from typing import Any
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
 from tailbeat.fish.store import check_fish_name, fish_path, load_fish
 from tailbeat.identify import job, stages
-from tailbeat.identify.motor_job import MotorConfig
-from tailbeat.identify.protocol import EVERY, HELD_OUT_MOTOR
-from tailbeat.identify.stages import DrawFluid, DrawMotor, DrawTail, Paths, Progress
+from tailbeat.identify.protocol import EVERY, HELD_OUT_SERVO, present_name
+from tailbeat.identify.servo_job import ServoConfig
+from tailbeat.identify.stages import DrawFluid, DrawServo, DrawTail, Paths, Progress
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class Folder:
     sweeps: list[Path]
     static: Path | None
     release: Path | None
-    motor_fit: list[Path]
-    motor_validate: list[Path]
+    servo_fit: list[Path]
+    servo_validate: list[Path]
     fluid_fit: list[Path]
     fluid_validate: list[Path]
 
@@ -34,7 +34,7 @@ class Drawings:
     """What draws the figure of each stage, and what writes the page of a report and a stem."""
 
     tail: DrawTail
-    motor: DrawMotor
+    servo: DrawServo
     fluid: DrawFluid
     page: Callable[[dict[str, Any], str], str]
 
@@ -43,23 +43,24 @@ def read_folder(folder: Path) -> Folder:
     """Sort a folder's recordings by their names. Raises BadInput where a bench is missing."""
     names = sorted([*folder.glob("*.csv"), *folder.glob("*.parquet")])
     found = {
-        kind: [path for path in names if path.stem.startswith(kind)]
-        for kind in ("tail-sweep", "tail-static", "tail-release", "motor-", "fluid-")
+        kind: [path for path in names if present_name(path.stem).startswith(kind)]
+        for kind in ("tail-sweep", "tail-static", "tail-release", "servo-", "fluid-")
     }
-    for kind in ("tail-sweep", "motor-", "fluid-"):
+    for kind in ("tail-sweep", "servo-", "fluid-"):
         if not found[kind]:
             raise BadInput(
                 f"{folder}: no recording whose name begins with {kind}; record it, or make one with"
                 f" `tailbeat record` (docs/how-to/record.md names them)."
             )
-    motor = found["motor-"]
-    held = [p for p in motor if p.stem in HELD_OUT_MOTOR] if len(motor) > 2 else []
+    servo = found["servo-"]
+    several = len(servo) > 2
+    held = [p for p in servo if several and present_name(p.stem) in HELD_OUT_SERVO]
     swims = found["fluid-"]
     return Folder(
         found["tail-sweep"],
         next(iter(found["tail-static"]), None),
         next(iter(found["tail-release"]), None),
-        [p for p in motor if p not in held],
+        [p for p in servo if p not in held],
         held,
         [p for i, p in enumerate(swims) if (i + 1) % EVERY],
         swims[EVERY - 1 :: EVERY],
@@ -95,7 +96,7 @@ class Summary:
 def identify_all(
     paths: ChainPaths, config: job.FluidConfig, progress: Progress, drawings: Drawings
 ) -> Summary:
-    """Tail, then motor, then fluid, each fixed before the next; fish, report, page, figures.
+    """Tail, then servo, then fluid, each fixed before the next; fish, report, page, figures.
 
     Stages that are done are kept beside `out` until all are, and taken up again after a stop.
     """
@@ -105,7 +106,7 @@ def identify_all(
     data = read_folder(paths.folder)
     work = paths.out.parent / f".{paths.out.stem}.chain"
     done = work / _key(paths.fish, data, config)
-    places = {name: done / name / paths.out.name for name in ("tail", "motor", "fluid")}
+    places = {name: done / name / paths.out.name for name in ("tail", "servo", "fluid")}
     _run_stages(paths.fish, data, places, config, progress, drawings)
     reports = {name: _read_json(path.with_suffix(".json")) for name, path in places.items()}
     found = _summary(reports)
@@ -124,7 +125,7 @@ def _targets(paths: ChainPaths) -> dict[str, Path]:
         "json": paths.json or out.with_suffix(".json"),
         "page": out.with_suffix(".md"),
     }
-    targets |= {name: Path(f"{stem}-{name}.png") for name in ("tail", "motor", "fluid")}
+    targets |= {name: Path(f"{stem}-{name}.png") for name in ("tail", "servo", "fluid")}
     for path in targets.values():
         refuse_existing(path)
     return targets
@@ -134,7 +135,7 @@ def _key(fish: str, data: Folder, config: job.FluidConfig) -> str:
     """Names the work by what it is made of: other work is never resumed by mistake."""
     digest = hashlib.sha256(fish_path(fish).read_bytes() + repr(config).encode())
     singles = [path for path in (data.static, data.release) if path is not None]
-    for path in [*data.sweeps, *singles, *data.motor_fit, *data.motor_validate, *data.fluid_fit]:
+    for path in [*data.sweeps, *singles, *data.servo_fit, *data.servo_validate, *data.fluid_fit]:
         digest.update(path.read_bytes())
     for path in data.fluid_validate:
         digest.update(path.read_bytes())
@@ -150,16 +151,16 @@ def _run_stages(
     drawings: Drawings,
 ) -> None:
     """Each stage starts from the fish that the one before it wrote."""
-    tail, motor, fluid = (places[name] for name in ("tail", "motor", "fluid"))
-    servo = MotorConfig(seeds=config.seeds, first_seed=config.first_seed)
+    tail, servo, fluid = (places[name] for name in ("tail", "servo", "fluid"))
+    servo_config = ServoConfig(seeds=config.seeds, first_seed=config.first_seed)
     if not _done(tail):
         sweeps = Paths(fish, data.sweeps, tail)
         stages.tail(sweeps, data.static, data.release, drawings.tail)
-    if not _done(motor):
-        commands = Paths(str(tail), data.motor_fit, motor, data.motor_validate)
-        stages.motor(commands, servo, progress, drawings.motor)
+    if not _done(servo):
+        commands = Paths(str(tail), data.servo_fit, servo, data.servo_validate)
+        stages.servo(commands, servo_config, progress, drawings.servo)
     if not _done(fluid):
-        swims = Paths(str(motor), data.fluid_fit, fluid, data.fluid_validate)
+        swims = Paths(str(servo), data.fluid_fit, fluid, data.fluid_validate)
         stages.fluid(swims, config, progress, drawings.fluid)
 
 
@@ -194,7 +195,7 @@ def _summary(reports: dict[str, Any]) -> Summary:
     return Summary(
         reports["tail"]["k_eff"]["value"],
         reports["tail"]["c_eff"]["value"],
-        reports["motor"]["validate_mae_deg"],
+        reports["servo"]["validate_mae_deg"],
         reports["fluid"]["validate_speed_mae"],
         tuple(run["position_error_share"] for run in held_out),
         tuple(run["heading_error_deg"] for run in held_out),

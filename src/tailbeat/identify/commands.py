@@ -8,7 +8,7 @@ from tailbeat.identify import protocol
 from tailbeat.identify.manoeuvres import manoeuvres
 from tailbeat.recording import write_recording
 
-PROTOCOLS = ("tail", "motor", "fluid")
+PROTOCOLS = ("tail", "servo", "fluid")
 
 
 def write_protocol(kind: str, fish: str, out: Path, speed: float) -> list[Path]:
@@ -22,8 +22,8 @@ def write_protocol(kind: str, fish: str, out: Path, speed: float) -> list[Path]:
             "tail-sweep": protocol.tail_sweep(described, limit),
             "tail-static": protocol.tail_static(limit),
         }
-    elif kind == "motor":
-        made = protocol.motor_commands(described, limit)
+    elif kind == "servo":
+        made = protocol.servo_commands(described, limit)
     else:
         made = {**protocol.fluid_runs(described, limit), **manoeuvres(described, limit)}
     paths = [out / f"{name}.csv" for name in made]

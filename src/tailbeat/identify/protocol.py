@@ -1,4 +1,4 @@
-"""What a bench should play: command recordings for the tail, the motor and the pool.
+"""What a bench should play: command recordings for the tail, the servo and the pool.
 
 Everything stays inside the motor's range and below a shaft speed, and begins and ends at rest.
 """
@@ -16,7 +16,7 @@ from tailbeat.recording import Recording
 Array = NDArray[np.float64]
 RATE = 50.0  # Hz: the robot's own loop
 SHARE = 0.9  # of the motor's range that is used
-HELD_OUT_MOTOR = ("motor-mixed", "motor-beat")
+HELD_OUT_SERVO = ("servo-mixed", "servo-beat")
 EVERY = 3  # of the swims, every third is held out of an identification
 
 
@@ -79,7 +79,12 @@ def tail_static(limit: ServoLimits, period: float = 30.0, cycles: int = 3) -> Re
     return _joined("tail-static", [("static", triangle)], limit, "slow pull, in air")
 
 
-def motor_commands(fish: Fish, limit: ServoLimits) -> dict[str, Recording]:
+def present_name(name: str) -> str:
+    """A recording's name as it would be today: the servo's began with `motor-` before."""
+    return f"servo-{name.removeprefix('motor-')}" if name.startswith("motor-") else name
+
+
+def servo_commands(fish: Fish, limit: ServoLimits) -> dict[str, Recording]:
     """Chirp, steps, a slow triangle and two hold-outs: each excites what another cannot.
 
     Steps reach the force limit; the chirp passes the servo's bandwidth (gain, armature, delay); the
@@ -100,8 +105,8 @@ def motor_commands(fish: Fish, limit: ServoLimits) -> dict[str, Recording]:
     commands = {"chirp": chirp, "steps": steps, "triangle": ramp, "mixed": mixed, "beat": beat}
     rest = np.zeros(int(RATE / 2))
     return {
-        f"motor-{name}": _joined(
-            f"motor-{name}", [("rest", rest), (name, command), ("rest", rest)], limit, "servo bench"
+        f"servo-{name}": _joined(
+            f"servo-{name}", [("rest", rest), (name, command), ("rest", rest)], limit, "servo bench"
         )
         for name, command in commands.items()
     }

@@ -1,4 +1,4 @@
-"""Identify tail, motor and fluid: read recordings, write a fish, its report and its figure.
+"""Identify tail, servo and fluid: read recordings, write a fish, its report and its figure.
 
 Whoever calls gives the function that draws the figure, so that the three files are written
 together. Nothing is written where anything fails.
@@ -17,19 +17,19 @@ from tailbeat.fish.store import (
     write_identified,
 )
 from tailbeat.fish.water import whole
-from tailbeat.identify import job, motor_job, motor_report, tail_report
+from tailbeat.identify import job, servo_job, servo_report, tail_report
 from tailbeat.identify.decay import ring_down, static_loop
-from tailbeat.identify.motor import as_bench
-from tailbeat.identify.motor_job import MotorConfig, ServoFit
 from tailbeat.identify.predict import Prediction
 from tailbeat.identify.runs import as_run
+from tailbeat.identify.servo import as_bench
+from tailbeat.identify.servo_job import ServoConfig, ServoFit
 from tailbeat.identify.tail import identify_tail
 from tailbeat.identify.tail_report import TailResult
 from tailbeat.recording import Recording, read_recording
 
 Progress = Callable[[int, str, float, float], None]
 DrawTail = Callable[[TailResult, Recording | None, Path], None]
-DrawMotor = Callable[[ServoFit, Path], None]
+DrawServo = Callable[[ServoFit, Path], None]
 DrawFluid = Callable[[list[tuple[str, Prediction]], Path], None]
 
 
@@ -73,24 +73,24 @@ def tail(paths: Paths, static: Path | None, release: Path | None, draw: DrawTail
     return found
 
 
-def motor(paths: Paths, config: MotorConfig, progress: Progress, draw: DrawMotor) -> ServoFit:
+def servo(paths: Paths, config: ServoConfig, progress: Progress, draw: DrawServo) -> ServoFit:
     """Fit the servo, write fish, report and figure."""
-    motor_job.check(config)
+    servo_job.check(config)
     _refuse_taken(paths)
     described = load_fish(paths.fish)
     fit, validate = (
         [as_bench(read_recording(path), described, config.load) for path in group]
         for group in (paths.fit, paths.validate)
     )
-    found = motor_job.identify_motor(described, fit, validate, config, paths.scratch, progress)
+    found = servo_job.identify_servo(described, fit, validate, config, paths.scratch, progress)
     if config.cross_validate:
-        left_out = motor_report.cross_validate(described, fit, config, paths.scratch, progress)
+        left_out = servo_report.cross_validate(described, fit, config, paths.scratch, progress)
         found = replace(found, left_out=left_out)
     fish, report, figure = paths.written
     draw(found, figure)
-    write_json(report, {**_source(paths), **motor_report.as_report(found)})
-    values = motor_report.toml_values(found, [bench.name for bench in fit])
-    write_identified(paths.fish, fish, values, motor_report.heading(found))
+    write_json(report, {**_source(paths), **servo_report.as_report(found)})
+    values = servo_report.toml_values(found, [bench.name for bench in fit])
+    write_identified(paths.fish, fish, values, servo_report.heading(found))
     job.clear(paths.scratch)
     return found
 

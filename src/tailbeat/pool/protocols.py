@@ -19,7 +19,7 @@ from tailbeat.identify.manoeuvres import BEGIN, manoeuvres
 from tailbeat.identify.protocol import (
     fluid_runs,
     limits,
-    motor_commands,
+    servo_commands,
     tail_static,
     tail_sweep,
 )
@@ -73,7 +73,7 @@ def record_tail(
         yield Recording(command.name, time, columns, _meta(water), {"condition": label})
 
 
-def record_motor(
+def record_servo(
     fish: Fish,
     seed: int = 0,
     sensors: Sensors = SENSORS,
@@ -81,7 +81,7 @@ def record_motor(
     commands: Sequence[Recording] = (),
 ) -> Iterator[Recording]:
     """The servo on its tail in air: `command_rad` as sent and `angle_rad` as read, pass by pass."""
-    played = commands or tuple(motor_commands(fish, limits(fish)).values())
+    played = commands or tuple(servo_commands(fish, limits(fish)).values())
     for number, command in enumerate(_checked(fish, played)):
         rng = np.random.default_rng([seed, 100 + number])
         time = clock(float(command.time[-1]), sensors.loop_rate, sensors.jitter, rng)

@@ -5,12 +5,13 @@ from pathlib import Path
 
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
-from tailbeat.pool.protocols import record_fluid, record_motor, record_tail
+from tailbeat.identify.protocol import present_name
+from tailbeat.pool.protocols import record_fluid, record_servo, record_tail
 from tailbeat.recording import Recording, read_recording, write_recording
 
 RECORDERS: dict[str, Callable[..., Iterator[Recording]]] = {
     "tail": record_tail,
-    "motor": record_motor,
+    "servo": record_servo,
     "fluid": record_fluid,
 }
 
@@ -20,7 +21,7 @@ def record(kind: str, fish: str, out: Path, seed: int, commands: Sequence[Path] 
     returns their paths."""
     if kind not in RECORDERS:
         raise BadInput(f"record {kind!r}: allowed are {', '.join(RECORDERS)}.")
-    if any(out.glob(f"{kind}-*.csv")):
+    if any(present_name(path.stem).startswith(f"{kind}-") for path in out.glob("*.csv")):
         raise BadInput(f"{out}: {kind} recordings exist already; give another folder.")
     paths = []
     given = [read_recording(path) for path in commands]

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from tailbeat.files import new_file
 from tailbeat.identify.estimate import Estimate
-from tailbeat.identify.motor_job import Overlay, ServoFit
+from tailbeat.identify.servo_job import Overlay, ServoFit
 from tailbeat.identify.tail import TailFit
 from tailbeat.identify.tail_report import TailResult
 from tailbeat.recording import Recording
@@ -108,7 +108,7 @@ def _draw_ring(axes: Axes, found: TailResult) -> None:
 # ---- servo --------------------------------------------------------------------------------------
 
 
-def motor(found: ServoFit, path: Path) -> None:
+def servo_fit(found: ServoFit, path: Path) -> None:
     """Per recording shown (a fitted and a held-out one): whole, one stroke; then all errors."""
     held_out = [o for o in found.overlays if o.role == "validate"]
     shown = [*held_out[:1], *[o for o in found.overlays if o.role == "fit"][:1]]

@@ -18,8 +18,8 @@ def page(report: dict[str, Any], stem: str) -> str:
             [[n, *_cells(stages["tail"][n]), _span(stages["tail"][n])] for n in names],
         )
     )
-    lines += ["", "## Servo", "", f"![servo]({stem}-motor.png)", ""]
-    servo = stages["motor"]["parameters"]
+    lines += ["", "## Servo", "", f"![servo]({stem}-servo.png)", ""]
+    servo = stages["servo"]["parameters"]
     lines.append(
         markdown(
             ["number", "value", "unit", "95 % interval"],
@@ -33,7 +33,7 @@ def page(report: dict[str, Any], stem: str) -> str:
             [_swim(run, role) for role in ("fit", "validate") for run in stages["fluid"][role]],
         )
     )
-    warnings = [*stages["tail"]["warnings"], *stages["motor"]["warnings"]]
+    warnings = [*stages["tail"]["warnings"], *stages["servo"]["warnings"]]
     undecided = ", ".join(stages["fluid"]["undecided"]) or "none"
     lines += ["", f"Not decided by the swims: {undecided}.", ""]
     return "\n".join([*lines, *(f"- {warning}" for warning in warnings)]) + "\n"
@@ -63,4 +63,6 @@ def _known(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-DRAWINGS = Drawings(bench_figures.tail, bench_figures.motor, figures.measured_against_twin, page)
+DRAWINGS = Drawings(
+    bench_figures.tail, bench_figures.servo_fit, figures.measured_against_twin, page
+)

@@ -11,16 +11,16 @@ import numpy as np
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.estimate import as_row
-from tailbeat.identify.motor import load_doubt
-from tailbeat.identify.motor_job import (
+from tailbeat.identify.search import Fit, Parameter, trade_offs, values
+from tailbeat.identify.servo import load_doubt
+from tailbeat.identify.servo_job import (
     LeftOut,
-    MotorConfig,
     Overlay,
     Progress,
+    ServoConfig,
     ServoFit,
-    identify_motor,
+    identify_servo,
 )
-from tailbeat.identify.search import Fit, Parameter, trade_offs, values
 from tailbeat.identify.shaft import Bench
 
 # What to record when the data trade one number against another.
@@ -124,7 +124,7 @@ def heading(found: ServoFit) -> str:
 
 
 def cross_validate(
-    fish: Fish, benches: Sequence[Bench], config: MotorConfig, scratch: Path, progress: Progress
+    fish: Fish, benches: Sequence[Bench], config: ServoConfig, scratch: Path, progress: Progress
 ) -> tuple[LeftOut, ...]:
     """Leave out each gain in turn (each recording where there is one gain): what is predicted?"""
     groups = sorted({_group(bench, benches) for bench in benches})
@@ -134,7 +134,7 @@ def cross_validate(
     for group in groups:
         kept = [b for b in benches if _group(b, benches) != group]
         out = [b for b in benches if _group(b, benches) == group]
-        found = identify_motor(fish, kept, out, config, scratch, progress)
+        found = identify_servo(fish, kept, out, config, scratch, progress)
         held = [one for one in found.overlays if one.role == "validate"]
         rmse = float(np.sqrt(np.mean([one.rmse_deg() ** 2 for one in held])))
         rows.append(LeftOut(group, float(np.mean([one.mae_deg for one in held])), rmse))

@@ -8,11 +8,11 @@ import pytest
 from synthetic_recordings import servo_run
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
-from tailbeat.identify.motor import as_bench, described_servo
-from tailbeat.identify.motor_job import MotorConfig, identify_motor
-from tailbeat.identify.motor_report import as_report
-from tailbeat.identify.protocol import RATE, fluid_runs, limits, motor_commands, tail_sweep
+from tailbeat.identify.protocol import RATE, fluid_runs, limits, servo_commands, tail_sweep
 from tailbeat.identify.search import Effort
+from tailbeat.identify.servo import as_bench, described_servo
+from tailbeat.identify.servo_job import ServoConfig, identify_servo
+from tailbeat.identify.servo_report import as_report
 from tailbeat.identify.shaft import Bench, Load, free_run
 from tailbeat.importers.xl330 import import_xl330
 from tailbeat.recording import Recording
@@ -25,12 +25,12 @@ SHORT = Effort(generations=60, population=32, polish=15, scouts=300)
 @pytest.fixture(scope="module")
 def recordings() -> dict[str, Recording]:
     """The five bench commands, played by the compiled twin in air."""
-    commands = motor_commands(FISH, limits(FISH))
+    commands = servo_commands(FISH, limits(FISH))
     return {name: servo_run(FISH, c, seed) for seed, (name, c) in enumerate(commands.items())}
 
 
 def benches(recordings, *names: str) -> list[Bench]:
-    return [as_bench(recordings[f"motor-{name}"], FISH) for name in names]
+    return [as_bench(recordings[f"servo-{name}"], FISH) for name in names]
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def report(recordings, tmp_path_factory) -> dict:
     fit = benches(recordings, "chirp", "steps", "triangle")
     held = benches(recordings, "mixed", "beat")
     scratch = tmp_path_factory.mktemp("scratch")
-    return as_report(identify_motor(FISH, fit, held, MotorConfig(seeds=2, effort=SHORT), scratch))
+    return as_report(identify_servo(FISH, fit, held, ServoConfig(seeds=2, effort=SHORT), scratch))
 
 
 def test_the_shaft_moves_as_the_compiled_twin(recordings):
@@ -97,8 +97,8 @@ def test_intervals_hold_the_truth_where_the_model_is_exact(tmp_path):
     truth = [0.6, 0.002, 0.05, 0.02, 0.9, TRUTH.delay]
     inside = []
     for seed in range(6):
-        config = MotorConfig(seeds=1, effort=SHORT, gears=False)
-        rows = as_report(identify_motor(FISH, own_runs(seed), [], config, tmp_path / str(seed)))
+        config = ServoConfig(seeds=1, effort=SHORT, gears=False)
+        rows = as_report(identify_servo(FISH, own_runs(seed), [], config, tmp_path / str(seed)))
         spans = [rows["parameters"][name]["interval"] for name in names]
         inside += [low <= true <= high for (low, high), true in zip(spans, truth, strict=True)]
         assert rows["parameters"]["gain_scale"]["value"] == pytest.approx(0.6, rel=0.02)
@@ -151,7 +151,7 @@ def test_a_gain_never_seen_is_predicted(data, tmp_path):
     runs = [as_bench(import_xl330(log), FISH) for log in logs]
     fit = [run for run in runs if run.gain != 200]
     held = [run for run in runs if run.gain == 200]
-    report = as_report(identify_motor(FISH, fit, held, MotorConfig(seeds=2), tmp_path))
+    report = as_report(identify_servo(FISH, fit, held, ServoConfig(seeds=2), tmp_path))
     assert report["validate_mae_deg"] < 2.5
     assert report["parameters"]["load_friction"]["interval"][0] > 0.05  # gears rub under load
 
@@ -184,7 +184,7 @@ def test_a_gain_stated_in_some_recordings_alone_is_refused(tmp_path):
     with_gain = as_bench(replace(recording(), meta={"gain": "400"}), FISH)
     without = as_bench(recording(), FISH)
     with pytest.raises(BadInput, match="metadata gain is missing while other recordings"):
-        identify_motor(FISH, [with_gain], [without], MotorConfig(seeds=1, effort=SHORT), tmp_path)
+        identify_servo(FISH, [with_gain], [without], ServoConfig(seeds=1, effort=SHORT), tmp_path)
 
 
 def test_a_servo_at_its_limit_throughout_is_warned_of(tmp_path):
@@ -193,8 +193,8 @@ def test_a_servo_at_its_limit_throughout_is_warned_of(tmp_path):
     weak = TRUTH.model_copy(update={"force_limit": 0.05, "damping": 0.01})
     bench = Bench("bang", time, command, 0 * time, np.ones_like(time), Load("nothing"))
     driven = replace(bench, angle=free_run(described_servo(weak), [bench])[0][0])
-    config = MotorConfig(seeds=1, effort=replace(SHORT, generations=30), gears=False)
-    report = as_report(identify_motor(FISH, [driven], [], config, tmp_path))
+    config = ServoConfig(seeds=1, effort=replace(SHORT, generations=30), gears=False)
+    report = as_report(identify_servo(FISH, [driven], [], config, tmp_path))
     assert any("force limit" in warning for warning in report["warnings"])
     assert "kp" in report["undecided"]
 
@@ -205,7 +205,7 @@ def test_a_servo_at_its_limit_throughout_is_warned_of(tmp_path):
 def test_protocols_stay_inside_the_servo_s_limits():
     limit = limits(FISH, speed=3.0)
     made = [tail_sweep(FISH, limit), *fluid_runs(FISH, limit).values()]
-    made += motor_commands(FISH, limit).values()
+    made += servo_commands(FISH, limit).values()
     low, high = FISH.motor.range or (0.0, 0.0)
     for played in made:
         command = played.columns["command_rad"]

@@ -75,7 +75,7 @@ def as_bench(recording: Recording, fish: Fish, kind: str | None = None) -> Bench
     if np.ptp(command) < STILL:
         raise BadInput(
             f"{recording.name}: column command_rad never moves; record a chirp or steps (see"
-            f" `tailbeat protocol motor`)."
+            f" `tailbeat protocol servo`)."
         )
     return Bench(
         recording.name,

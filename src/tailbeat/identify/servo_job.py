@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.estimate import Estimate
-from tailbeat.identify.motor import (
+from tailbeat.identify.response import drive_frequency
+from tailbeat.identify.search import (
+    Effort,
+    Fit,
+    Parameter,
+    estimates,
+    search_once,
+    values,
+)
+from tailbeat.identify.servo import (
     GEARS,
     IDEALISED,
     as_servos,
@@ -25,15 +34,6 @@ from tailbeat.identify.motor import (
     servo_space,
     with_honest_intervals,
 )
-from tailbeat.identify.response import drive_frequency
-from tailbeat.identify.search import (
-    Effort,
-    Fit,
-    Parameter,
-    estimates,
-    search_once,
-    values,
-)
 from tailbeat.identify.shaft import Bench, free_run
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ AT_LEAST = 0.002  # a gears' share below this is none
 
 
 @dataclass(frozen=True)
-class MotorConfig:
+class ServoConfig:
     """Seeds from `first_seed` on, effort, whether `gears` may rub beside the compiled servo's
     friction, the `gain` register the fish will run with (None: the recordings' middle), the `load`
     on the shaft (None: as recorded, else the tail), and whether to leave out each gain in turn."""
@@ -60,7 +60,7 @@ class MotorConfig:
     cross_validate: bool = False
 
 
-def check(config: MotorConfig) -> None:
+def check(config: ServoConfig) -> None:
     """Raises BadInput for a config that no identification can have."""
     if config.seeds < 1:
         raise BadInput(f"--seeds {config.seeds}: give 1 or more.")
@@ -141,11 +141,11 @@ class ServoFit:
         return float(np.mean(errors)) if errors else None
 
 
-def identify_motor(
+def identify_servo(
     fish: Fish,
     fit: Sequence[Bench],
     validate: Sequence[Bench],
-    config: MotorConfig,
+    config: ServoConfig,
     scratch: Path,
     progress: Progress = lambda seed, stage, share, best: None,
 ) -> ServoFit:
@@ -169,7 +169,7 @@ def identify_motor(
 
 
 def _searched(
-    fit: Sequence[Bench], config: MotorConfig, scratch: Path, progress: Progress
+    fit: Sequence[Bench], config: ServoConfig, scratch: Path, progress: Progress
 ) -> tuple[tuple[Parameter, ...], list[Fit]]:
     """Best-first fits; without gear friction where it turns out to be none."""
     space = servo_space(fit, config.gears)
@@ -184,7 +184,7 @@ def _searched(
 def _seeds(
     space: tuple[Parameter, ...],
     fit: Sequence[Bench],
-    config: MotorConfig,
+    config: ServoConfig,
     scratch: Path,
     progress: Progress,
 ) -> list[Fit]:
@@ -197,7 +197,7 @@ def _seeds(
     return [replace(best, covariance=best.covariance + doubt), *fits[1:]]
 
 
-def _key(fit: Sequence[Bench], config: MotorConfig) -> str:
+def _key(fit: Sequence[Bench], config: ServoConfig) -> str:
     """Names the scratch folder by what is fitted: other work is never resumed by mistake."""
     digest = hashlib.sha256(repr((config.effort, config.gears, version("tailbeat"))).encode())
     for bench in fit:
