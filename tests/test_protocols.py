@@ -1,7 +1,9 @@
 """Experiments in the pool are recorded as a lab's are, and a fish is identified from the folder."""
 
 import json
+import shutil
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -103,20 +105,23 @@ def test_one_folder_one_command(folder, tmp_path):
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_folder_recorded_before_the_renaming_is_read(folder, tmp_path):
+def test_a_folder_recorded_before_the_renaming_is_read(tmp_path):
     """The servo's recordings were called `motor-*.csv`; the same ones are held out."""
-    for path in folder.iterdir():
-        (tmp_path / path.name.replace("servo-", "motor-")).symlink_to(path)
-    before, today = read_folder(tmp_path), read_folder(folder)
-    for old, new in (
-        (before.servo_fit, today.servo_fit),
-        (before.servo_validate, today.servo_validate),
-    ):
-        assert [path.resolve() for path in old] == new
-    assert [path.stem for path in before.servo_validate] == ["motor-beat", "motor-mixed"]
+    samples = sorted((Path(__file__).parents[1] / "examples/bench").glob("servo-*.csv"))
+    for path in samples:
+        shutil.copy(path, tmp_path / path.name.replace("servo-", "motor-"))
+    for name in ("tail-sweep", "fluid-01"):
+        shutil.copy(samples[0], tmp_path / f"{name}.csv")
+    found = read_folder(tmp_path)
+    assert [path.stem for path in found.servo_fit] == [
+        "motor-chirp",
+        "motor-steps",
+        "motor-triangle",
+    ]
+    assert [path.stem for path in found.servo_validate] == ["motor-beat", "motor-mixed"]
+    assert len(fresh_recordings.read(tmp_path).servo) == 5
     with pytest.raises(BadInput, match="servo recordings exist already"):
         record("servo", "pulley-fish", tmp_path, 0)
-    assert len(fresh_recordings.read(tmp_path).servo) == 5
 
 
 def test_given_commands_are_played_and_checked(tmp_path):
