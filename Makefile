@@ -13,7 +13,7 @@ export TAILBEAT_DATA
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help mutation swim benchmark docs test check format browser clean
+.PHONY: help mutation swim benchmark results docs test check format browser clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /\1\t/' | expand -t 10
@@ -23,6 +23,9 @@ swim: $(READY)  ## the main job: open the printed address, drag the target
 
 benchmark: $(READY)  ## measure speed on this machine
 	$(TAILBEAT) benchmark $(ARGS)
+
+results: $(READY)  ## make the numbers of docs/results that are missing (hours in all; ARGS names some)
+	$(VENV)/bin/python tools/results.py $(ARGS)
 
 docs: export NO_MKDOCS_2_WARNING = 1
 docs: $(READY)  ## build the documentation site into build/site; a wrong link is an error

@@ -1,0 +1,197 @@
+"""The pages of docs/results show what their JSON files hold, and nothing typed by hand."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+import result_cells
+import result_pages
+import results
+from synthetic_recordings import TailTruth
+from tailbeat.files import BadInput
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "docs" / "results"
+ENTRIES = results.read_entries(FOLDER / "commands.toml")
+DATA = sorted((FOLDER / "data").glob("*.json"))
+PAGES = result_pages.pages(ROOT)
+# What may stand on a page outside its blocks: names and criteria, no results.
+ALLOWED = re.compile(r"XL330|SB3|(?<!\d)(?:5|20) cm|95 % intervals?|99(?:\.9)? %|[kic]g? m²")
+CODE = re.compile(r"^```.*?^```|`[^`\n]*`|\]\([^)]*\)", re.M | re.S)
+
+
+def by_hand(text: str) -> list[str]:
+    """Digits of a page that no expression gives: outside its blocks, and in their templates."""
+    templates = "\n".join(block[1] for block in result_pages.BLOCK.finditer(text))
+    plain = re.sub(r"\{\{[^}]*[a-z][^}]*\}\}|\{%.*?%\}", "", templates, flags=re.S)
+    rest = result_pages.BLOCK.sub("", text) + "\n" + plain
+    return re.findall(r"\S*\s?\S*\d\S*", ALLOWED.sub("", CODE.sub("", rest)))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_shows_what_its_results_hold(page):
+    text = page.read_text("utf-8")
+    assert result_pages.Renderer(ROOT).page(text) == text, "run: make results"
+
+
+@pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.stem)
+def test_no_number_of_a_result_is_typed_by_hand(page):
+    assert by_hand(page.read_text("utf-8")) == []
+
+
+def test_a_number_that_is_typed_is_found():
+    page = "within 5 cm <!--= {{ fix(a.b, 2) }} of 7 -->3.14 of 7<!--/--> `x 1` 2.2°"
+    assert [found.strip() for found in by_hand(page)] == ["2.2°", "of 7"]
+
+
+def test_templates_read_results_that_a_command_makes():
+    renderer = result_pages.Renderer(ROOT)
+    texts = [page.read_text("utf-8") for page in PAGES]
+    read = {name for text in texts for name in renderer.names_in(text)}
+    assert read <= set(ENTRIES), read - set(ENTRIES)
+    assert len(read) > 8
+
+
+@pytest.mark.parametrize("path", DATA, ids=lambda path: path.stem)
+def test_data_are_small_and_say_where_they_come_from(path):
+    text = path.read_text("utf-8")
+    origin, entry = json.loads(text)["origin"], ENTRIES[path.stem]
+    assert origin["steps"] == list(entry.steps), "commands.toml changed: make the result again"
+    assert len(origin["seconds"]) == len(entry.steps)
+    assert all(origin[name] for name in ("date", "tailbeat", "commit", "machine", "processor"))
+    assert len(text) < 200_000
+    assert '"/' not in text, "a path of the machine that made it"
+
+
+def test_given_numbers_are_those_of_the_recordings():
+    given = dict(ENTRIES["bench"].given)
+    truth = TailTruth()
+    assert given.pop("source")
+    assert given == {name: getattr(truth, name) for name in ("k_eff", "i_eff", "c_eff", "coulomb")}
+
+
+@pytest.fixture
+def small(tmp_path) -> Path:
+    """A repository of one page and one result."""
+    folder = tmp_path / "docs" / "results"
+    (folder / "data").mkdir(parents=True)
+    page = "about <!--= {{ sig(tail.found.k.value) }} -->old<!--/--> N m/rad"
+    (folder / "page.md").write_text(page)
+    (folder / "data" / "tail.json").write_text('{"found": {"k": {"value": 0.98312}}}')
+    return tmp_path
+
+
+def test_a_page_is_written_from_its_json(small):
+    (page,) = result_pages.write(small)
+    assert page.read_text().endswith("-->0.983<!--/--> N m/rad")
+    assert result_pages.write(small) == []
+
+
+@pytest.mark.parametrize(
+    ("held", "said"),
+    [
+        ('{"found": {"k": {}}}', "docs/results/data/tail.json: field found.k.value is missing"),
+        ('{"found": 3}', "docs/results/data/tail.json: 'int object' has no attribute 'k'"),
+        ('{"found": {"k"', "docs/results/data/tail.json: not JSON"),
+    ],
+)
+def test_json_that_lacks_a_field_is_refused_and_nothing_written(small, held, said):
+    (small / "docs" / "results" / "data" / "tail.json").write_text(held)
+    with pytest.raises(BadInput) as told:
+        result_pages.write(small)
+    assert said in str(told.value) and "\n" not in str(told.value)
+    assert "-->old<!--/-->" in (small / "docs" / "results" / "page.md").read_text()
+
+
+def test_a_result_that_is_not_there_says_how_to_make_it(small):
+    (small / "docs" / "results" / "data" / "tail.json").unlink()
+    (page,) = result_pages.write(small)
+    assert "*Not measured yet: `make results ARGS=tail`.*" in page.read_text()
+
+
+def test_a_success_rate_has_its_count_and_interval():
+    row = {"targets": 2000, "within_5cm": 0.998, "interval_5cm": (0.9928, 0.9995)}
+    assert result_cells.rate(row) == "1,996 of 2,000 (99.3–100.0 %)"
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "shown"),
+    [(0.0011149, 3, "0.00111"), (12.345, 3, "12.3"), (1234.5, 2, "1200"), (None, 3, "–")],
+)
+def test_significant_digits_are_shown_without_an_exponent(value, digits, shown):
+    assert result_cells.sig(value, digits) == shown
+
+
+# ---- running the steps ---------------------------------------------------------------------------
+
+STEPS = (
+    'echo x >> $OUT/first; echo "{\\"a\\": 0.123456789}" > $OUT/json/part.json',
+    "test -f $OUT/allowed",
+)
+
+
+@pytest.fixture
+def bare(tmp_path, monkeypatch) -> Path:
+    """A repository without results; returns the folder in which result `one` works."""
+    monkeypatch.setattr(results, "ROOT", tmp_path)
+    (tmp_path / "docs" / "results").mkdir(parents=True)
+    return tmp_path / results.RESULTS / "one"
+
+
+def test_an_interrupted_result_goes_on_with_its_next_step(bare):
+    entry = results.Entry(about="", steps=STEPS, minutes=1)
+    with pytest.raises(BadInput, match="one: exit code 1 from: test -f"):
+        results.make("one", entry, again=False)
+    assert not result_pages.data_path(results.ROOT, "one").exists()
+    (bare / "allowed").touch()
+    results.make("one", entry, again=False)
+    held = json.loads(result_pages.data_path(results.ROOT, "one").read_text())
+    assert held["part"] == {"a": 0.123457} and len(held["origin"]["seconds"]) == 2
+    assert (bare / "first").read_text() == "x\n"
+
+
+def test_steps_call_this_package(bare):
+    step = "tailbeat show nothing-such --json $OUT/json/fish.json"
+    with pytest.raises(BadInput, match="exit code 2 from: tailbeat show"):
+        results.make("one", results.Entry(about="", steps=(step,), minutes=1), again=False)
+
+
+def test_fields_are_dropped_in_every_row():
+    parts = {"a": {"rows": [{"b": 1, "c": 2}, {"b": 3}], "b": 4}}
+    results._drop(parts, ["a", "rows", "*", "b"])
+    assert parts == {"a": {"rows": [{"c": 2}, {}], "b": 4}}
+
+
+def test_what_is_there_is_kept_and_what_a_result_reads_comes_first(bare):
+    entries = {
+        "base": results.Entry(about="", steps=("true",), minutes=1),
+        "one": results.Entry(about="", steps=("true",), minutes=1, after=("base",)),
+    }
+    assert results.chosen(entries, ["one"], again=False) == ["base", "one"]
+    for name in entries:
+        path = result_pages.data_path(results.ROOT, name)
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("{}")
+    assert results.chosen(entries, [], again=False) == []
+    assert results.chosen(entries, ["one"], again=True) == ["base", "one"]
+    with pytest.raises(BadInput, match="two: no such result; allowed are base, one"):
+        results.chosen(entries, ["two"], again=False)
+
+
+def test_times_are_not_measured_on_a_busy_machine(bare, monkeypatch):
+    monkeypatch.setattr(results.os, "getloadavg", lambda: (2.5, 1.0, 1.0))
+    entry = results.Entry(about="", steps=("true",), minutes=1, quiet=True)
+    with pytest.raises(BadInput, match="wait until it is below"):
+        results.check(entry, "one", busy=False)
+    results.check(entry, "one", busy=True)
+
+
+def test_a_wrong_field_of_the_commands_is_named(tmp_path):
+    path = tmp_path / "commands.toml"
+    shutil.copy(FOLDER / "commands.toml", path)
+    path.write_text(path.read_text("utf-8").replace("minutes = 1\n", 'minutes = "soon"\n', 1))
+    with pytest.raises(BadInput, match=r"commands.toml: field bench\.minutes|field minutes"):
+        results.read_entries(path)

@@ -1,0 +1,108 @@
+"""How a number of a result becomes a cell of a table. None is a number that there is not."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+NONE = "–"
+
+
+def fix(value: float | None, digits: int = 0, by: float = 1.0) -> str:
+    """A number times `by`, with so many digits after the point."""
+    if value is None:
+        return NONE
+    text = f"{by * value:,.{digits}f}"
+    return text[1:] if float(text.replace(",", "")) == 0 and text.startswith("-") else text
+
+
+def sig(value: float | None, digits: int = 3, by: float = 1.0) -> str:
+    """A number times `by`, with so many significant digits and no exponent."""
+    if value is None:
+        return NONE
+    shown = f"{by * value:.{digits - 1}e}"
+    mantissa, exponent = shown.split("e")
+    return f"{float(shown):.{max(digits - 1 - int(exponent), 0)}f}" if mantissa else shown
+
+
+def span(interval: Sequence[float], digits: int = 3, by: float = 1.0) -> str:
+    """An interval, each end with so many significant digits."""
+    low, high = (sig(end, digits, by) for end in (interval[0], interval[1]))
+    return f"{low} … {high}"
+
+
+def per_cent(value: float | None, digits: int = 1) -> str:
+    """A fraction in per cent."""
+    return NONE if value is None else f"{fix(value, digits, 100.0)} %"
+
+
+def rate(row: Any, centimetres: int = 5) -> str:
+    """A success rate: how many of how many, and its 95 % interval in per cent."""
+    count = row["swims" if "swims" in row else "targets"]
+    low, high = (100 * end for end in row[f"interval_{centimetres}cm"])
+    hits = round(row[f"within_{centimetres}cm"] * count)
+    return f"{hits:,} of {count:,} ({_end(low)}–{_end(high)} %)"
+
+
+def _end(value: float) -> str:
+    """An end of an interval in per cent; 100 stands without digits after the point."""
+    return "100" if value > 99.9999 else f"{value:.1f}"
+
+
+def made(result: Any) -> str:
+    """How a result was made: its steps, then date, versions, machine and time."""
+    origin = result["origin"]
+    steps = "\n".join(origin["steps"])
+    where = f"{origin['processor']}, {origin['machine']}"
+    return (
+        f"```\n{steps}\n```\n\n"
+        f"{origin['date']}, tailbeat {origin['tailbeat']} (commit {origin['commit']}),\n{where};"
+        f" {minutes(result):.1f} minutes at a load of {origin['load']}."
+    )
+
+
+def line(fitted: Any, run: Any) -> float:
+    """Speed [m/s] that a straight line over beat frequency gives, through the fitted swims."""
+    points = [(one["beat_frequency"], one["measured_speed"]) for one in fitted]
+    slope, offset = np.polyfit(*zip(*points, strict=True), deg=1)
+    return float(slope * run["beat_frequency"] + offset)
+
+
+def line_error(fitted: Any, runs: Any) -> float:
+    """Mean absolute error of that line on other swims [m/s]."""
+    return float(np.mean([abs(line(fitted, run) - run["measured_speed"]) for run in runs]))
+
+
+def policies(rows: Any) -> list[str]:
+    """Names of the policies of a comparison, each once."""
+    return list(dict.fromkeys(row["policy"] for row in rows))
+
+
+def largest(rows: Any, name: str) -> float | None:
+    """Largest value of a column; None where one is missing, which is worse than any number."""
+    found = [row[name] for row in rows]
+    return None if None in found or not found else max(found)
+
+
+def minutes(result: Any) -> float:
+    """Time of all steps of a result [min]."""
+    return float(sum(result["origin"]["seconds"]) / 60)
+
+
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    one.__name__: one
+    for one in (
+        fix,
+        sig,
+        span,
+        per_cent,
+        rate,
+        made,
+        line,
+        line_error,
+        policies,
+        largest,
+        minutes,
+        len,
+    )
+}
