@@ -12,6 +12,7 @@ import result_pages
 import results
 from synthetic_recordings import TailTruth
 from tailbeat.files import BadInput
+from test_documented_commands import fault
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "results"
@@ -64,6 +65,15 @@ def test_data_are_small_and_say_where_they_come_from(path):
     assert all(origin[name] for name in ("date", "tailbeat", "commit", "machine", "processor"))
     assert len(text) < 200_000
     assert '"/' not in text, "a path of the machine that made it"
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_steps_are_commands_and_files_that_exist(name):
+    for step in ENTRIES[name].steps:
+        plain = re.sub(r"\$\([^)]*\)", "", step)  # $(ls …) has options of its own
+        assert [why for one in re.findall(r"tailbeat [^;]*", plain) if (why := fault(one))] == []
+        files = re.findall(r"(?:examples|src)/\S+\.(?:csv|onnx|toml)", step)
+        assert [file for file in files if not list(ROOT.glob(re.sub(r"\$\w+", "*", file)))] == []
 
 
 def test_given_numbers_are_those_of_the_recordings():

@@ -63,8 +63,8 @@ def made(result: Any) -> str:
 
 def line(fitted: Any, run: Any) -> float:
     """Speed [m/s] that a straight line over beat frequency gives, through the fitted swims."""
-    points = [(one["beat_frequency"], one["measured_speed"]) for one in fitted]
-    slope, offset = np.polyfit(*zip(*points, strict=True), deg=1)
+    beats = [one["beat_frequency"] for one in fitted]
+    slope, offset = np.polyfit(beats, [one["measured_speed"] for one in fitted], deg=1)
     return float(slope * run["beat_frequency"] + offset)
 
 
@@ -84,6 +84,12 @@ def largest(rows: Any, name: str) -> float | None:
     return None if None in found or not found else max(found)
 
 
+def smallest(rows: Any, name: str) -> float | None:
+    """Smallest value of a column, None where one is missing."""
+    found = [row[name] for row in rows]
+    return None if None in found or not found else min(found)
+
+
 def minutes(result: Any) -> float:
     """Time of all steps of a result [min]."""
     return float(sum(result["origin"]["seconds"]) / 60)
@@ -91,18 +97,5 @@ def minutes(result: Any) -> float:
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     one.__name__: one
-    for one in (
-        fix,
-        sig,
-        span,
-        per_cent,
-        rate,
-        made,
-        line,
-        line_error,
-        policies,
-        largest,
-        minutes,
-        len,
-    )
-}
+    for one in (fix, sig, span, per_cent, rate, made, line, line_error, policies, largest, smallest)
+} | {"minutes": minutes, "len": len}

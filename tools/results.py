@@ -216,8 +216,15 @@ def main(words: Sequence[str] | None = None) -> None:
         print(f"wrote {path.relative_to(ROOT)}")
 
 
+def _end(text: str, code: int) -> None:
+    print(f"results: {text}", file=sys.stderr)
+    sys.exit(code)
+
+
 if __name__ == "__main__":
     try:
         main()
     except BadInput as error:
-        sys.exit(f"results: {error}")
+        _end(str(error), 2)
+    except KeyboardInterrupt:
+        _end("interrupted; the same command goes on with the step that was interrupted.", 130)
