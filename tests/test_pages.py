@@ -75,7 +75,7 @@ def test_a_page_works_from_top_to_bottom(name, tmp_path):
     """Exit code 1 passes: on a busy machine the fish may hold, and says so."""
     (page,) = DOCS.glob(f"*/{name}.md")
     left_out = set(told(page, NEVER))
-    script = [one for one in lines(page) if one.startswith(("tailbeat", "wait"))]
+    script = [one for one in lines(page) if one.startswith(("tailbeat", "until"))]
     text = SHELL.format(python=sys.executable) + "\n".join(x for x in script if x not in left_out)
     words = ["bash", "-c", f"{text}\nwait"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=1800)
