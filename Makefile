@@ -32,7 +32,7 @@ docs: $(READY)  ## build the documentation site into build/site; a wrong link is
 	$(VENV)/bin/mkdocs build --strict -q $(ARGS)
 
 test: check browser  ## check, then every test that is neither slow nor needs a GPU
-	$(VENV)/bin/pytest -n logical --no-loadscope-reorder $(ARGS)
+	$(VENV)/bin/pytest -n auto --no-loadscope-reorder $(ARGS)
 
 mutation: $(READY)  ## change the code in one place at a time; which changes does no test notice? (hours)
 	$(VENV)/bin/python tests/mutation.py $(ARGS)

@@ -1,6 +1,7 @@
-"""Shared fixtures: where the real recordings are."""
+"""Shared fixtures: where the real recordings are; which tests run beside which."""
 
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -37,18 +38,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.get_closest_marker("realtime") is None)
 
 
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """`-n auto`: two more processes than cores, for two of them mostly wait for other processes."""
+    return (os.cpu_count() or 1) + 2
+
+
 class TogetherOrApart(LoadScopeScheduling):
     """Which tests one process of `pytest -n` runs together, told by their files.
 
-    All that measure time, one after another; and those of a file with a fixture of module scope,
+    Those that measure time, one after another, in two groups: `realtime` and `realtime("robot")`,
+    the second with whole robots that break; and those of a file with a fixture of module scope,
     which is then made once. The others go to whichever process is idle.
     """
 
     def _split_scope(self, nodeid: str) -> str:
         name = nodeid.partition("::")[0]
         text = (ROOT / name).read_text()
-        if "pytestmark = pytest.mark.realtime" in text:
-            return "realtime"
+        if mark := re.search(r'^pytestmark = pytest\.mark\.(realtime.*)$', text, re.MULTILINE):
+            return mark[1]
         return name if 'scope="module"' in text else nodeid
 
 

@@ -25,7 +25,7 @@ from tailbeat.link import datagrams as link
 from tailbeat.robot import doctor, doctor_computer, doctor_devices, doctor_link
 from tailbeat.robot.findings import ADVICE, BAD, OK, WARN, Finding
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime("robot")
 
 PATIENT = 0.25
 

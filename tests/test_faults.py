@@ -25,7 +25,7 @@ from tailbeat.fish.store import load_fish
 from tailbeat.report.fault_table import markdown
 from tailbeat.robot import session
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime("robot")
 
 POLICY, DRIVE = "pulley-fish-pool-generator", session.drive
 QUICK = ("servo cable", "forgeries", "encoder frozen", "watchdog", "clock back", "nan", "disk full")

@@ -79,7 +79,9 @@ def test_nothing_that_was_started_outlives_the_swim(swum):
     assert not verbs(swum[0])
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_a_swim_that_is_ended_takes_its_processes_along(tmp_path, number):
     words = ["swim", "--headless", "--targets", "1", "--out", str(tmp_path)]
     with subprocess.Popen(command(*words)) as swim:

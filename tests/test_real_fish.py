@@ -12,7 +12,7 @@ from tailbeat.importers.fishsim import import_fishsim
 HELD_OUT = ("f0_50", "f0_75", "f1_50", "f2_25")
 
 
-QUICK = (1, Effort(generations=1, population=8, polish=3))
+QUICK = (1, Effort(generations=1, population=8, polish=1))
 WHOLE = (3, Effort(generations=10))
 
 

@@ -360,7 +360,7 @@ def test_a_page_of_runs_cut_short_says_so(evaluated, tmp_path):
 
 @pytest.mark.long
 def test_a_comparison_pairs_every_policy_with_its_twin_and_is_shared_between_processes(tmp_path):
-    config = ComparisonConfig((POLICY,), targets=3)
+    config = ComparisonConfig((POLICY,), targets=2)
     for share in ((0, 2), (1, 2)):
         found = compare.compare(config, tmp_path / "c", lambda *_: None, share)
     conditions = [row.condition for row in found.rows]
