@@ -15,12 +15,15 @@ pytest.importorskip("onnx", reason="the train extra is not installed")
 import onnx
 
 from policies import POLICIES
+from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, Direct, Generator
-from tailbeat.control.observation import TABLE
+from tailbeat.control.observation import SCALES, TABLE, Samples, observe
 from tailbeat.control.policy import (
+    KEY,
     _digests,
     as_text,
     check_fits,
+    decide,
     differences,
     load_policy,
     shipped,
@@ -95,6 +98,68 @@ def test_unknown_versions_and_strangers_are_refused(tmp_path):
         load_policy("pulley-fish-pool-signal")
 
 
+def test_only_a_name_is_told_where_policies_of_the_repository_lie(tmp_path):
+    for path in ("none.onnx", tmp_path / "none", tmp_path / "none.onnx"):
+        with pytest.raises(BadInput, match=f"no such file; .* one of {NAME}\\.$"):
+            load_policy(path)
+
+
+def signed(to: Path, content: object, of: Path = PATH) -> Path:
+    """A copy of a policy with this contract, its digests made anew where there is one."""
+    model = onnx.load(str(of))
+    if isinstance(content, dict):
+        content = json.dumps({"contract": content, "digests": _digests(content)})
+    model.metadata_props[0].value = content
+    onnx.save(model, str(to))
+    return to
+
+
+def test_a_contract_that_cannot_be_read_or_lacks_a_field_is_refused(tmp_path):
+    held = json.loads(as_text(CONTRACT))["contract"]
+    for text in ("words", "[1]", '{"contract": {}, "digests": {}}'):
+        with pytest.raises(BadInput, match="its contract cannot be read"):
+            load_policy(signed(tmp_path / "p.onnx", text))
+    less = {name: value for name, value in held.items() if name != "period"}
+    for odd, content in (("period", less), ("colour", {**held, "colour": "red"})):
+        with pytest.raises(BadInput, match=f"missing or unknown fields .'{odd}'"):
+            load_policy(signed(tmp_path / "p.onnx", content))
+
+
+def test_a_contract_s_action_space_and_table_must_be_possible_ones(tmp_path):
+    for other, refusal in (
+        (replace(CONTRACT, actions=replace(CONTRACT.actions, low=9.0)), "must rise"),
+        (replace(CONTRACT, observation=TABLE[:-1]), "23 observations; this tailbeat makes 24"),
+    ):
+        with pytest.raises(BadInput, match=refusal):
+            load_policy(signed(tmp_path / "p.onnx", as_text(other)))
+
+
+@pytest.mark.parametrize(
+    ("name", "rows", "columns", "weight", "refusal"),
+    [
+        ("observation", 24, 6, 0.0, "golden actions are off by .*, allowed is 1e-05"),
+        ("observation", 24, 6, np.nan, "golden actions are off by nan"),
+        ("observation", 24, 5, 0.0, "gives 5 numbers; its action space takes 6"),
+        ("observation", 23, 6, 0.0, "does not take 24 observations"),
+        ("seen", 24, 6, 0.0, "does not take 24 observations"),
+    ],
+)
+def test_a_network_that_is_not_the_contract_s_is_refused(
+    tmp_path, name, rows, columns, weight, refusal
+):
+    """One layer of equal weights, under the shipped policy's contract."""
+    model = onnx.parser.parse_model(
+        f'<ir_version: 8, opset_import: ["" : 17], metadata_props: ["{KEY}": ""]> layer'
+        f" (float[n,{rows}] {name}) => (float[n,{columns}] action)"
+        f" {{ action = MatMul({name}, w) }}"
+    )
+    weights = np.full((rows, columns), weight, np.float32)
+    model.graph.initializer.append(onnx.numpy_helper.from_array(weights, "w"))
+    onnx.save(model, str(tmp_path / "layer.onnx"))
+    with pytest.raises(BadInput, match=refusal):
+        load_policy(signed(tmp_path / "p.onnx", as_text(CONTRACT), tmp_path / "layer.onnx"))
+
+
 def test_one_policy_is_shipped_and_seven_are_kept_as_evidence():
     assert list(shipped()) == ["pulley-fish-pool-generator"]
     assert len(POLICIES) == 8
@@ -165,3 +230,30 @@ def test_a_reading_that_is_no_number_gives_no_number_and_no_further_state():
     bad = Readings(float("nan"), 0.0, 0.0, np.zeros((3, 6)))
     after, decision = steer(POLICY, course, bad)
     assert math.isnan(decision.setpoint) and after is course
+
+
+def test_the_runner_s_network_sees_its_last_three_commands_newest_first():
+    course, given = begin(POLICY), Readings(0.1, -2.0, 0.5, np.zeros((3, 6)))
+    assert course.commands.tolist() == [[[0.0, 0.0]] * 3]  # a straight tail, still
+    newest: list[np.ndarray] = []
+    for _ in range(5):
+        before = [*newest, *[np.zeros(2)] * 3][:3]
+        course, decision = steer(POLICY, course, given)
+        shown = decision.observation[6:12] * SCALES[6:12]
+        assert shown == pytest.approx(np.concatenate(before), rel=1e-5)
+        assert decision.setpoint == act.setpoint(CONTRACT.actions, course.state)[0]
+        newest.insert(0, act.command(CONTRACT.actions, course.state)[0])
+    assert np.array_equal(course.commands[0], newest[:3]) and np.ptp(newest, axis=0).min() > 0
+
+
+def test_the_runner_s_decision_is_the_network_s_for_what_the_sensors_said():
+    frames = np.random.default_rng(0).uniform(0, 1, (3, 6))
+    course, decision = steer(POLICY, begin(POLICY), Readings(0.1, -2.0, 0.5, frames))
+    angle, velocity, rate, phase = (np.array([x]) for x in (0.1, -2.0, 0.5, 0.0))
+    raw = Samples(angle, velocity, rate, phase, np.zeros((1, 3, 2)), frames[None])
+    assert np.array_equal(decision.observation, observe(raw)[0])
+    assert np.array_equal(decision.action, decide(POLICY, observe(raw))[0])
+    once = act.step(
+        CONTRACT.actions, act.reset(CONTRACT.actions, 1), decision.action[None].astype(float), 0.02
+    )
+    assert np.array_equal(course.state.u, once.u) and course.state.phase == once.phase

@@ -7,19 +7,29 @@ import numpy as np
 import pytest
 
 from tailbeat.control.actions import (
+    ActionState,
     Direct,
     Filtered,
     Generator,
     check_band,
     check_space,
+    command,
     reset,
     setpoint,
     size,
     step,
     targets,
 )
-from tailbeat.control.band import Monitor, share_below, velocity_spectrum
-from tailbeat.control.observation import SCALES, TABLE, Samples, as_markdown, bearing, observe
+from tailbeat.control.band import share_below
+from tailbeat.control.observation import (
+    SCALES,
+    TABLE,
+    Samples,
+    as_markdown,
+    bearing,
+    observe,
+    wrapped,
+)
 from tailbeat.files import BadInput
 
 GENERATOR = Generator(-1.4, 1.4)
@@ -156,6 +166,9 @@ def test_a_batch_equals_its_members(space):
     ("space", "complaint"),
     [
         (replace(GENERATOR, low=2.0), "must rise"),
+        (Direct(1.4, 1.4), "must rise"),
+        (Filtered(-1.4, 1.4, tau=0.0), "tau = 0"),
+        (replace(GENERATOR, ceiling=0.0), "ceiling = 0"),
         (replace(GENERATOR, tau=0.0), "tau = 0"),
         (replace(GENERATOR, ceiling=-1.0), "ceiling = -1"),
         (replace(GENERATOR, second=-0.1), "give 0 or more"),
@@ -169,6 +182,50 @@ def test_limits_that_cannot_be_are_refused(space, complaint):
     with pytest.raises(BadInput, match=complaint) as refused:
         check_space(space)
     assert str(refused.value).count(". ") == 0  # one sentence
+
+
+@pytest.mark.parametrize(
+    "space",
+    [
+        *SPACES,
+        replace(GENERATOR, ceiling=0.5),
+        replace(GENERATOR, offset=0.0, first=0.0, second=0.0),
+        replace(GENERATOR, floor=3.9),
+    ],
+)
+def test_limits_that_can_be_are_taken(space):
+    check_space(space)
+
+
+def test_the_setpoint_is_the_paper_s_wave():
+    """theta_c + a1 cos phi + b1 sin phi + a2 cos 2 phi + b2 sin 2 phi, at eighths of a turn."""
+    centre, a1, b1, a2, b2 = 0.1, 0.2, 0.3, 0.04, 0.05
+    state = ActionState(np.tile([9.0, centre, a1, b1, a2, b2], (5, 1)), np.arange(5) * np.pi / 4)
+    side = np.sqrt(0.5)
+    wanted = [a1 + a2, side * (a1 + b1) + b2, b1 - a2, side * (b1 - a1) - b2, a2 - a1]
+    assert setpoint(GENERATOR, state) == pytest.approx(centre + np.array(wanted))
+    assert command(GENERATOR, state).tolist() == [[9.0, centre]] * 5
+
+
+@pytest.mark.parametrize("space", SPACES, ids=lambda s: s.kind)
+def test_actions_beyond_one_ask_for_no_more_than_one(space):
+    for sign in (-1.0, 1.0):
+        ends = [played(space, np.full((30, 1, size(space)), sign * x))[0] for x in (1.0, 1.5, 99.0)]
+        assert np.array_equal(ends[0], ends[1]) and np.array_equal(ends[0], ends[2])
+
+
+def test_a_direct_action_runs_from_the_range_s_low_to_its_high():
+    space = Direct(-0.4, 1.2)
+    state = step(space, reset(space, 3), np.array([[-1.0], [0.0], [1.0]]), DT)
+    assert setpoint(space, state) == pytest.approx([-0.4, 0.4, 1.2])
+    assert command(space, state) == pytest.approx(np.array([[0, -0.4], [0, 0.4], [0, 1.2]]))
+
+
+@pytest.mark.parametrize("kind", [Direct, Filtered])
+def test_it_begins_straight_or_at_the_nearest_angle_that_the_servo_reaches(kind):
+    for low, high, rest in ((-1.4, 1.4, 0.0), (0.2, 1.4, 0.2), (-1.4, -0.3, -0.3)):
+        assert setpoint(kind(low, high), reset(kind(low, high), 2)).tolist() == [rest] * 2
+    assert setpoint(GENERATOR, reset(GENERATOR, 2)).tolist() == [0.0, 0.0]
 
 
 def test_bad_actions_and_bands_are_refused():
@@ -197,16 +254,28 @@ def test_every_row_of_the_table_is_what_it_says():
     seen = observe(raw) * SCALES
     found = {entry.name: seen[:, i] for i, entry in enumerate(TABLE)}
     assert len(TABLE) == seen.shape[1] == 24
-    assert found["sin motor angle"] == pytest.approx(np.sin(raw.motor_angle), rel=1e-5)
-    assert found["motor velocity"] == pytest.approx(raw.motor_velocity, rel=1e-5)
-    assert found["yaw rate"] == pytest.approx(raw.yaw_rate, rel=1e-5)
-    assert found["cos phase"] == pytest.approx(np.cos(raw.phase), rel=1e-5)
-    assert found["command 0 (newest): frequency"] == pytest.approx(raw.commands[:, 0, 0], rel=1e-5)
-    assert found["command 2: centre"] == pytest.approx(raw.commands[:, 2, 1], rel=1e-5)
-    assert found["frame 1: staleness"] == pytest.approx(raw.frames[:, 1, 5], rel=1e-5)
-    distance = found["frame 0 (newest): target distance"]
-    ahead, left = (found[f"frame 0 (newest): target {n}"] for n in ("ahead", "left"))
-    assert distance == pytest.approx(np.hypot(ahead, left), rel=1e-5)
+    wanted = {
+        "cos motor angle": np.cos(raw.motor_angle),
+        "sin motor angle": np.sin(raw.motor_angle),
+        "motor velocity": raw.motor_velocity,
+        "yaw rate": raw.yaw_rate,
+        "cos phase": np.cos(raw.phase),
+        "sin phase": np.sin(raw.phase),
+    }
+    for i in range(3):
+        age = f"{i}" + " (newest)" * (i == 0)
+        wanted[f"command {age}: frequency"] = raw.commands[:, i, 0]
+        wanted[f"command {age}: centre"] = raw.commands[:, i, 1]
+        wanted[f"frame {age}: staleness"] = raw.frames[:, i, 5]
+        fish, target = raw.frames[:, i, :2], raw.frames[:, i, 3:5]
+        wanted[f"frame {age}: target distance"] = np.linalg.norm(target - fish, axis=1)
+        way, away = (f"frame {age}: target {name}" for name in ("ahead", "left"))
+        assert np.hypot(found[way], found[away]) == pytest.approx(
+            found[f"frame {age}: target distance"], rel=1e-5
+        )
+    for name, value in wanted.items():
+        assert found[name] == pytest.approx(value, rel=1e-5), name
+    assert len(wanted) + 2 * 3 == len(TABLE)
 
 
 def test_a_target_is_seen_from_the_fish():
@@ -230,77 +299,14 @@ def test_one_fish_is_a_batch_of_one():
     assert len(as_markdown().splitlines()) == 26
 
 
-# ---- band ---------------------------------------------------------------------------------------
-
-
-def test_two_tones_share_the_power_of_their_speeds():
-    rng = np.random.default_rng(0)
-    time = (np.arange(400) + rng.uniform(-0.3, 0.3, 400)) * 0.02  # a loop with jitter
-    angle = 0.3 * np.sin(2 * np.pi * 2 * time) + 0.1 * np.sin(2 * np.pi * 6 * time + 1) + 0.1 * time
-    # speeds 0.3 * 2 and 0.1 * 6: the same power
-    assert share_below(time, angle, 4.0) == pytest.approx(0.5, abs=0.03)
-    assert share_below(time, angle, 7.0) > 0.97
-    total = np.trapezoid(velocity_spectrum(time, angle).power) / 8
-    assert total == pytest.approx(2 * 0.5 * (2 * np.pi * 0.6) ** 2, rel=0.15)
-
-
-def test_the_running_share_follows_the_last_four_seconds():
-    monitor = Monitor(4.0)
-    assert monitor.share() is None
-    for t in np.arange(0, 6, 0.02):
-        monitor.add(t, 0.5 * np.sin(2 * np.pi * 1.3 * t))
-    calm = monitor.share()
-    assert calm is not None and calm > 0.95
-    for t in np.arange(6, 11, 0.02):
-        monitor.add(t, 0.2 * np.sin(2 * np.pi * 7 * t))
-    fast = monitor.share()
-    assert fast is not None and fast < 0.1
-    assert len(monitor.samples) <= 202
-    for t in np.arange(11, 16, 0.02):
-        monitor.add(t, 0.0)
-    assert monitor.share() is None
-
-
-@pytest.mark.parametrize(
-    ("beat", "side"), [(0.4, "below"), (2.0, "inside"), (3.0, "inside"), (6.0, "above")]
-)
-def test_a_beat_counts_on_its_side_of_the_band(beat, side):
-    time = np.arange(0, 10, 0.02)
-    found = velocity_spectrum(time, np.sin(2 * np.pi * beat * time)).shares((1.0, 4.0))
-    assert getattr(found, side) > 0.95
-    assert found.below + found.inside + found.above == pytest.approx(1.0)
-
-
-def test_both_edges_lie_inside_and_a_still_tail_has_no_shares():
-    time = np.arange(0, 10.001, 0.02)
-    angle = np.sin(2 * np.pi * 2 * time)
-    found = velocity_spectrum(time, angle)
-    band = (float(found.frequency[18]), float(found.frequency[20]))  # the tone's three lines
-    assert found.shares(band).inside > 0.999
-    assert np.isnan(velocity_spectrum(time, 0 * time).shares(band).inside)
-    with pytest.raises(BadInput, match="needs 8"):
-        velocity_spectrum(time[:3], angle[:3])
-
-
-def test_a_piece_too_short_for_the_lower_edge_does_not_say_what_lies_below():
-    for seconds, known in ((2.0, False), (4.0, True)):
-        time = np.arange(0, seconds, 0.02)
-        found = velocity_spectrum(time, np.sin(2 * np.pi * 0.4 * time)).shares((1.0, 4.0))
-        assert np.isfinite(found.above) and np.isfinite([found.below, found.inside]).all() == known
-
-
-def test_the_running_monitor_tells_below_from_inside():
-    monitor = Monitor(4.0, floor=1.0)
-    assert monitor.shares() is None
-    for t in np.arange(0, 6, 0.02):
-        monitor.add(t, 0.5 * np.sin(2 * np.pi * 0.4 * t))
-    slow, share = monitor.shares(), monitor.share()
-    assert slow is not None and slow.below > 0.9
-    assert share == pytest.approx(1 - slow.above)
-
-
 def test_a_bearing_is_from_straight_ahead_and_to_the_left():
     half = np.pi / 2
     pose = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, half], [0.0, 0.0, 3.0], [0.0, 0.0, -3.0]])
     place = np.array([[1.0, 3.0], [1.0, 3.0], [-1.0, 0.0], [-1.0, 0.0]])
     assert bearing(pose, place) == pytest.approx([half, 0.0, np.pi - 3.0, 3.0 - np.pi])
+
+
+def test_angles_are_wrapped_to_minus_pi_up_to_pi():
+    angles = np.array([-np.pi, np.pi, 0.0, 7.0, -7.0])
+    turn = 2 * np.pi
+    assert wrapped(angles) == pytest.approx([-np.pi, -np.pi, 0.0, 7.0 - turn, turn - 7.0])

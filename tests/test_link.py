@@ -11,7 +11,6 @@ import pytest
 from support import until
 from tailbeat.files import BadInput
 from tailbeat.link import datagrams as link
-from tailbeat.link.addresses import address
 from tailbeat.link.datagrams import (
     FRAMES,
     LENGTHS,
@@ -23,6 +22,7 @@ from tailbeat.link.datagrams import (
     ask_datagram,
     bind,
     drain,
+    free_address,
     make_key,
     pose_datagram,
     read_key,
@@ -122,11 +122,76 @@ def test_signed_nonsense_is_dropped_too(frame):
     assert to.rejected == {"implausible": 1} and not to.frames
 
 
+@pytest.mark.parametrize("place", [(2.77, 1.37), (-2.77, -1.37)])
+def test_a_fish_at_the_wall_may_seem_three_centimetres_beyond_it(place):
+    to, (x, y) = receiver(), place
+    to.take(sent(to, 1, [Frame(0, (x, y, 0.0), place)]), 0)
+    assert to.accepted == 1
+    for fish, target in (((1.01 * x, y, 0.0), None), ((x, 1.02 * y, 0.0), None),
+                         (None, (1.01 * x, y)), (None, (x, 1.02 * y))):  # fmt: skip
+        to.take(sent(to, 2, [Frame(0, fish, target)]), 0)
+    assert to.accepted == 1 and to.rejected == {"implausible": 4}
+
+
 def test_time_that_runs_backwards_within_a_run_is_dropped():
     to = receiver()
     to.take(sent(to, 1, frames(5 * SECOND)), 0)
     to.take(sent(to, 2, frames(4 * SECOND)), 0)
     assert to.rejected == {"time runs backwards": 1}
+    to.take(sent(to, 3, frames(5 * SECOND)), 0)  # the camera gave no new frame
+    assert to.accepted == 2
+
+
+def test_the_numbers_on_the_wire_stay_what_they_are():
+    """A station and a fish of two versions must understand each other."""
+    assert [one.value for one in link.Order] == [1, 2, 3, 4]
+    assert list(LENGTHS.values()) == [131, 68, 76, 53]
+    head, first = 28, sent(receiver(), 7, [Frame(9, None, (1.0, 0.5))])[28:57]
+    assert link.HEAD.size == head and link.FRAME.unpack(first) == (9, 2, 0, 0, 0, 1.0, 0.5)
+
+
+def test_a_whole_datagram_that_is_cut_or_of_another_kind_is_not_ours():
+    to = receiver()
+    packet = sent(to, 1)
+    for data in (
+        packet[:-1],
+        packet + b"x",
+        b"",
+        link.sign(KEY, packet[:-20]),
+        b"tbX9" + packet[4:],
+    ):
+        to.take(data, 0)
+    assert to.rejected == {"not ours": 5}
+    assert link.is_signed(KEY, packet, POSES, len(packet))
+    assert not link.is_signed(KEY, packet, link.ORDER, len(packet))
+    assert not link.is_signed(KEY, packet, POSES, len(packet) + 1)
+    assert [len(link.sign(KEY, b"x")), link.sign(KEY, b"x")[:1]] == [17, b"x"]
+
+
+def test_more_than_three_frames_send_the_newest_three():
+    to = receiver()
+    to.take(sent(to, 1, [*frames(), Frame(48_000_000, None, None)]), 0)
+    assert [one.captured for one in to.frames] == [48_000_000, 32_000_000, 16_000_000]
+
+
+def test_the_first_poses_after_an_answer_may_have_number_0():
+    to = receiver()
+    answer = tell_datagram(KEY, RUN, ask_datagram(KEY, to.nonce, 0, 0), 200, 210)
+    assert answer is not None
+    to.take(answer, 20)
+    to.take(sent(to, 0), 20)
+    assert to.accepted == 1 and not to.rejected
+
+
+def test_a_socket_gives_no_more_than_asked_and_never_waits():
+    fish, station = bind("127.0.0.1", 0), bind(*free_address())
+    assert not fish.getblocking() and list(drain(fish)) == []
+    for _ in range(5):
+        station.sendto(b"x", fish.getsockname())
+    assert len(list(drain(fish, 3))) == 3 and len(list(drain(fish))) == 2
+    assert free_address()[1] > 1023  # the system chose it
+    for one in (fish, station):
+        one.close()
 
 
 def test_stop_waits_for_the_loop_and_needs_the_key_and_this_start():
@@ -163,19 +228,6 @@ def test_an_answer_counts_once_and_only_with_times_that_can_be():
     assert len(to.clock.echoes) == 1 and to.rejected["old"] == 3
     to.take(answer(4, 300, 920, 920), 300)  # at once is possible
     assert len(to.clock.echoes) == 2
-
-
-@pytest.mark.parametrize("text", ["127.0.0.1", ":5151", "127.0.0.1:x", "127.0.0.1:65536"])
-def test_an_address_needs_host_and_port(text):
-    with pytest.raises(BadInput, match="give host:port"):
-        address(text, "--listen")
-
-
-def test_an_address_is_looked_up_once():
-    assert address("localhost:0", "--listen") == ("127.0.0.1", 0)
-    assert address("127.0.0.1:65535", "--listen") == ("127.0.0.1", 65535)
-    with pytest.raises(BadInput, match=r"nobody\.invalid"):
-        address("nobody.invalid:5151", "--station")
 
 
 def test_a_frame_s_age_is_right_though_the_clocks_differ_drift_and_the_net_is_uneven():
@@ -257,7 +309,7 @@ def test_the_pool_s_size_is_told_with_the_clock_and_bounds_the_poses():
 def test_keys_are_private_whole_and_never_overwritten(tmp_path: Path):
     path = tmp_path / "fish.key"
     make_key(path)
-    assert len(read_key(path)) == link.KEY_BYTES and path.stat().st_mode & 0o777 == 0o600
+    assert len(read_key(path)) == 32 and path.stat().st_mode & 0o777 == 0o600
     with pytest.raises(BadInput, match="exists already"):
         make_key(path)
     path.chmod(0o644)

@@ -11,7 +11,7 @@ import pytest
 
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import SECOND, Frame, Order, Receiver, order_datagram
-from tailbeat.link.reasons import REASONS, Reason
+from tailbeat.link.reasons import REASONS, Reason, text_of
 from tailbeat.link.sender import GIVE_UP, LIVE, Sender
 from tailbeat.link.status import (
     LENGTH,
@@ -96,6 +96,16 @@ def test_an_order_to_move_that_was_held_back_is_late_one_to_stop_is_not():
     assert to.take_orders() == [Order.DISARM, Order.STOP] and to.rejected == {"late": 2}
 
 
+@pytest.mark.parametrize(("ahead", "taken"), [(2 * SECOND, 1), (2 * SECOND + 1, 0)])
+@pytest.mark.parametrize("sign", [1, -1], ids=["late", "early"])
+def test_an_order_to_move_may_be_two_seconds_old_by_the_sender_s_clock(ahead, taken, sign):
+    to = followed()
+    to.clock.add(0, 40 * SECOND, 40 * SECOND, 0)  # the sender's clock is 40 s ahead
+    sent = order_datagram(KEY, RUN, to.nonce, 1, Order.ARM, 41 * SECOND)
+    to.take(sent, SECOND + sign * ahead)
+    assert len(to.take_orders()) == taken
+
+
 def test_every_flipped_bit_of_an_order_and_of_a_status_is_refused():
     to = followed()
     asked, told = order(to, 1, Order.ARM), status_datagram(KEY, RUN, 5, 1, STAND)
@@ -129,6 +139,13 @@ def test_a_status_comes_back_as_it_went():
 def test_every_reason_comes_back_as_a_value(reason):
     found = read_status(KEY, status_datagram(KEY, RUN, 5, 9, replace(STAND, reason=reason)))
     assert found is not None and found[3].reason is reason
+
+
+def test_numbers_too_large_for_a_status_are_cut_and_times_are_said_in_milliseconds():
+    packet = status_datagram(KEY, RUN, 5, 9, replace(STAND, missed=10**6, rejects=10**12))
+    found = read_status(KEY, packet)
+    assert found is not None and (found[3].missed, found[3].rejects) == (0xFFFF, 0xFFFF_FFFF)
+    assert text_of(Reason.POSE_LATE, 1.234) == "no pose for 1234 ms"
 
 
 @pytest.mark.parametrize("reason", ["", "°" * 95, "x" * 500])

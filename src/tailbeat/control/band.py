@@ -75,14 +75,15 @@ def velocity_spectrum(time: Array, angle: Array, highest: float = HIGHEST) -> Sp
     """
     if time.size < 8 or np.any(np.diff(time) <= 0):
         raise BadInput(f"{time.size} samples; a spectrum needs 8 whose times rise.")
-    span = time[-1] - time[0]
+    clock = time - time[0]
+    span = clock[-1]
     top = min(highest, 0.45 * (time.size - 1) / span)
     frequency = np.arange(1, max(int(top * span), 1) + 1) / span
-    phase = 2 * np.pi * (time - time[0]) / span
+    phase = 2 * np.pi * clock / span
     window = (1 - np.cos(phase)) / 2 * np.gradient(time)
-    trend = np.polynomial.polynomial.polyfit(time - time[0], angle, 1, w=np.sqrt(window + 1e-12))
-    still = angle - np.polynomial.polynomial.polyval(time - time[0], trend)
-    waves = np.exp(-2j * np.pi * np.outer(frequency, time - time[0]))
+    trend = np.polynomial.polynomial.polyfit(clock, angle, 1, w=np.sqrt(window + 1e-12))
+    still = angle - np.polynomial.polynomial.polyval(clock, trend)
+    waves = np.exp(-2j * np.pi * np.outer(frequency, clock))
     # Not `@`: the robot's loop asks for this, and a library's threads wait 100 ms for each other
     # where another process has a core.
     lines = (waves * (window * still)).sum(axis=1)
