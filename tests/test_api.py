@@ -54,9 +54,9 @@ def test_type_checkers_are_told_the_same_names(tmp_path):
     lines = ["import tailbeat as tb", *(f"reveal_type(tb.{name})" for name in NAMES), "tb.nothing"]
     (tmp_path / "user.py").write_text("\n".join(lines))
     root = SOURCE.parents[1]  # its cache is warm where `make check` has run
-    config = ["--config-file", str(root / "pyproject.toml"), "--cache-dir", str(root / ".mypy_cache")]
-    words = [sys.executable, "-m", "mypy", *config, str(tmp_path / "user.py")]
-    said = subprocess.run(words, capture_output=True, text=True, check=False).stdout
+    places = ["--config-file", "pyproject.toml", "--cache-dir", ".mypy_cache"]
+    words = [sys.executable, "-m", "mypy", *places, str(tmp_path / "user.py")]
+    said = subprocess.run(words, capture_output=True, text=True, check=False, cwd=root).stdout
     assert said.count("Revealed type") == len(NAMES) and '"Any"' not in said, said
     assert said.count("error:") == 1 and 'has no attribute "nothing"' in said, said
 
