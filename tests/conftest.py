@@ -54,7 +54,7 @@ class TogetherOrApart(LoadScopeScheduling):
     def _split_scope(self, nodeid: str) -> str:
         name = nodeid.partition("::")[0]
         text = (ROOT / name).read_text()
-        if mark := re.search(r'^pytestmark = pytest\.mark\.(realtime.*)$', text, re.MULTILINE):
+        if mark := re.search(r"^pytestmark = pytest\.mark\.(realtime.*)$", text, re.MULTILINE):
             return mark[1]
         return name if 'scope="module"' in text else nodeid
 
