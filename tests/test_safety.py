@@ -1,7 +1,9 @@
 """When the robot may swim: every rule holds or stops, every limit acts at exactly its value."""
 
 import math
+import re
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -194,3 +196,40 @@ def test_setpoints_stay_in_range_and_never_jump():
     for _ in range(200):
         angle = shaped(0.0, angle, -1.4, 1.4, LIMITS.ramp, 0.02)
     assert angle == 0.0
+
+
+# ---- the page that explains them ----------------------------------------------------------------
+
+PAGE = Path(__file__).parents[1] / "docs" / "explain" / "safety.md"
+STATED = {  # what the condition of each rule with a limit must say
+    Reason.SERVO_HOT: f"{LIMITS.temperature_stop:g} °C",
+    Reason.OVERCURRENT: f"{LIMITS.current_stop:g} A",
+    Reason.SERVO_LOST: f"for {LIMITS.servo_stop:g} s",
+    Reason.POSE_LOST: f"older than {LIMITS.pose_stop:g} s",
+    Reason.SERVO_LATE: f"for {1e3 * LIMITS.servo_hold:g} ms",
+    Reason.YAW_RATE_LATE: f"for {LIMITS.imu_hold:g} s",
+    Reason.POSE_LATE: f"older than {LIMITS.pose_hold:g} s",
+    Reason.POSE_AHEAD: f"more than {1e3 * LIMITS.clock_doubt:g} ms",
+    Reason.CLOCKS_UNKNOWN: f"by {1e3 * LIMITS.clock_doubt:g} ms",
+    Reason.POSES_IMPLAUSIBLE: f"{LIMITS.jumps_hold} poses",
+    Reason.SERVO_WARM: f"{LIMITS.temperature_hold:g} °C",
+    Reason.SUPPLY: f"{LIMITS.voltage_low:g} to {LIMITS.voltage_high:g} V",
+    Reason.PERIODS_MISSED: f"{LIMITS.overruns_hold} periods",
+}
+
+
+def rules_on_the_page() -> list[tuple[str, str]]:
+    """Condition and reason of every row under the two headings of rules, in their order."""
+    sections = re.split(r"^## ", PAGE.read_text("utf-8"), flags=re.M)
+    chosen = [part for part in sections if part.startswith("Rules that")]
+    rows = re.findall(r"^\| (.*?) \| (.*?) \|$", "".join(chosen), flags=re.M)
+    return [row for row in rows if row[0] != "condition"]
+
+
+def test_the_page_lists_every_rule_with_its_limit_in_the_order_of_the_code():
+    rules, rows = (*STOPS, *HOLDS), rules_on_the_page()
+    read = [re.sub(r"{[^}]*}", "…", rule.reason.value) for rule in rules]
+    assert [reason for _, reason in rows] == read
+    said = {rule.reason: condition for rule, (condition, _) in zip(rules, rows, strict=True)}
+    wrong = {reason for reason, text in STATED.items() if text not in said[reason]}
+    assert not wrong
