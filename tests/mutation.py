@@ -56,7 +56,9 @@ class Room:
 
 ROOMS = {
     "search": Room(
-        ("identify/search.py",), ("test_search.py",), needs=("numpy", "scipy.stats", "cma")
+        ("identify/search.py",),
+        ("test_fit.py", "test_search.py"),
+        needs=("numpy", "scipy.stats", "cma"),
     ),
     "safety": Room(("robot/safety.py",), ("test_safety.py",)),
     "link": Room(

@@ -107,10 +107,10 @@ def test_no_order_counts_as_taken_before_a_fish_was_heard(bench):
 
 def test_an_order_is_given_up_after_three_seconds(bench):
     bench.ask(0.0)
-    bench.sender.order(Order.ARM, 0.0)
-    bench.sender.work(3.0)
+    bench.sender.order(Order.ARM, 10.0)
+    bench.sender.work(13.0)
     assert bench.sender.pending
-    bench.sender.work(3.1)
+    bench.sender.work(13.1)
     assert not bench.sender.pending
     assert bench.sender.said == "ARM not taken: the fish does not answer"
 
@@ -133,13 +133,13 @@ def test_a_fish_that_starts_anew_gets_no_order_that_was_given_to_the_one_before(
 
 
 def test_a_question_of_another_start_is_heard_once_the_fish_is_silent_for_a_second(bench):
-    bench.tell(0.0, 1)
-    bench.ask(1.0, nonce=6)
+    bench.tell(10.0, 1)
+    bench.ask(11.0, nonce=6)
     assert bench.sender.nonce == FISH
-    bench.ask(1.1, nonce=6)
+    bench.ask(11.1, nonce=6)
     assert bench.sender.nonce == 6
-    bench.tell(1.2, 1, nonce=6)
-    bench.ask(9.0, nonce=FISH)  # a recording of the start that ended
+    bench.tell(11.2, 1, nonce=6)
+    bench.ask(19.0, nonce=FISH)  # a recording of the start that ended
     assert bench.sender.nonce == 6
 
 
