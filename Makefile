@@ -37,10 +37,13 @@ test: check browser  ## check, then every test that is neither slow nor needs a 
 mutation: $(READY)  ## change the code in one place at a time; which changes does no test notice? (hours)
 	$(VENV)/bin/python tests/mutation.py $(ARGS)
 
-check: $(READY)  ## lint, format and types, changing nothing
+check: $(READY)  ## lint, format, types, spelling and prose, changing nothing
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/mypy
+	$(VENV)/bin/codespell README.md CHANGELOG.md CONTRIBUTING.md docs src tests tools examples
+	$(VENV)/bin/proselint --config .proselintrc.json check README.md CHANGELOG.md CONTRIBUTING.md docs
+	$(VENV)/bin/python tools/prose.py
 
 format: $(READY)  ## put imports and layout right
 	$(VENV)/bin/ruff check --fix
