@@ -12,6 +12,8 @@ export TAILBEAT_DATA
 # More options for the command that a target runs: make swim ARGS="--seed 3"
 ARGS ?=
 
+PAGES := README.md CHANGELOG.md CONTRIBUTING.md SECURITY.md docs
+
 .DEFAULT_GOAL := help
 .PHONY: help mutation swim benchmark results docs test check format browser clean
 
@@ -41,8 +43,8 @@ check: $(READY)  ## lint, format, types, spelling and prose, changing nothing
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/mypy
-	$(VENV)/bin/codespell README.md CHANGELOG.md CONTRIBUTING.md docs src tests tools examples
-	$(VENV)/bin/proselint --config .proselintrc.json check README.md CHANGELOG.md CONTRIBUTING.md docs
+	$(VENV)/bin/codespell $(PAGES) src tests tools examples
+	$(VENV)/bin/proselint --config .proselintrc.json check $(PAGES)
 	$(VENV)/bin/python tools/prose.py
 
 format: $(READY)  ## put imports and layout right

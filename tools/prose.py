@@ -30,7 +30,7 @@ OPEN = ("CHANGELOG.md",)
 
 def pages() -> list[Path]:
     """Every page that is held, README first."""
-    named = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")]
+    named = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG", "SECURITY")]
     docs = sorted((ROOT / "docs").rglob("*.md"))
     return [*named, *(page for page in docs if not page.name.startswith("TODO-"))]
 
