@@ -85,7 +85,8 @@ def paragraphs(text: str) -> Iterator[tuple[int, str]]:
 
 
 def prose(text: str) -> Iterator[tuple[int, str]]:
-    """Numbered lines outside fenced code; the line of a fence comes empty."""
+    """Numbered lines outside fenced code and without comments; a fence's own line comes empty."""
+    text = re.sub(r"<!--.*?-->", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.S)
     inside = False
     for number, line in enumerate(text.splitlines(), start=1):
         fence = line.lstrip().startswith(("```", "~~~"))
