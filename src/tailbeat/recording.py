@@ -9,6 +9,7 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -230,6 +231,22 @@ def check_continuous(recording: Recording) -> None:
         )
 
 
+def stretches(recording: Recording) -> list[Recording]:
+    """The parts in which time rises, each named by its condition where time starts anew."""
+    edges = [0, *(np.flatnonzero(np.diff(recording.time) <= 0) + 1), recording.time.size]
+    parts = [rows(recording, slice(*pair)) for pair in pairwise(edges)]
+    if len(parts) == 1:
+        return parts
+    return [replace(p, name=f"{p.name}, {p.labels['condition'][0]}") for p in parts]
+
+
+def rows(recording: Recording, which: slice | NDArray[np.bool_]) -> Recording:
+    """The chosen samples."""
+    columns = {name: column[which] for name, column in recording.columns.items()}
+    labels = {name: column[which] for name, column in recording.labels.items()}
+    return replace(recording, time=recording.time[which], columns=columns, labels=labels)
+
+
 def markers(recording: Recording) -> tuple[Array, list[int]]:
     """Marker tracks (n, m, 2) [m], NaN where unseen, and their numbers, rising."""
     ends = [name[6:-4] for name in recording.columns if is_marker(name) and name.endswith("_x_m")]
@@ -251,12 +268,7 @@ def crop(recording: Recording, start: float, end: float) -> Recording:
             f"{recording.name}: {start:g}-{end:g} s holds {kept.sum()} samples of a recording of"
             f" {recording.time[0]:g}-{recording.time[-1]:g} s; ask for at least 2."
         )
-    return replace(
-        recording,
-        time=recording.time[kept],
-        columns={name: column[kept] for name, column in recording.columns.items()},
-        labels={name: column[kept] for name, column in recording.labels.items()},
-    )
+    return rows(recording, kept)
 
 
 def resample(recording: Recording, time: Array) -> Recording:

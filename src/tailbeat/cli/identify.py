@@ -118,8 +118,11 @@ def identify_servo(
     paths = stages.Paths(fish, fit, out, validate or [], json)
     with progress.search_progress() as report:
         found = stages.servo(paths, config, report, bench_figures.servo_fit)
-    results.servo(servo_report.as_report(found))
+    said = servo_report.as_report(found)
+    results.servo(said)
     output.say(f"wrote {', '.join(map(str, paths.written))}")
+    if not said["trusted"]:
+        raise typer.Exit(1)
 
 
 def identify_all(

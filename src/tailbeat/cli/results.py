@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+from tailbeat.cli.left_out import sentences
 from tailbeat.cli.output import say, tables
 from tailbeat.files import leaves
 from tailbeat.report.tables import as_rows, percent
@@ -49,10 +50,12 @@ def tail(report: dict[str, Any]) -> None:
             f" {ring['damping_ratio']['value']:.3g}"
         )
     _warn(report["warnings"])
+    _say_glitches(report)
 
 
 def servo(report: dict[str, Any]) -> None:
     """Servo numbers, recordings, trade-offs, and what the data do not support."""
+    _verdict(report)
     runs = [
         {name.replace("_deg", " [deg]"): value for name, value in run.items()}
         for run in report["runs"]
@@ -67,9 +70,22 @@ def servo(report: dict[str, Any]) -> None:
             f" told apart by: {pair['separated_by']}"
         )
     _warn(report["warnings"])
+    _say_glitches(report)
     held_out = report["validate_mae_deg"]
     rest = "" if held_out is None else f", {held_out:.2f} deg on the held-out recordings"
     say(f"mean absolute angle error {report['fit_mae_deg']:.2f} deg on the fitted{rest}")
+    say(f"{report['error_over_best_naive']:.2f} times the error of the best naive predictor")
+
+
+def _verdict(report: dict[str, Any]) -> None:
+    """What must be read first."""
+    for sentence in report["verdict"]:
+        say(sentence)
+
+
+def _say_glitches(report: dict[str, Any]) -> None:
+    for line in sentences(report["glitches"]):
+        say(line)
 
 
 def _warn(warnings: list[str]) -> None:
@@ -104,6 +120,7 @@ def identified(report: dict[str, Any]) -> None:
     for pair in report["trade_offs"]:
         a, b = pair["parameters"]
         say(f"the data trade {a} against {b} (correlation {pair['correlation']:.2f})")
+    _say_glitches(report)
     _say_errors(report)
 
 
@@ -140,6 +157,7 @@ def _path_cells(run: dict[str, Any]) -> dict[str, Any]:
 def predicted(result: dict[str, Any]) -> None:
     """One row per recording and the mean absolute speed error."""
     tables({"measured and predicted": [_run_cells(run) for run in result["runs"]]})
+    _say_glitches(result)
     say(f"mean absolute speed error {1e3 * result['speed_mae']:.1f} mm/s")
     if "naive" in result:
         _say_rival(result)

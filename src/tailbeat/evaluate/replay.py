@@ -14,7 +14,7 @@ from tailbeat.identify import kinematic
 from tailbeat.identify.coverage import Coverage
 from tailbeat.identify.predict import Prediction, predict
 from tailbeat.identify.predict import as_json as predictions_json
-from tailbeat.identify.runs import as_run
+from tailbeat.identify.runs import as_runs
 from tailbeat.recording import Recording, read_recording
 
 
@@ -35,11 +35,12 @@ def predict_swims(fish: str, swims: Sequence[Path], fitted_on: Sequence[Path] = 
     """Measured and predicted figures of recordings, logs or an evaluation's chunks; with
     `fitted_on`, those of the naive model fitted on these recordings too."""
     described = load_fish(fish)
-    runs = [as_run(recording, described) for path in swims for recording in read_swims(path)]
+    played = [recording for path in swims for recording in read_swims(path)]
+    runs = [run for recording in played for run in as_runs(recording, described)]
     found = predict(described, runs)
     if not fitted_on:
         return Replay(tuple(found))
-    known = [as_run(read_recording(path), described) for path in fitted_on]
+    known = [run for path in fitted_on for run in as_runs(read_recording(path), described)]
     return Replay(tuple(found), kinematic.beside(found, known))
 
 

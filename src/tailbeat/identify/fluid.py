@@ -17,6 +17,7 @@ from tailbeat.fish.description import COEFFICIENTS, Fish
 from tailbeat.fish.rollout import Swim
 from tailbeat.fish.store import value_at, with_values
 from tailbeat.identify.gait import Track, measure_gait, surge
+from tailbeat.identify.glitches import MISSING
 from tailbeat.identify.runs import Cruise, Run, camera_track, last_beats, repeat
 from tailbeat.identify.search import Parameter, sensitivity
 
@@ -210,8 +211,10 @@ def _compare_poses(run: Run, track: Track, weigh_start: bool) -> Array:
     span = run.track.time[-1] - run.track.time[0]
     time = np.linspace(span / SAMPLES, min(span, track.time[-1]), SAMPLES)
     scale = np.array([SIGMA.position, SIGMA.position, SIGMA.yaw])
-    measured = _at(time, run.track.time - run.track.time[0], run.track.pose)
     weight = np.linspace(START_WEIGHT, 1.0, SAMPLES) if weigh_start else np.ones(SAMPLES)
+    kept = _recorded(time, run.track.time - run.track.time[0])
+    time, weight = time[kept], weight[kept]
+    measured = _at(time, run.track.time - run.track.time[0], run.track.pose)
     weight = np.sqrt(weight / weight.mean())[:, None] / scale
     error = ((_at(time, track.time, track.pose) - measured) * weight).ravel()
     way = measured - run.track.pose[0]
@@ -219,6 +222,13 @@ def _compare_poses(run: Run, track: Track, weigh_start: bool) -> Array:
         return _without_first_pose(error, way, weight)
     known = error.reshape(-1, 3)[:, :2].ravel()
     return _without_first_pose(known, way, weight[:, :2], yaw=np.pi)
+
+
+def _recorded(time: Array, when: Array) -> NDArray[np.bool_]:
+    """Which times have a frame on both sides, not a hole in the recording."""
+    step = np.diff(when)
+    after = np.clip(np.searchsorted(when, time), 1, when.size - 1)
+    return np.asarray(step[after - 1] < MISSING * np.median(step))
 
 
 def _without_first_pose(error: Array, way: Array, weight: Array, yaw: float | None = None) -> Array:

@@ -230,7 +230,8 @@ def measure_gait(track: Track, frequency: float) -> Gait:
         return Gait(nan, mean_speed(track), nan, complex(nan), None, nan)
     period = float(np.median(np.diff(track.time)))
     beats = int(frequency * (track.time[-1] - track.time[0]) + 0.02)
-    whole = track.cut(0, min(track.time.size, round(beats / frequency / period) + 1))
+    last = track.time[0] + beats / frequency + period / 2  # frames may be missing
+    whole = track.cut(0, int(np.searchsorted(track.time, last, side="right")))
     if not track.has_heading:
         return Gait(frequency, mean_speed(whole), beats, complex(nan), None, nan)
     yaw = amplitude(whole.time, whole.pose[:, 2], frequency)

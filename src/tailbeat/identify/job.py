@@ -17,6 +17,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.estimate import Estimate, as_row
 from tailbeat.identify.fluid import apply, fluid_space, insensitive, residual_function
+from tailbeat.identify.glitch_report import as_rows
 from tailbeat.identify.kinematic import errors_row, fit_kinematic, predict_kinematic, replayable
 from tailbeat.identify.launch import Launched, check_launches, stuck
 from tailbeat.identify.predict import Prediction, predict, row, speed_mae
@@ -220,6 +221,7 @@ def as_report(found: Identified, config: FluidConfig) -> dict[str, Any]:
         "validate_speed_mae": speed_mae(found.validated) if found.validated else None,
         "launches": [asdict(one) for one in found.launched],
         "launches_that_end_backward": len(stuck(found.launched)),
+        "glitches": as_rows(g for p in (*found.fitted, *found.validated) for g in p.run.glitches),
         "rival": [errors_row(p) for p in found.rival],
         "engine": f"mujoco {mujoco.__version__}",
         "tailbeat": version("tailbeat"),

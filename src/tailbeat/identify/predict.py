@@ -10,6 +10,7 @@ from tailbeat.files import plain
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Swim
 from tailbeat.identify.gait import Gait, Track, way
+from tailbeat.identify.glitch_report import as_rows
 from tailbeat.identify.runs import Cruise, Run, camera_track, last_beats, repeat, twin_gait
 
 # A prediction settles longer than a fit can afford, and is averaged over more beats.
@@ -97,6 +98,7 @@ def as_json(predictions: Sequence[Prediction]) -> dict[str, Any]:
     return {
         "runs": [row(prediction) for prediction in predictions],
         "speed_mae": speed_mae(predictions),
+        "glitches": as_rows(glitch for one in predictions for glitch in one.run.glitches),
     }
 
 

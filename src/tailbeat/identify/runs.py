@@ -23,6 +23,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, Swim, replay_command, swim
 from tailbeat.fish.twin import Options, Twin, compile_twin
+from tailbeat.identify.clean import clean_swim
 from tailbeat.identify.gait import (
     Gait,
     Track,
@@ -31,8 +32,9 @@ from tailbeat.identify.gait import (
     measure_gait,
     steady_beat,
 )
+from tailbeat.identify.glitches import Glitch
 from tailbeat.identify.launch import launch_of
-from tailbeat.recording import Recording, markers, require
+from tailbeat.recording import Recording, check_continuous, markers, require, stretches
 
 Array = NDArray[np.float64]
 SAMPLE = 0.02  # s between samples of a twin's run
@@ -51,7 +53,7 @@ class Cruise:
 @dataclass(frozen=True, eq=False)
 class Run:
     """A recording made ready: its track and gait; `motor` (k,) rad, None for a cruise; `launch`
-    (3,) surge, sway and yaw rate at the start where the recording states them.
+    (3,) surge, sway and yaw rate at the start where stated; `glitches`, what was left out.
 
     A cruise has a heading and a beat; a replayed run may lack either (`Track`, `Gait`).
     """
@@ -62,10 +64,18 @@ class Run:
     motor: Array | None
     from_rest: bool
     launch: Array | None = None
+    glitches: tuple[Glitch, ...] = ()
+
+
+def as_runs(recording: Recording, fish: Fish) -> list[Run]:
+    """`as_run` of every stretch of a recording in which time rises."""
+    return [as_run(part, fish) for part in stretches(recording)]
 
 
 def as_run(recording: Recording, fish: Fish) -> Run:
-    """Check a recording against a fish and measure its gait. Raises BadInput with the reason."""
+    """A recording without its glitches, checked against a fish. Raises BadInput with the reason."""
+    check_continuous(recording)
+    recording, glitches = clean_swim(recording)
     motor = recording.columns.get("motor_angle_rad")
     if motor is None and fish.motor.kind != "crank":
         raise BadInput(
@@ -81,7 +91,7 @@ def as_run(recording: Recording, fish: Fish) -> Run:
         check_motor(recording, fish, motor)
         frequency = steady_beat(track.time, np.sin(motor), fish.band)
     gait, launch = measure_gait(track, frequency), launch_of(recording, fish)
-    return Run(recording.name, track, gait, motor, _from_rest(track), launch)
+    return Run(recording.name, track, gait, motor, _from_rest(track), launch, glitches)
 
 
 def _recorded_pose(recording: Recording, needs_yaw: bool) -> Array:

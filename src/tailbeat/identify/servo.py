@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
+from tailbeat.identify.glitches import SHAFT, find
 from tailbeat.identify.hinges import tail_inertia
 from tailbeat.identify.response import STILL
 from tailbeat.identify.search import Fit, Parameter, sensitivity
 from tailbeat.identify.shaft import Bench, Load, free_run
-from tailbeat.recording import Recording, require
+from tailbeat.recording import Recording, require, stretches
 
 Array = NDArray[np.float64]
 GRAVITY = 9.80665  # m/s^2
@@ -26,6 +27,7 @@ DEVIATION = np.radians(0.1)  # of an angle: about an encoder count (0.088 deg)
 COMPARED = 400  # samples of a recording, about
 COUNTED = 100  # independent samples that a recording counts for, chosen: a stroke has about ten
 WIDE = 2 * np.pi  # rad: the range check of angles; nobody turns a position servo further here
+MANY = 0.1  # share of an angle's samples beyond `WIDE` from which it is in degrees, no glitch
 BLOCK = 0.5  # s over which residuals hang together, chosen: the time of a slip or a stroke
 STEP = 0.02  # finite difference of the intervals in z; the model has kinks at every standstill
 # How well the load is known: 1 %, chosen. A free run tells the servo's torques from the load's only
@@ -57,35 +59,52 @@ PRIORS: dict[str, tuple[float, float, float, float, str, bool]] = {
 # ---- recordings ---------------------------------------------------------------------------------
 
 
+def as_benches(recording: Recording, fish: Fish, kind: str | None = None) -> list[Bench]:
+    """`as_bench` of every stretch of a recording in which time rises."""
+    return [as_bench(part, fish, kind) for part in stretches(recording)]
+
+
 def as_bench(recording: Recording, fish: Fish, kind: str | None = None) -> Bench:
     """A recording with its load: `kind` tail, pendulum or nothing, else as its metadata say.
 
     Needs `time_s`, `command_rad`, `angle_rad`; `enabled_ratio` where torque was switched. Metadata:
     `gain` (register), `load_mass_kg` and `load_arm_m` of a pendulum hanging at angle 0, or
-    `load: tail` or `nothing`; without any, the fish's tail. Raises BadInput naming what is wrong.
+    `load: tail` or `nothing`; without any, the fish's tail. Glitches of the angle are left out, and
+    the bench begins at the first good sample. Raises BadInput naming what is wrong.
     """
-    require(recording, ["command_rad", "angle_rad"])
-    command, angle = recording.columns["command_rad"], recording.columns["angle_rad"]
-    for column, values in (("command_rad", command), ("angle_rad", angle)):
-        if np.abs(values).max() > WIDE:
-            raise BadInput(
-                f"{recording.name}: column {column} reaches {np.abs(values).max():.3g}; allowed is"
-                f" {WIDE:.3g} rad, so it looks like degrees: convert it to radians."
-            )
+    command, angle = require(recording, ["command_rad", "angle_rad"])
+    _check_radians(recording.name, "command_rad", command)
+    if np.mean(np.abs(angle) > WIDE) > MANY:  # before the search for glitches: it knows radians
+        _check_radians(recording.name, "angle_rad", angle)
+    good, glitches = find(recording, {"angle_rad": SHAFT})
+    angle = np.where(good["angle_rad"], angle, np.nan)
+    _check_radians(recording.name, "angle_rad", angle)
     if np.ptp(command) < STILL:
         raise BadInput(
             f"{recording.name}: column command_rad never moves; record a chirp or steps (see"
             f" `tailbeat protocol servo`)."
         )
+    first = int(np.argmax(good["angle_rad"]))
+    enabled = recording.columns.get("enabled_ratio", np.ones_like(angle))
     return Bench(
         recording.name,
-        recording.time - recording.time[0],
-        command,
-        angle,
-        recording.columns.get("enabled_ratio", np.ones_like(angle)),
+        recording.time[first:] - recording.time[first],
+        command[first:],
+        angle[first:],
+        enabled[first:],
         load_of(recording, fish, kind),
         _number(recording, "gain") if "gain" in recording.meta else None,
+        tuple(glitches),
     )
+
+
+def _check_radians(name: str, column: str, values: Array) -> None:
+    widest = float(np.nanmax(np.abs(values)))
+    if widest > WIDE:
+        raise BadInput(
+            f"{name}: column {column} reaches {widest:.3g}; allowed is {WIDE:.3g} rad, so it looks"
+            f" like degrees: convert it to radians."
+        )
 
 
 def load_of(recording: Recording, fish: Fish, kind: str | None = None) -> Load:
@@ -186,8 +205,13 @@ def described_servo(servo: Servo) -> dict[str, Array]:
     return {**found, "damping_off": found["damping"], **{g: np.zeros(1) for g in GEARS}}
 
 
+def compared(bench: Bench) -> NDArray[np.int_]:
+    """The samples that are compared: every so many-th, glitches left out."""
+    every = np.arange(0, bench.time.size, _thinning(bench))
+    return every[bench.good[every]]
+
+
 def _thinning(bench: Bench) -> int:
-    """Every how many-th sample is compared."""
     return max(bench.time.size // COMPARED, 1)
 
 
@@ -195,17 +219,16 @@ def residual_function(
     benches: Sequence[Bench], space: tuple[Parameter, ...]
 ) -> Callable[[Array], Array]:
     """Batched residuals for `search`: candidates (n, p) in z -> (n, r)."""
-    thin = [_thinning(bench) for bench in benches]
+    chosen = [compared(bench) for bench in benches]
     weights = [
-        np.sqrt(COUNTED / len(bench.time[::step])) / DEVIATION
-        for bench, step in zip(benches, thin, strict=True)
+        np.sqrt(COUNTED / len(bench.time[:: _thinning(bench)])) / DEVIATION for bench in benches
     ]
 
     def residuals(z: Array) -> Array:
         angles = free_run(as_servos(space, z, benches), benches)
         rows = [
-            (angle - bench.angle)[:, ::step] * weight
-            for angle, bench, step, weight in zip(angles, benches, thin, weights, strict=True)
+            (angle - bench.angle)[:, own] * weight
+            for angle, bench, own, weight in zip(angles, benches, chosen, weights, strict=True)
         ]
         return np.concatenate(rows, axis=1)
 
@@ -217,7 +240,7 @@ def blocks(benches: Sequence[Bench]) -> NDArray[np.int_]:
     found: list[Array] = []
     first = 0
     for bench in benches:
-        time = bench.time[:: _thinning(bench)]
+        time = bench.time[compared(bench)]
         own = (time / BLOCK).astype(int)
         found.append(first + own)
         first += int(own[-1]) + 1

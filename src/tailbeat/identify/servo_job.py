@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.estimate import Estimate
+from tailbeat.identify.naive_servo import Naive, naive_servos
 from tailbeat.identify.response import drive_frequency
 from tailbeat.identify.search import (
     Effort,
@@ -80,14 +81,16 @@ class Overlay:
     @property
     def stroke(self) -> tuple[float, float]:
         """Start and end [s] of a stroke: one beat about the widest swing."""
-        beat = 1 / drive_frequency(self.bench.time, self.bench.angle)
-        middle = self.bench.time[np.argmax(np.abs(self.bench.angle - np.median(self.bench.angle)))]
+        good = self.bench.good
+        time, angle = self.bench.time[good], self.bench.angle[good]
+        beat = 1 / drive_frequency(time, angle)
+        middle = time[np.argmax(np.abs(angle - np.median(angle)))]
         start = min(max(middle - beat / 2, 0.0), self.bench.time[-1] - beat)
         return float(max(start, 0.0)), float(start + beat)
 
     def error_deg(self, which: str = "identified") -> Array:
-        """Angle error (k,) deg."""
-        return np.degrees(getattr(self, which) - self.bench.angle)
+        """Angle error (k,) deg at the good samples."""
+        return np.degrees(getattr(self, which) - self.bench.angle)[self.bench.good]
 
     def rmse_deg(self, which: str = "identified") -> float:
         """Root mean square angle error [deg]."""
@@ -114,7 +117,8 @@ class ServoFit:
     """The outcome: one fit per seed, best first, and every recording replayed.
 
     `servo` has the seven numbers that the twin compiles, SI, at the `gain` register; `seconds` is
-    how long the search took; `left_out` is there where cross-validation was asked for.
+    how long the search took; `left_out` is there where cross-validation was asked for. `naive` has
+    the naive predictors, fitted on the same recordings.
     """
 
     space: tuple[Parameter, ...]
@@ -125,6 +129,13 @@ class ServoFit:
     warnings: tuple[str, ...]
     seconds: float
     left_out: tuple[LeftOut, ...] = ()
+    naive: tuple[Naive, ...] = ()
+
+    @property
+    def to_naive(self) -> float:
+        """Mean absolute error over the best naive predictor's, on held-out recordings if any."""
+        own = self.mae_deg("validate") or self.mae_deg("fit") or 0.0
+        return own / max(min(one.judged_mae_deg for one in self.naive), 1e-9)
 
     def estimates(self) -> dict[str, Estimate]:
         """Number -> value, unit and 95 % interval; kp at the gain where recordings state gains."""
@@ -164,8 +175,11 @@ def identify_servo(
     found = values(space, fits[0].z)
     servo = _compiled_servo(found, gain, fit, overlays)
     warnings = tuple(_warnings(space, fits[0], fit))
+    naive = naive_servos(fit, validate)
     elapsed = time.monotonic() - began
-    return ServoFit(space, tuple(fits), tuple(overlays), servo, gain, warnings, elapsed)
+    return ServoFit(
+        space, tuple(fits), tuple(overlays), servo, gain, warnings, elapsed, naive=naive
+    )
 
 
 def _searched(
@@ -246,9 +260,13 @@ def _compiled_servo(
 def _carried(found: dict[str, float], bench: Bench) -> float:
     """Mean torque through the gears while the shaft moved [N m], read off the recording."""
     kp = found["gain_scale"] * (bench.gain or 0.0) if "gain_scale" in found else found["kp"]
-    torque = np.minimum(kp * np.abs(bench.command - bench.angle), found["force_limit"])
-    speed = np.abs(np.gradient(bench.angle, bench.time))
-    moving = (speed > 0.1 * np.quantile(speed, 0.95)) & (bench.enabled > 0.5)
+    good = bench.good
+    time, command, angle, enabled = (
+        column[good] for column in (bench.time, bench.command, bench.angle, bench.enabled)
+    )
+    torque = np.minimum(kp * np.abs(command - angle), found["force_limit"])
+    speed = np.abs(np.gradient(angle, time))
+    moving = (speed > 0.1 * np.quantile(speed, 0.95)) & (enabled > 0.5)
     return float(torque[moving].mean()) if moving.any() else 0.0
 
 
@@ -257,7 +275,8 @@ def saturation(found: dict[str, float], bench: Bench) -> float:
     kp = found["gain_scale"] * (bench.gain or 0.0) if "gain_scale" in found else found["kp"]
     late = np.interp(bench.time - found["delay"], bench.time, bench.command)
     wanted = kp * np.abs(late - bench.angle)
-    return float(np.mean((wanted > found["force_limit"]) & (bench.enabled > 0.5)))
+    limited = (wanted > found["force_limit"]) & (bench.enabled > 0.5)
+    return float(np.mean(limited[bench.good]))
 
 
 def _warnings(space: tuple[Parameter, ...], best: Fit, fit: Sequence[Bench]) -> list[str]:

@@ -11,8 +11,9 @@ import numpy as np
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.estimate import as_row
+from tailbeat.identify.glitch_report import as_rows
 from tailbeat.identify.search import Fit, Parameter, trade_offs, values
-from tailbeat.identify.servo import load_doubt
+from tailbeat.identify.servo import BLOCK, load_doubt
 from tailbeat.identify.servo_job import (
     LeftOut,
     Overlay,
@@ -22,6 +23,7 @@ from tailbeat.identify.servo_job import (
     identify_servo,
 )
 from tailbeat.identify.shaft import Bench
+from tailbeat.identify.trust import Errors, Verdict, doubts, share_left_out, verdict
 
 # What to record when the data trade one number against another.
 SEPARATES = {
@@ -49,7 +51,10 @@ def _run(overlay: Overlay) -> dict[str, Any]:
 def as_report(found: ServoFit) -> dict[str, Any]:
     """The JSON report."""
     known = found.estimates()
+    said = found_verdict(found)
     report = {
+        "verdict": list(said.sentences),
+        "trusted": said.trusted,
         "parameters": {name: as_row(one) for name, one in known.items()},
         "compiled": found.servo,
         "gain": found.gain,
@@ -59,7 +64,10 @@ def as_report(found: ServoFit) -> dict[str, Any]:
             {"parameters": [a, b], "correlation": r, "separated_by": remedy(a, b)}
             for a, b, r in trade_offs(*given_load(found))
         ],
-        "warnings": list(found.warnings),
+        "warnings": [*found.warnings, *doubts(_left(found), BLOCK)],
+        "glitches": as_rows(glitch for one in found.overlays for glitch in one.bench.glitches),
+        "naive": [asdict(one) for one in found.naive],
+        "error_over_best_naive": found.to_naive,
         "seeds": [
             {"seed": fit.seed, "cost": fit.cost, "values": values(found.space, fit.z)}
             for fit in found.fits
@@ -72,6 +80,22 @@ def as_report(found: ServoFit) -> dict[str, Any]:
     if found.left_out:
         report["cross_validation"] = [asdict(one) for one in found.left_out]
     return report
+
+
+def found_verdict(found: ServoFit) -> Verdict:
+    """What stands first: a fit that loses to a naive predictor, or too many glitches."""
+    spoilt = [
+        (one.bench.name, share_left_out(one.bench.glitches, one.bench.time.size))
+        for one in found.overlays
+        if one.role == "fit"
+    ]
+    best = min(found.naive, key=lambda one: one.judged_mae_deg)
+    return verdict(found.to_naive, f"{best.name} ({best.judged_mae_deg:.2f} deg)", spoilt)
+
+
+def _left(found: ServoFit) -> list[Errors]:
+    fitted = [one for one in found.overlays if one.role == "fit"]
+    return [Errors(o.bench.name, o.bench.time[o.bench.good], o.error_deg()) for o in fitted]
 
 
 def given_load(found: ServoFit) -> tuple[tuple[Parameter, ...], Fit]:

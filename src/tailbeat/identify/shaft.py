@@ -18,6 +18,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from tailbeat.identify.glitches import Glitch
+
 Array = NDArray[np.float64]
 STEP = 1e-3  # s
 SERVO = (
@@ -48,6 +50,7 @@ class Bench:
     """One recording of a driven shaft: `time` (k,) s from 0, `command`, `angle` (k,) rad.
 
     `enabled` (k,) is 1 where the servo's torque was on; `gain` the gain register's value or None.
+    The angle is NaN where a glitch was left out, never at the first sample; `glitches` lists them.
     """
 
     name: str
@@ -57,6 +60,12 @@ class Bench:
     enabled: Array
     load: Load
     gain: float | None = None
+    glitches: tuple[Glitch, ...] = ()
+
+    @property
+    def good(self) -> NDArray[np.bool_]:
+        """Which samples of the angle are no glitches (k,)."""
+        return np.isfinite(self.angle)
 
 
 class Played(NamedTuple):
@@ -96,7 +105,7 @@ def _lanes(value: Array, benches: int) -> Array:
 
 def _first_speed(bench: Bench) -> float:
     """Slope of the first 50 ms [rad/s]."""
-    early = bench.time <= bench.time[0] + 0.05
+    early = (bench.time <= bench.time[0] + 0.05) & bench.good
     if early.sum() < 3:
         return 0.0
     return float(np.polyfit(bench.time[early], bench.angle[early], 1)[0])

@@ -18,10 +18,11 @@ from tailbeat.fish.store import (
 )
 from tailbeat.fish.water import whole
 from tailbeat.identify import job, servo_job, servo_report, tail_report
+from tailbeat.identify.clean import clean_pull, clean_tail
 from tailbeat.identify.decay import ring_down, static_loop
 from tailbeat.identify.predict import Prediction
-from tailbeat.identify.runs import as_run
-from tailbeat.identify.servo import as_bench
+from tailbeat.identify.runs import as_runs
+from tailbeat.identify.servo import as_benches
 from tailbeat.identify.servo_job import ServoConfig, ServoFit
 from tailbeat.identify.tail import identify_tail
 from tailbeat.identify.tail_report import TailResult
@@ -61,10 +62,12 @@ def tail(paths: Paths, static: Path | None, release: Path | None, draw: DrawTail
     _refuse_taken(paths)
     described = load_fish(paths.fish)
     recordings = [read_recording(path) for path in paths.fit]
-    pull = None if static is None else read_recording(static)
-    ring = None if release is None else ring_down(read_recording(release))
+    pull, pulled = (None, ()) if static is None else clean_pull(read_recording(static))
+    rung, listed = (None, ()) if release is None else clean_tail(read_recording(release))
+    ring = None if rung is None else ring_down(rung)
     loop = None if pull is None else static_loop(pull)
-    found = tail_report.combine(described, identify_tail(recordings), loop, ring)
+    fit = identify_tail(recordings)
+    found = tail_report.combine(described, fit, loop, ring, (*pulled, *listed))
     fish, report, figure = paths.written
     draw(found, pull, figure)
     write_json(report, {**_source(paths), **tail_report.as_report(found)})
@@ -79,7 +82,7 @@ def servo(paths: Paths, config: ServoConfig, progress: Progress, draw: DrawServo
     _refuse_taken(paths)
     described = load_fish(paths.fish)
     fit, validate = (
-        [as_bench(read_recording(path), described, config.load) for path in group]
+        [b for path in group for b in as_benches(read_recording(path), described, config.load)]
         for group in (paths.fit, paths.validate)
     )
     found = servo_job.identify_servo(described, fit, validate, config, paths.scratch, progress)
@@ -107,7 +110,7 @@ def fluid(
     if config.whole:
         described = whole(described)
     fit, validate = (
-        [as_run(read_recording(path), described) for path in group]
+        [run for path in group for run in as_runs(read_recording(path), described)]
         for group in (paths.fit, paths.validate)
     )
     found = job.identify_fluid(described, fit, validate, config, paths.scratch, progress)

@@ -15,7 +15,9 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from tailbeat.files import BadInput
+from tailbeat.identify.clean import clean_tail
 from tailbeat.identify.estimate import Estimate
+from tailbeat.identify.glitches import Glitch
 from tailbeat.identify.response import Condition, measure, split
 from tailbeat.recording import Recording
 
@@ -29,6 +31,7 @@ class TailFit:
 
     `excess_re` and `excess_im` [N m/rad] are the scatter of the conditions about the lines beyond
     their own deviations: where it is large, the four numbers do not tell the whole story.
+    `glitches` lists what was left out.
     """
 
     conditions: tuple[Condition, ...]
@@ -39,6 +42,7 @@ class TailFit:
     excess_re: float
     excess_im: float
     warnings: tuple[str, ...]
+    glitches: tuple[Glitch, ...] = ()
 
 
 def identify_tail(recordings: Sequence[Recording]) -> TailFit:
@@ -48,7 +52,8 @@ def identify_tail(recordings: Sequence[Recording]) -> TailFit:
     start anew with each `condition`. Raises BadInput where a recording cannot be used, or where all
     conditions share one frequency.
     """
-    found = [measure(*part) for recording in recordings for part in split(recording)]
+    cleaned = [clean_tail(recording) for recording in recordings]
+    found = [measure(*part) for recording, _ in cleaned for part in split(recording)]
     if not found:
         raise BadInput("no recordings; give at least one sweep.")
     _check_frequencies(found)
@@ -67,7 +72,8 @@ def identify_tail(recordings: Sequence[Recording]) -> TailFit:
     drag = np.stack([omega, 4 / (np.pi * amplitude)], 1)
     (c, f), spare_im = line(drag, response.imag, deviation, ("N m s/rad", "N m"))
     warnings = _warnings(found, i, c, f)
-    return TailFit(tuple(found), k, i, c, f, spare_re, spare_im, tuple(warnings))
+    glitches = tuple(glitch for _, listed in cleaned for glitch in listed)
+    return TailFit(tuple(found), k, i, c, f, spare_re, spare_im, tuple(warnings), glitches)
 
 
 def line(

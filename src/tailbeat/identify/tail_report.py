@@ -8,6 +8,8 @@ from typing import Any
 from tailbeat.fish.description import Fish
 from tailbeat.identify.decay import Loop, RingDown
 from tailbeat.identify.estimate import as_row
+from tailbeat.identify.glitch_report import as_rows
+from tailbeat.identify.glitches import Glitch
 from tailbeat.identify.hinges import Hinges, hinges_for
 from tailbeat.identify.response import Condition
 from tailbeat.identify.tail import TailFit, frequencies
@@ -24,6 +26,7 @@ class TailResult:
     hinges: Hinges
     loop: Loop | None
     ring: RingDown | None
+    glitches: tuple[Glitch, ...] = ()
 
     @property
     def warnings(self) -> list[str]:
@@ -38,9 +41,17 @@ class TailResult:
         return found
 
 
-def combine(fish: Fish, fit: TailFit, loop: Loop | None, ring: RingDown | None) -> TailResult:
-    """Spread the measured stiffness over the fish's hinges."""
-    return TailResult(fit, hinges_for(fish, fit.k_eff.value, fit.c_eff.value), loop, ring)
+def combine(
+    fish: Fish,
+    fit: TailFit,
+    loop: Loop | None,
+    ring: RingDown | None,
+    glitches: Sequence[Glitch] = (),
+) -> TailResult:
+    """Spread the measured stiffness over the fish's hinges; `glitches` are those of loop and
+    ring."""
+    hinges = hinges_for(fish, fit.k_eff.value, fit.c_eff.value)
+    return TailResult(fit, hinges, loop, ring, (*fit.glitches, *glitches))
 
 
 def as_report(found: TailResult) -> dict[str, Any]:
@@ -61,6 +72,7 @@ def as_report(found: TailResult) -> dict[str, Any]:
         "static": None if found.loop is None else _static(found.loop, fit.k_eff.value),
         "ring_down": None if found.ring is None else _ring(found.ring),
         "warnings": found.warnings,
+        "glitches": as_rows(found.glitches),
         "tailbeat": version("tailbeat"),
     }
 

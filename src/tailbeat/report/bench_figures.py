@@ -147,7 +147,7 @@ def _draw_overlay(axes: Axes, overlay: Overlay, window: tuple[float, float] | No
         ("identified", overlay.identified, TWIN, "-"),
     ):
         axes.plot(bench.time, np.degrees(values), style, color=colour, label=label, lw=1.2)
-    reach = np.degrees(1.2 * max(np.abs(bench.angle).max(), np.abs(bench.command).max()))
+    reach = np.degrees(1.2 * max(np.nanmax(np.abs(bench.angle)), np.abs(bench.command).max()))
     axes.set(xlabel="time [s]", ylabel="angle [deg]", xlim=window, ylim=(-reach, reach))
     axes.grid(alpha=0.3)
 
@@ -156,7 +156,7 @@ def _draw_errors(axes: Axes, found: ServoFit) -> None:
     """Root mean square error of every recording, both servos."""
     place = np.arange(len(found.overlays))
     for which, colour, shift in (("idealised", IDEALISED, -0.2), ("identified", TWIN, 0.2)):
-        rms = [np.sqrt(np.square(o.error_deg(which)).mean()) for o in found.overlays]
+        rms = [o.rmse_deg(which) for o in found.overlays]
         axes.barh(place + shift, rms, 0.4, color=colour, label=which)
     labels = [f"{o.bench.name}{' *' if o.role == 'validate' else ''}" for o in found.overlays]
     axes.set_yticks(place, labels, fontsize="x-small")

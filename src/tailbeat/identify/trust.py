@@ -1,0 +1,117 @@
+"""Whether a fit can be trusted: against naive predictors, and whether its intervals' assumptions
+hold.
+
+Three answers. `verdict` comes first in every report: what says that the fit is not worth much.
+`trusted` is false where it should not be used at all. `doubts` are warnings about residuals that
+are not what the intervals assume: alike over the recording, independent from block to block.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.identify.glitches import Glitch
+
+Array = NDArray[np.float64]
+TOO_MANY = 0.2  # share of a recording's samples left out from which its fit is not trusted
+FEW = 0.05  # share of the blocks that must not hold
+HALF = 0.5  # of all squared error
+TOGETHER = 0.5  # correlation of neighbouring blocks' mean errors
+DRIFT = 0.5  # share of the squared error that a straight line over the recording explains
+FEWEST_BLOCKS = 8
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What stands first in a report (nothing, if all is well), and whether to trust the fit."""
+
+    sentences: tuple[str, ...]
+    trusted: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """What a fit leaves of one recording: `error` (k,) in any unit at `time` (k,) s."""
+
+    recording: str
+    time: Array
+    error: Array
+
+
+def verdict(to_naive: float | None, best: str, glitches: Sequence[tuple[str, float]]) -> Verdict:
+    """From the error over the best naive predictor's (None: no comparison), that one's name, and
+    the share of samples left out of each recording."""
+    spoilt = [
+        f"do not trust this fit: {100 * share:.0f} % of the samples of {name} are glitches; record"
+        f" it again"
+        for name, share in glitches
+        if share > TOO_MANY
+    ]
+    lost = []
+    if to_naive is not None and to_naive > 1:
+        lost = [
+            f"the fit loses to a naive predictor: its error is {to_naive:.2f} times that of {best}"
+        ]
+    return Verdict((*spoilt, *lost), not spoilt)
+
+
+def share_left_out(glitches: Sequence[Glitch], samples: int) -> float:
+    """Share of a recording's samples that were left out."""
+    return sum(len(one.times) for one in glitches if one.kind != "gap") / samples
+
+
+def doubts(left: Sequence[Errors], block: float) -> list[str]:
+    """A sentence for each assumption of the intervals that the residuals break, over blocks of
+    `block` [s]."""
+    said = []
+    if heavy := [one.recording for one in left if _heavy(one, block)]:
+        said.append(
+            f"over half of the squared error of {_names(heavy)} lies in one twentieth of the time:"
+            f" a few moments decide, and the intervals may be too narrow"
+        )
+    if drifting := [one.recording for one in left if _drifts(one)]:
+        said.append(
+            f"the error of {_names(drifting)} drifts from start to end: the sensor's zero or the"
+            f" servo changed, and the intervals do not hold that"
+        )
+    if together := [one.recording for one in left if _together(one, block)]:
+        said.append(
+            f"the error of {_names(together)} stays alike for longer than {block:g} s: the"
+            f" intervals count too much of it as independent"
+        )
+    return said
+
+
+def _names(recordings: Sequence[str]) -> str:
+    more = len(recordings) - 3
+    return ", ".join(recordings[:3]) + (f" and {more} others" if more > 0 else "")
+
+
+def _blocks(left: Errors, block: float) -> tuple[Array, Array]:
+    """Sum of squares and mean of each block of time."""
+    own = ((left.time - left.time[0]) / block).astype(int)
+    count = np.maximum(np.bincount(own), 1)
+    squares = np.asarray(np.bincount(own, left.error**2), dtype=float)
+    return squares, np.bincount(own, left.error) / count
+
+
+def _heavy(left: Errors, block: float) -> bool:
+    squares, _ = _blocks(left, block)
+    few = max(round(FEW * squares.size), 1)
+    return squares.size >= FEWEST_BLOCKS and np.sort(squares)[-few:].sum() > HALF * squares.sum()
+
+
+def _drifts(left: Errors) -> bool:
+    middle = left.time - left.time.mean()
+    slope = float(middle @ left.error) / float(middle @ middle)
+    return bool(slope**2 * float(middle @ middle) > DRIFT * float(left.error @ left.error))
+
+
+def _together(left: Errors, block: float) -> bool:
+    _, means = _blocks(left, block)
+    if means.size < FEWEST_BLOCKS or np.ptp(means) == 0:
+        return False
+    away = means - means.mean()
+    return bool(float(away[1:] @ away[:-1]) > TOGETHER * float(away @ away))
