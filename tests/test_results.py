@@ -135,6 +135,29 @@ def test_significant_digits_are_shown_without_an_exponent(value, digits, shown):
     assert result_cells.sig(value, digits) == shown
 
 
+def test_cells_show_signs_intervals_and_missing_numbers():
+    assert result_cells.fix(-0.04, 1) == "0.0" and result_cells.fix(-1234.5) == "-1,234"
+    assert result_cells.span((0.0141, 0.01432), 3, 1000) == "14.1 … 14.3"
+    assert result_cells.per_cent(0.0312) == "3.1 %" and result_cells.per_cent(None) == "–"
+    rows = [{"s": 0.3}, {"s": 0.1}]
+    assert (result_cells.smallest(rows, "s"), result_cells.largest(rows, "s")) == (0.1, 0.3)
+    assert result_cells.largest([*rows, {"s": None}], "s") is None  # never is worse than late
+
+
+def test_the_naive_speed_is_a_straight_line_through_the_fitted_swims():
+    fitted = [{"beat_frequency": f, "measured_speed": 0.1 * f - 0.02} for f in (0.75, 1.3)]
+    others = [{"beat_frequency": 1.0, "measured_speed": 0.09}]
+    assert result_cells.line(fitted, others[0]) == pytest.approx(0.08)
+    assert result_cells.line_error(fitted, others) == pytest.approx(0.01)
+
+
+def test_a_result_says_how_it_was_made():
+    entry = results.Entry(about="", steps=("tailbeat show pulley-fish",), minutes=1)
+    text = result_cells.made({"origin": results.origin("nothing", entry) | {"seconds": [90, 30]}})
+    assert "```\ntailbeat show pulley-fish\n```" in text and "2.0 minutes" in text
+    assert "mujoco" in text and "commit" in text
+
+
 # ---- running the steps ---------------------------------------------------------------------------
 
 STEPS = (
