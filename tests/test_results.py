@@ -144,6 +144,15 @@ def test_cells_show_signs_intervals_and_missing_numbers():
     assert result_cells.largest([*rows, {"s": None}], "s") is None  # never is worse than late
 
 
+def test_rows_are_picked_by_their_fields():
+    rows = [{"a": 1, "b": 2, "targets": 60, "within_5cm": 0.95}, {"a": 1, "b": 3}]
+    assert result_cells.unique(rows, "a") == [1] and result_cells.unique(rows, "b") == [2, 3]
+    assert result_cells.pick(rows, a=1, b=3) is rows[1]
+    assert result_cells.hits(rows[0]) == 57
+    with pytest.raises(BadInput, match="no row with"):
+        result_cells.pick(rows, a=2)
+
+
 def test_the_naive_speed_is_a_straight_line_through_the_fitted_swims():
     fitted = [{"beat_frequency": f, "measured_speed": 0.1 * f - 0.02} for f in (0.75, 1.3)]
     others = [{"beat_frequency": 1.0, "measured_speed": 0.09}]

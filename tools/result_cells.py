@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from tailbeat.files import BadInput
+
 NONE = "–"
 
 
@@ -73,9 +75,22 @@ def line_error(fitted: Any, runs: Any) -> float:
     return float(np.mean([abs(line(fitted, run) - run["measured_speed"]) for run in runs]))
 
 
-def policies(rows: Any) -> list[str]:
-    """Names of the policies of a comparison, each once."""
-    return list(dict.fromkeys(row["policy"] for row in rows))
+def hits(row: Any, centimetres: int = 5) -> int:
+    """How many targets were reached."""
+    return round(row[f"within_{centimetres}cm"] * row["targets"])
+
+
+def unique(rows: Any, name: str) -> list[Any]:
+    """Values of a column, each once, in their order."""
+    return list(dict.fromkeys(row[name] for row in rows))
+
+
+def pick(rows: Any, **wanted: Any) -> Any:
+    """The row whose fields have these values. Raises BadInput where there is none."""
+    found = [row for row in rows if all(row[name] == value for name, value in wanted.items())]
+    if not found:
+        raise BadInput(f"no row with {wanted}; make the result again.")
+    return found[0]
 
 
 def largest(rows: Any, name: str) -> float | None:
@@ -97,5 +112,5 @@ def minutes(result: Any) -> float:
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     one.__name__: one
-    for one in (fix, sig, span, per_cent, rate, made, line, line_error, policies, largest, smallest)
-} | {"minutes": minutes, "len": len}
+    for one in (fix, sig, span, per_cent, rate, made, line, line_error, largest, smallest)
+} | {"minutes": minutes, "hits": hits, "unique": unique, "pick": pick, "len": len}
