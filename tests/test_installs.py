@@ -17,7 +17,7 @@ from tailbeat.files import EXTRA_OF
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # What the extras call differently from what is imported.
-INSTALLED_AS = {"cv2": "opencv-python-headless", "serial": "pyserial"}
+INSTALLED_AS = {"cv2": "opencv-python-headless", "serial": "pyserial", "PIL": "pillow"}
 INSTALLED_AS |= {"stable_baselines3": "stable-baselines3"}
 LABORATORY = {"mujoco", "numba", "scipy", "matplotlib", "polars", "cma"}
 # The verbs of the robot, and what they import when they run.

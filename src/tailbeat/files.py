@@ -14,7 +14,7 @@ from typing import Any
 # The extra that brings a package, by the name under which it is imported.
 EXTRA_OF = {
     **dict.fromkeys(
-        ("imageio", "jinja2", "matplotlib", "mujoco", "numba", "polars", "scipy"), "sim"
+        ("PIL", "imageio", "jinja2", "matplotlib", "mujoco", "numba", "polars", "scipy"), "sim"
     ),
     "cma": "identify",
     **dict.fromkeys(("gymnasium", "onnx", "psutil", "stable_baselines3"), "train"),

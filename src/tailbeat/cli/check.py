@@ -1,13 +1,13 @@
-"""Check devices, faults and timing; keys, logs and the service."""
+"""Check devices, faults and timing; keys, logs, films and the service."""
 
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from tailbeat.cli import output
+from tailbeat.cli import output, progress
 from tailbeat.cli.extras import need_camera, need_robot
 from tailbeat.cli.options import (
     SHIPPED,
@@ -17,7 +17,8 @@ from tailbeat.cli.options import (
     SeedOption,
     ServoPort,
 )
-from tailbeat.files import BadInput, new_file, refuse_existing, write_json
+from tailbeat.files import BadInput, need, new_file, refuse_existing, write_json
+from tailbeat.link.places import LENGTH, WIDTH, pool_size
 
 SAFE_AFTER_KILL = 0.5  # s, asked for
 
@@ -195,3 +196,50 @@ def export(
 
     recording = export_log(log, out)
     output.say(f"wrote {out}: {recording.time.size} rows")
+
+
+def film(
+    log: Annotated[Path, typer.Argument(help="A log of `tailbeat drive` or `swim`, .mcap.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", help="Film to write: .mp4, .webp or .gif; default: beside the log, .mp4."
+        ),
+    ] = None,
+    view: Annotated[
+        Literal["follow", "side"],
+        typer.Option("--view", help="Camera: follow the fish, or see the whole pool from a side."),
+    ] = "follow",
+    seconds: Annotated[float, typer.Option(help="Length of the film at most [s].")] = 20.0,
+    start: Annotated[
+        float | None,
+        typer.Option(help="Begin this long after the log does [s]; default: where it swims."),
+    ] = None,
+    fish: Annotated[
+        str, typer.Option("--fish", help="Fish that swam: a TOML file or a shipped fish's name.")
+    ] = "pulley-fish",
+    pool: Annotated[
+        str, typer.Option("--pool", help="Length,width of the pool [m].")
+    ] = f"{LENGTH:g},{WIDTH:g}",
+    json: JsonOption = None,
+) -> None:
+    """Render a film of a run in three dimensions from its log. A log that was cut off is filmed up
+    to its end. A .webp or .gif has 5 MB at most."""
+    target = out or log.with_suffix(".mp4")
+    for path in filter(None, (target, json)):
+        refuse_existing(path)
+    need("a film", "mcap", "mujoco", "imageio")
+    from tailbeat.evaluate.motion import Span
+    from tailbeat.report.film import FilmConfig
+    from tailbeat.report.film import film as render
+
+    config = FilmConfig(log, target, Span(seconds, start), view, fish, pool_size(pool))
+    with progress.counting() as counted:
+        done = render(config, counted)
+    if not done.whole:
+        output.say(f"{log}: cut off; the film ends where it ends")
+    output.say(
+        f"wrote {target}: {done.seconds:.1f} s, {done.frames} frames, {done.bytes / 1e6:.1f} MB"
+    )
+    if json is not None:
+        write_json(json, done)

@@ -235,6 +235,12 @@ PANELS = {
             "Convert a drive's log to a recording that identification reads.",
             "swim.mcap --out swim.csv",
         ),
+        Verb(
+            "film",
+            "check:film",
+            "Render a film of a run in three dimensions from its log.",
+            "runs/swim.mcap --out swim.mp4 --view follow --seconds 20",
+        ),
     ),
     "Develop": (
         Verb(

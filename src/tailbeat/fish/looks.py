@@ -3,6 +3,8 @@
 No mesh here has mass, contact or water force; the physics is in `twin.py`.
 """
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -15,24 +17,38 @@ RING = 28  # points round a section
 STATIONS = 40  # sections along a hull
 OVERLAP = 0.014  # m that a link's hull reaches ahead of its hinge, chosen
 NOSE = 0.35  # share of the head's length over which the nose rounds off, chosen
-BACK = [0.16, 0.33, 0.42, 1.0]
-TAIL = [0.88, 0.52, 0.22, 1.0]
-FIN = [0.95, 0.62, 0.30, 1.0]
 DRY = [0.80, 0.83, 0.86, 1.0]
+
+
+@dataclass(frozen=True)
+class Colours:
+    """Red, green, blue and opacity (4,) of head, tail and fin, 0 to 1."""
+
+    back: list[float]
+    tail: list[float]
+    fin: list[float]
+
+
+COLOURS = Colours([0.16, 0.33, 0.42, 1.0], [0.88, 0.52, 0.22, 1.0], [0.95, 0.62, 0.30, 1.0])
 
 
 def add_looks(spec: mujoco.MjSpec, fish: Fish) -> None:
     """Add the pool floor, lights, cameras and one visible mesh or more per body."""
     _add_scene(spec)
+    add_hulls(spec, fish)
+
+
+def add_hulls(spec: mujoco.MjSpec, fish: Fish, colours: Colours = COLOURS) -> None:
+    """Add one visible mesh or more per body, without mass or contact."""
     along = np.linspace(0, 1, STATIONS)
     head = np.tile(_nose_profile(along)[:, None], 2)
-    _dress(spec, spec.body("head"), fish.head, 0.0, BACK, head)
+    _dress(spec, spec.body("head"), fish.head, 0.0, (colours.back, colours.fin), head)
     links = fish.tail.links
     for index, link in enumerate(links):
         follower = links[min(index + 1, len(links) - 1)]
         shrink = np.minimum(_hull_size(follower) / _hull_size(link), 1.0)
         taper = 1 + along[:, None] * (shrink - 1)
-        _dress(spec, spec.body(f"link{index}"), link, link.hinge, TAIL, taper)
+        _dress(spec, spec.body(f"link{index}"), link, link.hinge, (colours.tail, colours.fin), taper)
 
 
 def _hull(described: Body) -> list[Part]:
@@ -50,9 +66,11 @@ def _dress(
     body: mujoco.MjsBody,
     described: Body,
     x0: float,
-    rgba: list[float],
+    colours: tuple[list[float], list[float]],
     taper: Array,
 ) -> None:
+    """`colours` are the hull's and the fin's."""
+    rgba, fin = colours
     if described.mesh is not None:
         _add_stl(spec, body, described, x0, rgba)
         return
@@ -62,7 +80,7 @@ def _dress(
         _add_mesh(spec, body, f"{body.name}-hull", *hull_mesh(hull, taper, front), x0, rgba)
     for part in described.parts:
         if part.zone == "fin":
-            _add_mesh(spec, body, part.name, *fin_mesh(part), x0, FIN)
+            _add_mesh(spec, body, part.name, *fin_mesh(part), x0, fin)
         elif part.zone is None:
             _add_dry_box(body, part, x0)
 

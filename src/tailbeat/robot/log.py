@@ -25,6 +25,7 @@ from tailbeat.files import BadInput, refuse_existing
 
 CHUNK = 4096  # bytes: about a seventh of a second of rows, so much may be lost
 WAITING = 500  # rows, ten seconds
+MAGIC = b"\x89MCAP0\r\n"  # begins and ends an MCAP file
 TOPIC, NOTES = "/swim", "tailbeat"
 SECOND = 1_000_000_000
 # What a row may hold. A number that is not finite is left out of its row.
@@ -167,10 +168,27 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     absent, rows = dict.fromkeys(NUMBERS), []
     with path.open("rb") as file:
         for text in _messages(file):
-            rows.append({**absent, **json.loads(text)})
+            rows.append({**absent, **_row(path, text)})
     if not rows:
         raise BadInput(f"{path}: no rows of a swim in it; give a log of `tailbeat drive`.")
     return rows
+
+
+def _row(path: Path, text: bytes) -> dict[str, Any]:
+    try:
+        row = json.loads(text)
+    except ValueError:
+        row = None
+    if not isinstance(row, dict):
+        raise BadInput(f"{path}: a message of {TOPIC} is no JSON object; give a log of tailbeat.")
+    return row
+
+
+def is_whole(path: Path) -> bool:
+    """Whether a log's writer came to its end; one that was killed leaves a log that is cut off."""
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - len(MAGIC), 0))
+        return file.read() == MAGIC
 
 
 def _messages(file: BinaryIO) -> Iterator[bytes]:
