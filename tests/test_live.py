@@ -40,7 +40,7 @@ POLICY, FISH = "pulley-fish-pool-generator", load_fish("pulley-fish")
 def swum(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, page.TourReport, list[str]]:
     out, said = tmp_path_factory.mktemp("live"), list[str]()
     config = swim.SwimConfig(POLICY, FISH.name, targets=1)
-    done = page.write(swim.live(config, out, said.append), out, progress.counting)
+    done = page.write(swim.live(config, out, said.append), out, progress.counting, 1.0)
     return out, done, said
 
 

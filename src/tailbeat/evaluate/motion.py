@@ -8,7 +8,7 @@ tag. The poses are smoothed between the camera's frames.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +17,15 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import savgol_filter
 
 from tailbeat.control.actions import PERIOD
-from tailbeat.evaluate.tour import Tour
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import MOTOR
 from tailbeat.fish.rollout import Start, replay_command, swim
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.operator.tour import ARRIVAL
+
+if TYPE_CHECKING:  # a process that renders would wait for the pool's compiled code
+    from tailbeat.evaluate.tour import Tour
 
 Array = NDArray[np.float64]
 Row = Mapping[str, Any]
@@ -35,7 +37,8 @@ GRID = 120.0  # Hz at which poses are smoothed: twice a camera's rate
 WINDOW = 25  # samples of that: a cubic through them passes beats up to 7 Hz
 LEAD_IN = 1.0  # s in which the twin's straight tail is led to the log's first angle
 NEAR_ARRIVAL = ARRIVAL + 0.02  # m: the log's last pose before an arrival may lie outside the 5 cm
-CAMERA_LAG, CAMERA_TURN = 0.6, 1.2  # s over which the following camera's place and turn are averaged
+CAMERA_LAG, CAMERA_TURN = 0.6, 1.2  # s over which a following camera's place and turn are averaged
+AHEAD = 0.12  # m that it looks ahead of the fish's tag
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +77,12 @@ class Span:
     start: float | None = None
 
 
-def of_tour(tour: Tour, span: Span, rate: float) -> Motion:
+def of_tour(tour: "Tour", span: Span, rate: float) -> Motion:
     """A tour's motion, its shape as it was simulated or guessed."""
     whole = PERIOD * (len(tour.goal) - 1)
     first = min(span.start or 0.0, whole)
     wanted = _frames(first, min(first + span.seconds, whole), rate)
-    at = PERIOD * np.arange(len(tour.goal))
+    at = np.asarray(PERIOD * np.arange(len(tour.goal)), dtype=np.float64)
     held = np.minimum((wanted / PERIOD).astype(int), len(tour.goal) - 1)
     qpos, tag = _resampled(at, tour.shape, wanted), _resampled(at, tour.pose, wanted)
     return Motion(rate, qpos, tag, tour.targets[tour.goal[held]])
@@ -229,8 +232,9 @@ def bent_tail(fish: Fish, at: Array, angle: Array, wanted: Array) -> Array | Non
 
 
 def followed(motion: Motion) -> tuple[Array, Array]:
-    """Where a following camera looks (k, 2) [m] and the way it faces (k,) [rad]: the fish's place
-    and yaw, averaged so that no beat shakes the picture."""
+    """Where a following camera looks (k, 2) [m] and the way it faces (k,) [rad]: a little ahead of
+    the fish, averaged so that no beat shakes the picture."""
     place = gaussian_filter1d(motion.tag[:, :2], CAMERA_LAG * motion.rate, axis=0, mode="nearest")
     yaw = gaussian_filter1d(motion.tag[:, 2], CAMERA_TURN * motion.rate, mode="nearest")
-    return np.asarray(place), np.asarray(yaw)
+    ahead = AHEAD * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+    return np.asarray(place + ahead), np.asarray(yaw)

@@ -42,13 +42,14 @@ def add_hulls(spec: mujoco.MjSpec, fish: Fish, colours: Colours = COLOURS) -> No
     """Add one visible mesh or more per body, without mass or contact."""
     along = np.linspace(0, 1, STATIONS)
     head = np.tile(_nose_profile(along)[:, None], 2)
-    _dress(spec, spec.body("head"), fish.head, 0.0, (colours.back, colours.fin), head)
+    back, tail = (colours.back, colours.fin), (colours.tail, colours.fin)
+    _dress(spec, spec.body("head"), fish.head, 0.0, back, head)
     links = fish.tail.links
     for index, link in enumerate(links):
         follower = links[min(index + 1, len(links) - 1)]
         shrink = np.minimum(_hull_size(follower) / _hull_size(link), 1.0)
         taper = 1 + along[:, None] * (shrink - 1)
-        _dress(spec, spec.body(f"link{index}"), link, link.hinge, (colours.tail, colours.fin), taper)
+        _dress(spec, spec.body(f"link{index}"), link, link.hinge, tail, taper)
 
 
 def _hull(described: Body) -> list[Part]:

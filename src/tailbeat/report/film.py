@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from tailbeat.evaluate.motion import Motion, Span, of_log
+from tailbeat.evaluate.motion import Span, of_log
 from tailbeat.evaluate.trial import Progress
 from tailbeat.files import BadInput, new_file
 from tailbeat.fish.store import load_fish
@@ -107,9 +107,7 @@ def _counted(shot: Shot, progress: Progress) -> Iterator[Picture]:
 
 def _write_movie(images: Iterator[Picture], path: Path, rate: float) -> None:
     first = next(images)  # a machine that cannot render says so before a file is begun
-    with imageio.get_writer(
-        path, fps=rate, macro_block_size=None, quality=MOVIE_QUALITY
-    ) as writer:
+    with imageio.get_writer(path, fps=rate, macro_block_size=None, quality=MOVIE_QUALITY) as writer:
         writer.append_data(first)  # type: ignore[attr-defined]
         for image in images:
             writer.append_data(image)  # type: ignore[attr-defined]

@@ -25,7 +25,7 @@ Picture = NDArray[np.uint8]
 Side = Literal["follow", "side"]
 WORKERS = 2  # processes at most; more would wait for the encoder
 GEOMS = 2000  # of a scene at most
-FOLLOW_DISTANCE, FOLLOW_ELEVATION, FOLLOW_BESIDE = 1.30, -40.0, 38.0  # m, deg, deg off its tail
+FOLLOW_DISTANCE, FOLLOW_ELEVATION, FOLLOW_BESIDE = 1.35, -40.0, 34.0  # m, deg, deg off its tail
 SIDE_DISTANCE, SIDE_ELEVATION = 0.78, -46.0  # of the pool's length; deg
 LIGHTS_OFF = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION,
               mujoco.mjtRndFlag.mjRND_HAZE, mujoco.mjtRndFlag.mjRND_FOG)  # fmt: skip
@@ -95,9 +95,7 @@ def _place(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion, frame: in
     mujoco.mj_camlight(model, data)
 
 
-def _turn_light(
-    model: mujoco.MjModel, context: mujoco.MjrContext, time: float, shown: int
-) -> int:
+def _turn_light(model: mujoco.MjModel, context: mujoco.MjrContext, time: float, shown: int) -> int:
     """Show floor and surface at a time [s], unless this turn of their loop is shown; the turn."""
     turn = int(time * pictures.TURNS / pictures.LOOP) % pictures.TURNS
     if turn == shown:
@@ -154,7 +152,7 @@ def _first_line(error: Exception) -> str:
 def frames(shot: Shot) -> Iterator[Picture]:
     """Every frame in turn, rendered by as many processes as there are cores, two at most.
     Raises NoPicture."""
-    count = min(WORKERS, len(os.sched_getaffinity(0)), shot.motion.frames)
+    count = min(WORKERS, os.cpu_count() or 1, shot.motion.frames)
     beside = multiprocessing.get_context("spawn")
     ends, workers = [], []
     for first in range(count):

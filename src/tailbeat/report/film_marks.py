@@ -14,7 +14,7 @@ from tailbeat.report.pool_scene import DEPTH, SUN
 
 Array = NDArray[np.float64]
 WAKE_SECONDS, WAKE_RATE = 4.5, 45.0  # how long a wake is seen [s]; its pieces per second
-NARROW, WIDE = 0.004, 0.022  # m: half the width of a new wake and of an old one
+NARROW, WIDE = 0.004, 0.014  # m: half the width of a new wake and of an old one
 FOAM, WAKE_OPACITY = (0.93, 0.98, 1.0), 0.42
 SHADE, SHADE_OPACITY = (0.0, 0.10, 0.14), 0.14
 REACHED = (0.20, 0.70, 0.38, 0.75)
@@ -57,7 +57,7 @@ def add_shadow(scene: mujoco.MjvScene, model: mujoco.MjModel, data: mujoco.MjDat
         place[2] = 0.004 - DEPTH
         turn = data.geom_xmat[geom].reshape(3, 3)
         yaw = np.arctan2(turn[1, 0], turn[0, 0])
-        size = model.geom_size[geom] * [1.0, 1.0, 0.0] + [0.022, 0.010, 0.001]
+        size = model.geom_size[geom] * [1.0, 1.0, 0.0] + [0.014, 0.008, 0.001]
         _add(scene, mujoco.mjtGeom.mjGEOM_ELLIPSOID, size, place, yaw, (*SHADE, SHADE_OPACITY))
 
 

@@ -1,4 +1,4 @@
-"""The film's scene: a fish in its tiled pool, as an engine model. Looks only; nothing is stepped."""
+"""The film's scene: a fish in its tiled pool, as an engine model for looks; it is never stepped."""
 
 from dataclasses import dataclass
 
@@ -85,7 +85,7 @@ def _add_textures(spec: mujoco.MjSpec, fish: Fish) -> None:
     sky.rgb1, sky.rgb2, sky.width, sky.height = SKY_HIGH, SKY_LOW, 64, 384
     _add_material(spec, "tiles", pictures.lit_tiles(0), pictures.SIDE)
     _add_material(spec, "surface", pictures.surface(0), SWELL * pictures.SIDE, WATERY)
-    _add_material(spec, "tag", pictures.tag(0)[::-1], None)
+    _add_material(spec, "tag", pictures.tag(0), None)
 
 
 def _add_material(
@@ -134,9 +134,7 @@ def _add_plane(
     )
 
 
-def _add_slab(
-    spec: mujoco.MjSpec, top: list[float], half: list[float], rgba: list[float]
-) -> None:
+def _add_slab(spec: mujoco.MjSpec, top: list[float], half: list[float], rgba: list[float]) -> None:
     """A box whose upper face is at `top`."""
     thick = 0.02
     place = [*top[:2], top[2] - thick]

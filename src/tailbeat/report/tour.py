@@ -1,34 +1,33 @@
 """Picture, film and page of a tour of targets. Draws what was swum; computes nothing."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import imageio.v2 as imageio
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 from tailbeat.control.actions import PERIOD
+from tailbeat.evaluate.motion import Span, of_log, of_tour
 from tailbeat.evaluate.provenance import Provenance, provenance
 from tailbeat.evaluate.runs import NEAR
 from tailbeat.evaluate.swim import Counting, Swum
 from tailbeat.evaluate.tour import WALLS, Tour
 from tailbeat.evaluate.trial import Progress
-from tailbeat.files import new_file, write_json
+from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import outline
 from tailbeat.operator.tour import TargetResult
 from tailbeat.pool.water import fingerprint
-from tailbeat.report import html
-from tailbeat.report.html import Section
+from tailbeat.report import film, html
+from tailbeat.report.film_frames import Shot
+from tailbeat.report.html import Block, Section
 from tailbeat.report.swim_figures import BLUE, GREEN, ORANGE, RED
 
-FILM_RATE = 12.5  # frames per second
-SPEED, LONGEST = 4.0, 60.0  # seconds swum per second shown, at least; s that a film lasts at most
+FILM_SECONDS = 16.0  # of a tour's film, which begins where the tour does
 
 
 @dataclass(frozen=True)
@@ -52,18 +51,36 @@ class TourReport:
     provenance: Provenance
 
 
-def write(swum: Swum, out: Path, counting: Counting) -> TourReport:
-    """Film, picture, page and summary of a swim; the summary first: a long film takes minutes."""
+def write(
+    swum: Swum, out: Path, counting: Counting, film_seconds: float = FILM_SECONDS
+) -> TourReport:
+    """Film, picture, page and summary of a swim; the summary first: a film takes its time. Where
+    none can be rendered the page says why and stands without it."""
     own, data = swum.pool.fish, summary(swum)
     write_json(out / "summary.json", data, overwrite=True)
     with counting() as progress:
-        film(swum.tour, own, out / "swim.mp4", progress)
+        shown = _film(swum, out / "swim.mp4", film_seconds, progress)
     drawn = html.figure(picture(swum.tour, own), out, "swim")
-    blocks = (drawn, html.film(out / "swim.mp4"), html.table(rows(data.targets)))
+    blocks = (shown, drawn, html.table(rows(data.targets)))
     origin = html.values({**vars(data.provenance), **data.training})
     sections = [Section("The swim", blocks), Section("Where this comes from", (origin,))]
     html.write(out, sections, data, f"{own.name} in the virtual pool")
     return data
+
+
+def _film(swum: Swum, path: Path, seconds: float, progress: Progress) -> Block:
+    """The tour's first seconds in three dimensions, or why there are none."""
+    path.unlink(missing_ok=True)  # of an earlier tour
+    rate, span, fish = film.rate_of(path), Span(seconds), swum.pool.fish
+    try:
+        if swum.log is None:
+            motion = of_tour(swum.tour, span, rate)
+        else:
+            motion = of_log(swum.log, fish, span, rate)
+        film.write(Shot(fish, motion), path, progress)
+    except BadInput as error:
+        return Block("warning", f"There is no film: {error}")
+    return html.film(path)
 
 
 def summary(swum: Swum) -> TourReport:
@@ -109,29 +126,6 @@ def picture(tour: Tour, fish: Fish) -> Figure:
     for step in range(0, len(tour.goal), round(2.0 / PERIOD)):
         axes.plot(*outline(fish, tour.shape[step]).T, color=BLUE, lw=1.5, alpha=0.4)
     return figure
-
-
-def film(tour: Tour, fish: Fish, path: Path, progress: Progress) -> None:
-    """An MP4 of the swim from above, at four times real speed; a long swim faster, in a minute."""
-    speed = max(SPEED, PERIOD * len(tour.goal) / LONGEST)
-    with (
-        new_file(path, overwrite=True) as beside,
-        imageio.get_writer(beside, fps=FILM_RATE, macro_block_size=None) as writer,
-    ):
-        steps = range(0, len(tour.goal), round(speed / FILM_RATE / PERIOD))
-        for number, image in enumerate(_images(tour, fish, steps), 1):
-            writer.append_data(image)  # type: ignore[attr-defined]
-            progress("film", number, len(steps))
-
-
-def _images(tour: Tour, fish: Fish, steps: range) -> Iterator[Any]:
-    figure = Figure(figsize=(8, 4.4), dpi=80)
-    canvas, axes = FigureCanvasAgg(figure), figure.add_axes((0.06, 0.1, 0.92, 0.82))
-    for step in steps:
-        axes.clear()
-        _draw(axes, tour, fish, step, step)
-        canvas.draw()
-        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
 def _draw(axes: Axes, tour: Tour, fish: Fish, step: int, shown: int) -> None:
