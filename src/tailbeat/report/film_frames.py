@@ -26,7 +26,7 @@ Side = Literal["follow", "side"]
 WORKERS = 2  # processes at most; more would wait for the encoder
 GEOMS = 2000  # of a scene at most
 FOLLOW_DISTANCE, FOLLOW_ELEVATION, FOLLOW_BESIDE = 1.35, -40.0, 34.0  # m, deg, deg off its tail
-SIDE_DISTANCE, SIDE_ELEVATION = 0.78, -46.0  # of the pool's length; deg
+SIDE_DISTANCE, SIDE_ELEVATION = 0.75, -46.0  # of the pool's length; deg
 LIGHTS_OFF = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION,
               mujoco.mjtRndFlag.mjRND_HAZE, mujoco.mjtRndFlag.mjRND_FOG)  # fmt: skip
 
@@ -49,7 +49,7 @@ def camera_of(shot: Shot, frame: int, follow: tuple[Array, Array]) -> mujoco.Mjv
     """The camera of a frame; `follow` is `followed(shot.motion)`."""
     camera = mujoco.MjvCamera()
     if shot.side == "side":
-        camera.lookat[:] = [0, 0.0, -0.2]
+        camera.lookat[:] = [0, 0.08, -0.2]
         camera.distance = max(SIDE_DISTANCE * shot.view.pool[0], 1.5 * shot.view.pool[1])
         camera.azimuth, camera.elevation = 90.0, SIDE_ELEVATION
         return camera
