@@ -211,10 +211,10 @@ def test_an_animated_picture_is_as_good_as_fits(log, tmp_path, monkeypatch, end)
 
 
 def test_an_arrival_is_told_once_for_each_target():
-    tag = np.column_stack([np.linspace(0, 1, 11), np.zeros(11), np.zeros(11)])
-    target = np.where(np.arange(11)[:, None] < 6, [0.5, 0.0], [0.9, 0.0])
-    motion = Motion(10.0, np.zeros((11, 9)), tag, target)
-    assert motion.arrivals() == ((5, 0.5, 0.0), (9, 0.9, 0.0))
+    tag = np.column_stack([np.linspace(0, 1, 41), np.zeros(41), np.zeros(41)])
+    target = np.where(np.arange(41)[:, None] < 24, [0.5, 0.0], [0.9, 0.0])
+    motion = Motion(10.0, np.zeros((41, 9)), tag, target)
+    assert motion.arrivals() == ((18, 0.5, 0.0), (34, 0.9, 0.0))
 
 
 def test_a_cut_off_log_is_filmed_up_to_its_end_and_said_to_be(log, tmp_path, monkeypatch):
