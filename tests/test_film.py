@@ -183,7 +183,7 @@ def test_a_film_has_the_frames_and_length_asked_for(log, tmp_path):
     assert done.returncode == 0, done.stderr
     movie = imageio.get_reader(tmp_path / "a.mp4")
     assert movie.get_meta_data()["size"] == films.SIZES[".mp4"]
-    assert movie.count_frames() == 18
+    assert movie.count_frames() == 18  # type: ignore[attr-defined]
     movie.close()
     assert '"frames": 18' in (tmp_path / "film.json").read_text()
 
