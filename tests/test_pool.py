@@ -306,6 +306,20 @@ def random_year(count: int, seed: int) -> np.ndarray:
     return swum.lost | (np.abs(swum.q[:, :, 4:]).max(axis=(1, 2)) > np.pi)
 
 
+@pytest.mark.parametrize("speed", [1e2, 1e8, 1e200])
+def test_a_fish_that_diverges_is_lost_and_leaves_the_others_alone(speed):
+    """Far enough, the compiled step divides by zero: its samples are not finite from there on."""
+    water = replace(Water(), with_added_inertia=False)
+    plant, alone = build_plant(FISH, [water] * 2), build_plant(FISH, [water])
+    commands = np.repeat(sine(plant, 2.0, 0.5, 0.6), 2, axis=0)
+    state = at_rest(plant)
+    state.v[1] = speed
+    swum = step_plant(plant, state, commands)
+    assert swum.lost.tolist() == [False, True]
+    assert not np.isfinite(swum.q[1, -1]).any() and not np.isfinite(state.q[1]).any()
+    assert np.array_equal(swum.q[0], step_plant(alone, at_rest(alone), commands[:1]).q[0])
+
+
 @pytest.mark.long
 def test_no_fish_is_lost_in_two_random_weeks():
     assert not random_year(40, seed=0).any()

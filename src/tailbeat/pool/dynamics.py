@@ -12,9 +12,9 @@ Index names: b body, s strip, f fin, j hinge; dof 0-2 root, 3 motor, 3 + j hinge
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from tailbeat.pool.compiled import compiled
 from tailbeat.pool.hydrodynamics import SEEN, add_water, shed
 from tailbeat.pool.kinematics import FRAME, add, along, pose, turning
 from tailbeat.pool.tendons import add_tendons
@@ -69,7 +69,7 @@ class Work(NamedTuple):
     row: Array
 
 
-@njit(cache=True)
+@compiled
 def add_bodies(chain, armature, work):  # type: ignore[no-untyped-def]
     """Rigid bodies and motor into `mass` (nv, nv) and, as bias, into `force` (nv,)."""
     mass, force, row, frames = work.mass, work.force, work.row, work.frames
@@ -90,7 +90,7 @@ def add_bodies(chain, armature, work):  # type: ignore[no-untyped-def]
     mass[3, 3] += armature
 
 
-@njit(cache=True)
+@compiled
 def _lump(b, x, weight, frames, mass, force, row):  # type: ignore[no-untyped-def]
     """A point mass at x along body b."""
     p = frames[b]
@@ -104,7 +104,7 @@ def _lump(b, x, weight, frames, mass, force, row):  # type: ignore[no-untyped-de
     force -= weight * (p.ay - square * p.sin * x) * row
 
 
-@njit(cache=True)
+@compiled
 def add_drive(command, chain, servo, work):  # type: ignore[no-untyped-def]
     """Hinge springs and the servo; returns the actuator's torque [N m]."""
     q, v, force, stiff, damp = work.q, work.v, work.force, work.stiff, work.damp
@@ -124,7 +124,7 @@ def add_drive(command, chain, servo, work):  # type: ignore[no-untyped-def]
     return torque
 
 
-@njit(cache=True)
+@compiled
 def add_walls(chain, walls, work):  # type: ignore[no-untyped-def]
     """Stiff walls at x = +-walls[0], y = +-walls[1] against nose and fin; none where 0."""
     force, row = work.force, work.row
@@ -141,7 +141,7 @@ def add_walls(chain, walls, work):  # type: ignore[no-untyped-def]
                 force -= push * out * row
 
 
-@njit(cache=True)
+@compiled
 def add_pokes(x, pokes, time, work):  # type: ignore[no-untyped-def]
     """The forces and torques in force at `time` on the head, at x."""
     fx, fy, torque = 0.0, 0.0, 0.0
@@ -155,7 +155,7 @@ def add_pokes(x, pokes, time, work):  # type: ignore[no-untyped-def]
         force[2] += torque
 
 
-@njit(cache=True)
+@compiled
 def solve(matrix, rhs):  # type: ignore[no-untyped-def]
     """Cholesky solution of a symmetric positive system, in place."""
     n = len(rhs)
@@ -175,7 +175,7 @@ def solve(matrix, rhs):  # type: ignore[no-untyped-def]
         rhs[i] /= matrix[i, i]
 
 
-@njit(cache=True)
+@compiled
 def step(fish, command, time, dt, chain, around, work):  # type: ignore[no-untyped-def]
     """One step of one fish from `time`, in place; returns the actuator's torque [N m].
 
@@ -203,7 +203,7 @@ def step(fish, command, time, dt, chain, around, work):  # type: ignore[no-untyp
     return torque
 
 
-@njit(cache=True)
+@compiled
 def _move(fish, acceleration, dt):  # type: ignore[no-untyped-def]
     """Joints one step on under a constant acceleration (nv,)."""
     q, v = fish.q, fish.v
@@ -212,7 +212,7 @@ def _move(fish, acceleration, dt):  # type: ignore[no-untyped-def]
     fish.a[:] = acceleration
 
 
-@njit(cache=True)
+@compiled
 def scratch(dofs, bodies, fins):  # type: ignore[no-untyped-def]
     """A `Work` of so many degrees of freedom, bodies and fins."""
     return Work(

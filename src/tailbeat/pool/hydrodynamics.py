@@ -13,8 +13,8 @@ Strip equations: Kirchhoff's for a slender section, with the centre's velocity
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from tailbeat.pool.compiled import compiled
 from tailbeat.pool.kinematics import add, along, turning
 from tailbeat.pool.section import Flow, advance, section
 
@@ -46,7 +46,7 @@ class Load(NamedTuple):
     inertia: float
 
 
-@njit(cache=True)
+@compiled
 def current(x, y, time, modes):  # type: ignore[no-untyped-def]
     """Background flow [m/s]: curls of plane waves, so free of divergence; see `MODE`."""
     ux, uy = 0.0, 0.0
@@ -58,7 +58,7 @@ def current(x, y, time, modes):  # type: ignore[no-untyped-def]
     return ux, uy
 
 
-@njit(cache=True)
+@compiled
 def add_water(chain, around, time, half, wakes, work):  # type: ignore[no-untyped-def]
     """Strips and fins: added mass into `mass`, everything else into `force`.
 
@@ -79,7 +79,7 @@ def add_water(chain, around, time, half, wakes, work):  # type: ignore[no-untype
         _spread(motion, load, frames, mass, force, row)
 
 
-@njit(cache=True)
+@compiled
 def _strip_load(strip, motion, water):  # type: ignore[no-untyped-def]
     """Kirchhoff's forces on a slice of a body, its skin friction and cross-flow drag."""
     length, height = strip.length, strip.height
@@ -96,7 +96,7 @@ def _strip_load(strip, motion, water):  # type: ignore[no-untyped-def]
     return Load(f_t, f_n, moment, flow, across, inertia)
 
 
-@njit(cache=True)
+@compiled
 def _fin_load(fin, motion, wake, water):  # type: ignore[no-untyped-def]
     """The section's forces with its wake, and the fin's added mass."""
     chord, height = fin.chord, fin.height
@@ -110,7 +110,7 @@ def _fin_load(fin, motion, wake, water):  # type: ignore[no-untyped-def]
     return Load(forward, f_n, moment, 0.0, across, inertia)
 
 
-@njit(cache=True)
+@compiled
 def shed(chain, around, half, wakes, work):  # type: ignore[no-untyped-def]
     """The other half of a step [s] for every wake, in the flow that `add_water` saw."""
     for f in range(len(wakes)):
@@ -119,7 +119,7 @@ def shed(chain, around, half, wakes, work):  # type: ignore[no-untyped-def]
         advance(flow, wakes[f], chain.fins[f].chord, half, around.water)
 
 
-@njit(cache=True)
+@compiled
 def _motion(b, x, time, modes, frames):  # type: ignore[no-untyped-def]
     """The motion of a point at x along body b."""
     p = frames[b]
@@ -132,7 +132,7 @@ def _motion(b, x, time, modes, frames):  # type: ignore[no-untyped-def]
     return Motion(b, px, py, flow, p.cos * ax + p.sin * ay, p.cos * ay - p.sin * ax)
 
 
-@njit(cache=True)
+@compiled
 def _spread(motion, load, frames, mass, force, row):  # type: ignore[no-untyped-def]
     """Forces on a point and its added mass, into the joints' space."""
     b, x, y = motion.body, motion.x, motion.y

@@ -4,7 +4,8 @@ The planar tree: root x, y, yaw (dof 0-2), motor (dof 3), one hinge per link (do
 """
 
 import numpy as np
-from numba import njit
+
+from tailbeat.pool.compiled import compiled
 
 # A body's frame: place of its origin [m], direction towards the nose, velocity [m/s], the
 # acceleration [m/s^2] that remains at qdd = 0, and yaw rate [rad/s].
@@ -13,7 +14,7 @@ FRAME = np.dtype(
 )
 
 
-@njit(cache=True)
+@compiled
 def pose(q, v, bodies, frames):  # type: ignore[no-untyped-def]
     """Frames (b,) of the bodies from joint angles and rates (nv,)."""
     angle = q[2]
@@ -32,7 +33,7 @@ def pose(q, v, bodies, frames):  # type: ignore[no-untyped-def]
         own.cos, own.sin = np.cos(angle), np.sin(angle)
 
 
-@njit(cache=True)
+@compiled
 def along(b, x, y, dx, dy, frames, row):  # type: ignore[no-untyped-def]
     """Row of the Jacobian of a point (x, y) of body b in the direction (dx, dy)."""
     row[:] = 0.0
@@ -42,7 +43,7 @@ def along(b, x, y, dx, dy, frames, row):  # type: ignore[no-untyped-def]
         row[3 + j] = (y - frames[j].y) * dx - (x - frames[j].x) * dy
 
 
-@njit(cache=True)
+@compiled
 def turning(b, row):  # type: ignore[no-untyped-def]
     """Row of the Jacobian of body b's yaw rate."""
     row[:] = 0.0
@@ -50,7 +51,7 @@ def turning(b, row):  # type: ignore[no-untyped-def]
     row[4 : 4 + b] = -1.0
 
 
-@njit(cache=True)
+@compiled
 def add(matrix, scale, row):  # type: ignore[no-untyped-def]
     """matrix += scale * row row'."""
     for i in range(len(row)):

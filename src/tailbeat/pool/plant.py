@@ -10,12 +10,13 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
 from tailbeat.pool.chain import Chain, build_chain, dofs, servo_rows
+from tailbeat.pool.compiled import compiled, compiled_parallel
 from tailbeat.pool.dynamics import POKE, Around, Moving, scratch, step
 from tailbeat.pool.hydrodynamics import MODE
 from tailbeat.pool.section import UNDISTURBED
@@ -24,7 +25,6 @@ from tailbeat.pool.water import Water, rows
 Array = NDArray[np.float64]
 Rows = NDArray[np.void]
 LONGEST_DELAY = 0.2  # s, of a servo's description
-STATE = ("q", "v", "a", "wakes", "history")  # arrays of a state, one row a fish
 
 
 @dataclass(frozen=True)
@@ -53,11 +53,10 @@ def stirred(seed: int, size: float = 0.03, count: int = 6, scale: float = 1.0) -
     return Surroundings(modes=tuple(modes))
 
 
-@dataclass(eq=False)
-class State:
+class State(NamedTuple):
     """n fish: `q`, `v` and last accelerations `a` (n, nv), the fins' wakes (n, f), held-back
-    commands (n, h) with the newest at index `newest`, and the steps taken. `step_plant` moves it on
-    in place.
+    commands (n, h), and `clock` (2,), the same for all fish: the index of the newest command in
+    `history`, and the steps taken. `step_plant` moves it on in place.
     """
 
     q: Array
@@ -65,18 +64,22 @@ class State:
     a: Array
     wakes: Rows
     history: Array
-    newest: int
-    steps: int
+    clock: NDArray[np.int64]
 
     def part(self, chosen: NDArray[np.int64]) -> "State":
         """A copy of some fish."""
-        arrays = {name: getattr(self, name)[chosen] for name in STATE}
-        return replace(self, **arrays)
+        *each, clock = self
+        return State._make([*(values[chosen] for values in each), clock.copy()])
+
+    def put(self, chosen: NDArray[np.int64], part: "State") -> None:
+        """Put some fish's state in place of what they had."""
+        for values, new in zip(self[:-1], part[:-1], strict=True):
+            values[chosen] = new
+        self.clock[:] = part.clock
 
     def copy(self) -> "State":
         """A state to go on from later."""
-        arrays = {name: getattr(self, name).copy() for name in STATE}
-        return replace(self, **arrays)
+        return State._make(values.copy() for values in self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +159,7 @@ def at_rest(plant: Plant, start: Array | None = None) -> State:
         q[:, :3] = start
     wakes = np.full((n, len(plant.chain.fins)), UNDISTURBED)
     slots = int(np.ceil(LONGEST_DELAY / plant.dt)) + 2
-    return State(q, v, 0 * v, wakes, np.zeros((n, slots)), 0, 0)
+    return State(q, v, 0 * v, wakes, np.zeros((n, slots)), np.zeros(2, np.int64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,11 +185,10 @@ def step_plant(plant: Plant, state: State, commands: Array, every: int = 1) -> S
     q = np.empty((n, samples, state.q.shape[1]))
     v, torque = np.empty_like(q), np.zeros((n, samples))
     played = _Played(np.ascontiguousarray(commands, dtype=float), every, plant.dt)
-    batch = _Batch(state.q, state.v, state.a, state.wakes, state.history, state.newest, state.steps)
-    _advance(batch, played, plant.chain, plant.each, _Samples(q, v, torque))
-    state.newest = (state.newest + steps) % state.history.shape[1]
-    time = plant.dt * (state.steps + every * np.arange(samples))
-    state.steps += steps
+    _advance(state, played, plant.chain, plant.each, _Samples(q, v, torque))
+    newest, taken = state.clock.tolist()
+    state.clock[:] = (newest + steps) % state.history.shape[1], taken + steps
+    time = plant.dt * (taken + every * np.arange(samples))
     lost = np.logical_not(np.isfinite(q).all(axis=(1, 2)))
     return Swum(time, q, v, torque, np.asarray(lost))
 
@@ -198,18 +200,6 @@ def _filled(lists: Sequence[Sequence[Sequence[float]]], kind: np.dtype[np.void],
     for i, items in enumerate(lists):
         found[i, : len(items)] = [tuple(item) for item in items]
     return found
-
-
-class _Batch(NamedTuple):
-    """A `State`'s arrays and numbers."""
-
-    q: Array
-    v: Array
-    a: Array
-    wakes: Rows
-    history: Array
-    newest: int
-    steps: int
 
 
 class _Played(NamedTuple):
@@ -228,14 +218,14 @@ class _Samples(NamedTuple):
     torque: Array
 
 
-@njit(parallel=True, cache=True)
+@compiled_parallel
 def _advance(state, played, chain, each, out):  # type: ignore[no-untyped-def]
     """All fish through all their steps, one lane each."""
     for i in prange(len(state.q)):
         _swim(i, state, played, chain, each, out)
 
 
-@njit(cache=True)
+@compiled
 def _swim(i, state, played, chain, each, out):  # type: ignore[no-untyped-def]
     """Fish i through all its steps; the servo gets each command its delay later."""
     dt, every, slots = played.dt, played.every, state.history.shape[1]
@@ -243,7 +233,7 @@ def _swim(i, state, played, chain, each, out):  # type: ignore[no-untyped-def]
     fish = Moving(state.q[i], state.v[i], state.a[i], state.wakes[i])
     around = Around(each.water[i], servo, each.modes[i], each.walls[i], each.pokes[i], each.held[i])
     work = scratch(len(fish.q), len(chain.bodies), len(chain.fins))
-    history, place = state.history[i], state.newest
+    history, (place, taken) = state.history[i], state.clock
     out.q[i, 0], out.v[i, 0] = fish.q, fish.v
     late = servo.delay / dt
     whole = int(late)
@@ -253,7 +243,7 @@ def _swim(i, state, played, chain, each, out):  # type: ignore[no-untyped-def]
         first = history[(place - whole) % slots]
         second = history[(place - whole - 1) % slots]
         command = first + (late - whole) * (second - first)
-        torque = step(fish, command, (state.steps + k) * dt, dt, chain, around, work)
+        torque = step(fish, command, (taken + k) * dt, dt, chain, around, work)
         if (k + 1) % every == 0:
             j = (k + 1) // every
             out.q[i, j], out.v[i, j], out.torque[i, j] = fish.q, fish.v, torque

@@ -14,7 +14,8 @@ Forces are on the foil, moments about mid-chord; added mass is not here but in t
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from tailbeat.pool.compiled import compiled
 
 # z1, z2 [m/s], alpha_l [rad], the attached share x, and two of the edge-vortex term [m, m^2].
 WAKE = np.dtype(
@@ -33,7 +34,7 @@ class Flow(NamedTuple):
     omega: float
 
 
-@njit(cache=True)
+@compiled
 def section(flow, wake, fin, water):  # type: ignore[no-untyped-def]
     """Normal force, force along t and moment [N, N, N m] of a fin with its `wake` (see `WAKE`).
 
@@ -60,7 +61,7 @@ def section(flow, wake, fin, water):  # type: ignore[no-untyped-def]
     return normal, forward, chord / 4 * lift
 
 
-@njit(cache=True)
+@compiled
 def _lagged(w34, wake, water):  # type: ignore[no-untyped-def]
     """The wash q [m/s] that circulation has followed so far."""
     if water.with_lag > 0:
@@ -68,7 +69,7 @@ def _lagged(w34, wake, water):  # type: ignore[no-untyped-def]
     return w34
 
 
-@njit(cache=True)
+@compiled
 def _edge_vortices(flow, wake, fin, rho):  # type: ignore[no-untyped-def]
     """Extra normal drag of short strokes (Graham-type law); a variant, not validated."""
     u, w, chord = flow.u, flow.w, fin.chord
@@ -79,7 +80,7 @@ def _edge_vortices(flow, wake, fin, rho):  # type: ignore[no-untyped-def]
     return -0.5 * rho * chord * fin.height * drag * rate / (1 + rate) * abs(w) * w
 
 
-@njit(cache=True)
+@compiled
 def advance(flow, wake, chord, dt, water):  # type: ignore[no-untyped-def]
     """The section's wake one step on, in place; each lag by its exact exponential."""
     u, w = flow.u, flow.w
@@ -99,7 +100,7 @@ def advance(flow, wake, chord, dt, water):  # type: ignore[no-untyped-def]
     wake.stroke_square = wake.stroke_square * keep + wake.drift * wake.drift * (1 - keep)
 
 
-@njit(cache=True)
+@compiled
 def attached_share(alpha, water):  # type: ignore[no-untyped-def]
     """Static separation point x0 (1 attached) at an angle of attack [rad] (Leishman-Beddoes)."""
     angle, first = abs(np.degrees(alpha)), water.stall_angle

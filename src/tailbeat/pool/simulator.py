@@ -13,7 +13,6 @@ from tailbeat.env.randomize import Randomisation
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
 from tailbeat.pool.plant import (
-    STATE,
     Plant,
     Surroundings,
     Swum,
@@ -76,9 +75,7 @@ class PoolSimulator:
         chosen, plant = self.only
         own = self.state.part(chosen)
         swum = step_plant(plant, own, commands[chosen])
-        for name in STATE:
-            getattr(self.state, name)[chosen] = getattr(own, name)
-        self.state.newest, self.state.steps = own.newest, own.steps
+        self.state.put(chosen, own)
         return self._settle(chosen, swum)
 
     def _settle(self, chosen: NDArray[np.int64], swum: Swum) -> NDArray[np.bool_]:

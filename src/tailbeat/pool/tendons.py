@@ -4,12 +4,12 @@ A pulley winds r theta; a crank's arm moves its anchor in the vertical plane.
 """
 
 import numpy as np
-from numba import njit
 
+from tailbeat.pool.compiled import compiled
 from tailbeat.pool.kinematics import add
 
 
-@njit(cache=True)
+@compiled
 def tendon_lengths(q, chain, frames, lengths, rows):  # type: ignore[no-untyped-def]
     """Lengths (2,) [m] of left and right tendon and their Jacobians `rows` (2, nv)."""
     motor = chain.motor[0]
@@ -27,7 +27,7 @@ def tendon_lengths(q, chain, frames, lengths, rows):  # type: ignore[no-untyped-
             lengths[side] += _span(guides[g - 1], guides[g], frames, rows[side])
 
 
-@njit(cache=True)
+@compiled
 def _span(first, second, frames, row):  # type: ignore[no-untyped-def]
     """Length from one guide to the next; 0 where both are on one body."""
     if first.body == second.body:
@@ -40,7 +40,7 @@ def _span(first, second, frames, row):  # type: ignore[no-untyped-def]
     return span
 
 
-@njit(cache=True)
+@compiled
 def _arm(q, sign, motor, guide, frames, row):  # type: ignore[no-untyped-def]
     """Length from a crank's arm to the first guide."""
     radius, half = motor.radius, motor.half_width
@@ -56,19 +56,19 @@ def _arm(q, sign, motor, guide, frames, row):  # type: ignore[no-untyped-def]
     return span
 
 
-@njit(cache=True)
+@compiled
 def _world(frame, x, y):  # type: ignore[no-untyped-def]
     return frame.x + frame.cos * x - frame.sin * y, frame.y + frame.sin * x + frame.cos * y
 
 
-@njit(cache=True)
+@compiled
 def _bend(a, b, point, toward, frames, row):  # type: ignore[no-untyped-def]
     """What the hinges between bodies a and b do to the distance to a point of b."""
     for j in range(a + 1, b + 1):
         row[3 + j] += (point[1] - frames[j].y) * toward[0] - (point[0] - frames[j].x) * toward[1]
 
 
-@njit(cache=True)
+@compiled
 def add_tendons(chain, work):  # type: ignore[no-untyped-def]
     """Tendon forces, and their stiffness and damping for the implicit step."""
     tendon, neutral, lengths = chain.tendon[0], chain.neutral, work.lengths
@@ -85,7 +85,7 @@ def add_tendons(chain, work):  # type: ignore[no-untyped-def]
             _pull(tendon.stiffness, tendon.damping, stretch, work)
 
 
-@njit(cache=True)
+@compiled
 def _pull(k, c, stretch, work):  # type: ignore[no-untyped-def]
     force, row = work.force, work.row
     force -= (k * stretch + c * (row @ work.v)) * row
