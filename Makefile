@@ -31,7 +31,7 @@ results: $(READY)  ## make the numbers of docs/results that are missing (hours i
 
 docs: export NO_MKDOCS_2_WARNING = 1
 docs: $(READY)  ## build the documentation site into build/site; a wrong link is an error
-	$(VENV)/bin/mkdocs build --strict -q $(ARGS)
+	$(VENV)/bin/mkdocs build --strict $(ARGS)
 
 test: check browser  ## check, then every test that is neither slow nor needs a GPU
 	$(VENV)/bin/pytest -n auto --no-loadscope-reorder $(ARGS)
