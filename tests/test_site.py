@@ -20,15 +20,29 @@ NAMES = [name for name in tb.__all__ if not name.startswith("_")]
 SECTIONS = ["Start", "Your fish", "How to", "Explain", "Reference", "Results", "Experiments"]
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory) -> Path:
-    """The site as `make docs` builds it."""
-    folder = tmp_path_factory.mktemp("site")
+def build(folder: Path, root: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    """Build as `make docs` does. With `-q` mkdocs would count no warning, and never fail."""
     words = [sys.executable, "-m", "mkdocs", "build", "--strict", "-d", str(folder)]
     quiet = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
-    done = subprocess.run(words, cwd=ROOT, env=quiet, capture_output=True, text=True, timeout=300)
+    return subprocess.run(words, cwd=root, env=quiet, capture_output=True, text=True, timeout=300)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """The whole site."""
+    folder = tmp_path_factory.mktemp("site")
+    done = build(folder)
     assert done.returncode == 0, done.stdout + done.stderr
     return folder
+
+
+def test_a_wrong_link_fails_the_build(tmp_path):
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "mkdocs.yml").write_text("site_name: bad\n")
+    (tmp_path / "docs" / "index.md").write_text("[nowhere](nowhere.md)")
+    done = build(tmp_path / "site", tmp_path)
+    assert done.returncode == 1 and "nowhere.md" in done.stderr
+    assert "mkdocs build --strict $(ARGS)" in (ROOT / "Makefile").read_text("utf-8")
 
 
 class Tags(HTMLParser):
