@@ -139,6 +139,7 @@ def test_cells_show_signs_intervals_and_missing_numbers():
     assert result_cells.fix(-0.04, 1) == "0.0" and result_cells.fix(-1234.5) == "-1,234"
     assert result_cells.span((0.0141, 0.01432), 3, 1000) == "14.1 … 14.3"
     assert result_cells.per_cent(0.0312) == "3.1 %" and result_cells.per_cent(None) == "–"
+    assert result_cells.error(0.0081, "m/s") == "8.1 mm/s"
     rows = [{"s": 0.3}, {"s": 0.1}]
     assert (result_cells.smallest(rows, "s"), result_cells.largest(rows, "s")) == (0.1, 0.3)
     assert result_cells.largest([*rows, {"s": None}], "s") is None  # never is worse than late
@@ -151,13 +152,6 @@ def test_rows_are_picked_by_their_fields():
     assert result_cells.hits(rows[0]) == 57
     with pytest.raises(BadInput, match="no row with"):
         result_cells.pick(rows, a=2)
-
-
-def test_the_naive_speed_is_a_straight_line_through_the_fitted_swims():
-    fitted = [{"beat_frequency": f, "measured_speed": 0.1 * f - 0.02} for f in (0.75, 1.3)]
-    others = [{"beat_frequency": 1.0, "measured_speed": 0.09}]
-    assert result_cells.line(fitted, others[0]) == pytest.approx(0.08)
-    assert result_cells.line_error(fitted, others) == pytest.approx(0.01)
 
 
 def test_a_result_says_how_it_was_made():

@@ -3,8 +3,6 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
 from tailbeat.files import BadInput
 
 NONE = "–"
@@ -63,16 +61,14 @@ def made(result: Any) -> str:
     )
 
 
-def line(fitted: Any, run: Any) -> float:
-    """Speed [m/s] that a straight line over beat frequency gives, through the fitted swims."""
-    beats = [one["beat_frequency"] for one in fitted]
-    slope, offset = np.polyfit(beats, [one["measured_speed"] for one in fitted], deg=1)
-    return float(slope * run["beat_frequency"] + offset)
+# How a unit of the JSON stands in a table: factor, digits after the point, and name.
+SHOWN = {"m/s": (1000, 1, " mm/s"), "m": (1000, 1, " mm"), "1": (100, 1, " %"), "deg": (1, 1, "°")}
 
 
-def line_error(fitted: Any, runs: Any) -> float:
-    """Mean absolute error of that line on other swims [m/s]."""
-    return float(np.mean([abs(line(fitted, run) - run["measured_speed"]) for run in runs]))
+def error(value: float | None, unit: str) -> str:
+    """An error in the unit that a reader expects."""
+    by, digits, name = SHOWN[unit]
+    return f"{fix(value, digits, by)}{name}"
 
 
 def hits(row: Any, centimetres: int = 5) -> int:
@@ -111,6 +107,5 @@ def minutes(result: Any) -> float:
 
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
-    one.__name__: one
-    for one in (fix, sig, span, per_cent, rate, made, line, line_error, largest, smallest)
+    one.__name__: one for one in (fix, sig, span, per_cent, rate, made, error, largest, smallest)
 } | {"minutes": minutes, "hits": hits, "unique": unique, "pick": pick, "len": len}
