@@ -51,7 +51,7 @@ format: $(READY)  ## put imports and layout right
 	$(VENV)/bin/ruff check --fix
 	$(VENV)/bin/ruff format
 
-browser:  ## chromium for the console's test, where it is missing (Debian, as root or by sudo)
+browser:  ## chromium for the operator page's test, where it is missing (Debian, as root or by sudo)
 	@{ command -v chromedriver && command -v chromium; } >/dev/null || { command -v apt-get >/dev/null && { \
 	  test "$$(id -u)" = 0 || elevated=sudo; \
 	  $$elevated apt-get update -qq && $$elevated apt-get install -qq -y chromium chromium-driver; }; } || \

@@ -139,6 +139,7 @@ def test_cells_show_signs_intervals_and_missing_numbers():
     assert result_cells.fix(-0.04, 1) == "0.0" and result_cells.fix(-1234.5) == "-1,234"
     assert result_cells.span((0.0141, 0.01432), 3, 1000) == "14.1 … 14.3"
     assert result_cells.per_cent(0.0312) == "3.1 %" and result_cells.per_cent(None) == "–"
+    assert result_cells.off(0.98, 1.0) == result_cells.off(1.02, 1.0) == "2.0 %"
     assert result_cells.error(0.0081, "m/s") == "8.1 mm/s"
     rows = [{"s": 0.3}, {"s": 0.1}]
     assert (result_cells.smallest(rows, "s"), result_cells.largest(rows, "s")) == (0.1, 0.3)

@@ -36,6 +36,11 @@ def per_cent(value: float | None, digits: int = 1) -> str:
     return NONE if value is None else f"{fix(value, digits, 100.0)} %"
 
 
+def off(value: float, truth: float) -> str:
+    """How far a value is from the truth, in per cent of the truth."""
+    return per_cent(abs(value / truth - 1))
+
+
 def rate(row: Any, centimetres: int = 5) -> str:
     """A success rate: how many of how many, and its 95 % interval in per cent."""
     count = row["swims" if "swims" in row else "targets"]
@@ -107,5 +112,6 @@ def minutes(result: Any) -> float:
 
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
-    one.__name__: one for one in (fix, sig, span, per_cent, rate, made, error, largest, smallest)
+    one.__name__: one
+    for one in (fix, sig, span, per_cent, off, rate, made, error, largest, smallest)
 } | {"minutes": minutes, "hits": hits, "unique": unique, "pick": pick, "len": len}
