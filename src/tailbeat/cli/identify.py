@@ -1,8 +1,9 @@
 """Identify a fish and test what it predicts."""
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -24,6 +25,11 @@ LawOption = Annotated[
         help="Fluid law; whole: added mass across the parts, lift with a trailing edge.",
     ),
 ]
+
+
+def _exit_untrusted(report: Mapping[str, Any]) -> None:
+    if not report["trusted"]:
+        raise typer.Exit(1)
 
 
 def identify_fluid(
@@ -58,8 +64,10 @@ def identify_fluid(
     paths = stages.Paths(fish, fit, out, validate or [], json)
     with progress.search_progress() as report:
         found = stages.fluid(paths, config, report, measured_against_twin)
-    results.identified(job.as_report(found, config))
+    said = job.as_report(found, config)
+    results.identified(said)
     output.say(f"wrote {', '.join(map(str, paths.written))}")
+    _exit_untrusted(said)
 
 
 def identify_tail(
@@ -79,8 +87,10 @@ def identify_tail(
 
     paths = stages.Paths(fish, sweeps, out, json=json)
     found = stages.tail(paths, static, ring_down, bench_figures.tail)
-    results.tail(tail_report.as_report(found))
+    said = tail_report.as_report(found)
+    results.tail(said)
     output.say(f"wrote {', '.join(map(str, paths.written))}")
+    _exit_untrusted(said)
 
 
 def identify_servo(
@@ -121,8 +131,7 @@ def identify_servo(
     said = servo_report.as_report(found)
     results.servo(said)
     output.say(f"wrote {', '.join(map(str, paths.written))}")
-    if not said["trusted"]:
-        raise typer.Exit(1)
+    _exit_untrusted(said)
 
 
 def identify_all(
@@ -151,8 +160,10 @@ def identify_all(
     paths = chain.ChainPaths(fish, folder, out, json)
     with progress.search_progress() as report:
         found = chain.identify_all(paths, config, report, DRAWINGS)
-    output.tables({"summary": [asdict(found)]})
+    results.first(found.verdict)
+    output.tables({"summary": [{k: v for k, v in asdict(found).items() if k != "verdict"}]})
     output.say(f"wrote {out} and, beside it, {out.with_suffix('.md').name}")
+    _exit_untrusted(asdict(found))
 
 
 def predict(

@@ -1,5 +1,6 @@
 """What the terminal shows of each result: its tables and its sentences."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.cli.left_out import sentences
@@ -14,13 +15,12 @@ if TYPE_CHECKING:
     from tailbeat.evaluate.rates import ConditionResult
     from tailbeat.evaluate.reach import ReachResult
     from tailbeat.report.open_loop import OpenLoopReport
-
-if TYPE_CHECKING:
     from tailbeat.train.progress import TrainingResult
 
 
 def tail(report: dict[str, Any]) -> None:
     """Shaft numbers, hinges, conditions, and what the data do not support."""
+    _verdict(report)
     names = {"k_eff": "stiffness", "i_eff": "inertia", "c_eff": "damping", "coulomb": "friction"}
     shaft = [
         {
@@ -77,10 +77,14 @@ def servo(report: dict[str, Any]) -> None:
     say(f"{report['error_over_best_naive']:.2f} times the error of the best naive predictor")
 
 
-def _verdict(report: dict[str, Any]) -> None:
+def first(verdict: Sequence[str]) -> None:
     """What must be read first."""
-    for sentence in report["verdict"]:
+    for sentence in verdict:
         say(sentence)
+
+
+def _verdict(report: dict[str, Any]) -> None:
+    first(report["verdict"])
 
 
 def _say_glitches(report: dict[str, Any]) -> None:
@@ -108,6 +112,7 @@ def _parameters(report: dict[str, Any]) -> list[dict[str, Any]]:
 
 def identified(report: dict[str, Any]) -> None:
     """Parameters with intervals, seeds, runs, and what the data cannot tell."""
+    _verdict(report)
     seeds = [{k: v for k, v in row.items() if k != "values"} for row in report["seeds"]]
     runs = [
         {"role": role, **_run_cells(run)}
@@ -128,6 +133,8 @@ def _say_errors(report: dict[str, Any]) -> None:
     held_out = report["validate_speed_mae"]
     tail = "" if held_out is None else f", {1e3 * held_out:.1f} mm/s on the held-out runs"
     say(f"mean absolute speed error {1e3 * report['fit_speed_mae']:.1f} mm/s on the fitted{tail}")
+    for one in report["naive"]:
+        say(f"{one['quantity']}: {one['ratio']:.2f} times the error of the {one['best']}")
 
 
 def _run_cells(run: dict[str, Any]) -> dict[str, Any]:

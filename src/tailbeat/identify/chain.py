@@ -83,7 +83,8 @@ class Summary:
     """The numbers one asks for first: the tail's stiffness `k_eff` [N m/rad] and damping `c_eff`
     [N m s/rad] at the shaft, and errors on held-out recordings: the servo's angle [deg] and the
     swims' mean speed [m/s] (None without any), and of each swim its position error as a share of
-    the path and its heading error [deg] (None without a heading)."""
+    the path and its heading error [deg] (None without a heading). `verdict` has what must be read
+    first, and `trusted` is false where one of the three fits should not be used."""
 
     k_eff: float
     c_eff: float
@@ -91,6 +92,8 @@ class Summary:
     speed_mae: float | None
     position_error_share: tuple[float, ...]
     heading_error_deg: tuple[float | None, ...]
+    verdict: tuple[str, ...] = ()
+    trusted: bool = True
 
 
 def identify_all(
@@ -199,4 +202,6 @@ def _summary(reports: dict[str, Any]) -> Summary:
         reports["fluid"]["validate_speed_mae"],
         tuple(run["position_error_share"] for run in held_out),
         tuple(run["heading_error_deg"] for run in held_out),
+        tuple(f"{name}: {said}" for name, one in reports.items() for said in one["verdict"]),
+        all(one["trusted"] for one in reports.values()),
     )

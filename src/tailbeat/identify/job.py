@@ -20,6 +20,7 @@ from tailbeat.identify.fluid import apply, fluid_space, insensitive, residual_fu
 from tailbeat.identify.glitch_report import as_rows
 from tailbeat.identify.kinematic import errors_row, fit_kinematic, predict_kinematic, replayable
 from tailbeat.identify.launch import Launched, check_launches, stuck
+from tailbeat.identify.naive_swim import Compared, compare
 from tailbeat.identify.predict import Prediction, predict, row, speed_mae
 from tailbeat.identify.protocol import largest, limits
 from tailbeat.identify.runs import Run
@@ -32,6 +33,7 @@ from tailbeat.identify.search import (
     trade_offs,
     values,
 )
+from tailbeat.identify.trust import Contest, Verdict, share_left_out, verdict
 
 Array = NDArray[np.float64]
 NAMED = 8  # swims that every identified number names; more are named once
@@ -204,7 +206,11 @@ def _seed_result(
 def as_report(found: Identified, config: FluidConfig) -> dict[str, Any]:
     """The JSON report."""
     known = found.estimates()
+    naive = compare(found.fitted, found.validated, found.rival)
+    said = _verdict(found, naive)
     return {
+        "verdict": list(said.sentences),
+        "trusted": said.trusted,
         "parameters": {path: as_row(one) for path, one in known.items()},
         "undecided": [path for path, one in known.items() if not one.decided],
         "without_effect": list(found.idle),
@@ -221,12 +227,19 @@ def as_report(found: Identified, config: FluidConfig) -> dict[str, Any]:
         "validate_speed_mae": speed_mae(found.validated) if found.validated else None,
         "launches": [asdict(one) for one in found.launched],
         "launches_that_end_backward": len(stuck(found.launched)),
+        "naive": [{**asdict(one), "best": one.best, "ratio": one.ratio} for one in naive],
         "glitches": as_rows(g for p in (*found.fitted, *found.validated) for g in p.run.glitches),
         "rival": [errors_row(p) for p in found.rival],
         "engine": f"mujoco {mujoco.__version__}",
         "tailbeat": version("tailbeat"),
         "seconds": found.seconds,
     }
+
+
+def _verdict(found: Identified, naive: Sequence[Compared]) -> Verdict:
+    contests = [Contest(one.quantity, one.ratio, one.best) for one in naive]
+    samples = [(p.run, p.run.track.time.size) for p in found.fitted]
+    return verdict(contests, [(r.name, share_left_out(r.glitches, n)) for r, n in samples])
 
 
 def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[str, Any]]:

@@ -23,7 +23,7 @@ from tailbeat.identify.servo_job import (
     identify_servo,
 )
 from tailbeat.identify.shaft import Bench
-from tailbeat.identify.trust import Errors, Verdict, doubts, share_left_out, verdict
+from tailbeat.identify.trust import Contest, Errors, Verdict, doubts, share_left_out, verdict
 
 # What to record when the data trade one number against another.
 SEPARATES = {
@@ -90,7 +90,8 @@ def found_verdict(found: ServoFit) -> Verdict:
         if one.role == "fit"
     ]
     best = min(found.naive, key=lambda one: one.judged_mae_deg)
-    return verdict(found.to_naive, f"{best.name} ({best.judged_mae_deg:.2f} deg)", spoilt)
+    name = f"{best.name} model ({best.judged_mae_deg:.2f} deg)"
+    return verdict([Contest("angle", found.to_naive, name)], spoilt)
 
 
 def _left(found: ServoFit) -> list[Errors]:

@@ -22,6 +22,7 @@ from tailbeat.identify.response import Condition, measure, split
 from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]
+DIFFERENT = 0.1  # share by which two recordings' stiffnesses may differ, chosen
 SAME_FREQUENCY = 0.05  # relative distance below which two conditions count as one frequency
 
 
@@ -31,7 +32,7 @@ class TailFit:
 
     `excess_re` and `excess_im` [N m/rad] are the scatter of the conditions about the lines beyond
     their own deviations: where it is large, the four numbers do not tell the whole story.
-    `glitches` lists what was left out.
+    `glitches` lists what was left out, `contradictions` recordings of different tails.
     """
 
     conditions: tuple[Condition, ...]
@@ -43,6 +44,7 @@ class TailFit:
     excess_im: float
     warnings: tuple[str, ...]
     glitches: tuple[Glitch, ...] = ()
+    contradictions: tuple[str, ...] = ()
 
 
 def identify_tail(recordings: Sequence[Recording]) -> TailFit:
@@ -73,7 +75,32 @@ def identify_tail(recordings: Sequence[Recording]) -> TailFit:
     (c, f), spare_im = line(drag, response.imag, deviation, ("N m s/rad", "N m"))
     warnings = _warnings(found, i, c, f)
     glitches = tuple(glitch for _, listed in cleaned for glitch in listed)
-    return TailFit(tuple(found), k, i, c, f, spare_re, spare_im, tuple(warnings), glitches)
+    against = tuple(_contradictions(found))
+    return TailFit(tuple(found), k, i, c, f, spare_re, spare_im, tuple(warnings), glitches, against)
+
+
+def _contradictions(conditions: Sequence[Condition]) -> list[str]:
+    """Recordings whose own stiffnesses cannot be of one tail, a sentence for the worst pair."""
+    found: dict[str, Estimate] = {}
+    for name in sorted({c.recording for c in conditions}):
+        own = [c for c in conditions if c.recording == name]
+        if len(frequencies(own)) > 1:
+            omega = np.array([c.omega for c in own])
+            basis = np.stack([np.ones_like(omega), -(omega**2)], 1)
+            real = np.array([c.response.real for c in own])
+            (found[name], _), _ = line(basis, real, np.array([c.deviation for c in own]))
+    if len(found) < 2:
+        return []
+    low = min(found, key=lambda name: found[name].value)
+    high = max(found, key=lambda name: found[name].value)
+    soft, stiff = found[low], found[high]
+    apart = stiff.value - soft.value > DIFFERENT * soft.value
+    if not (apart and stiff.interval[0] > soft.interval[1]):
+        return []
+    return [
+        f"{low} says a stiffness of {soft.value:.3g} N m/rad and {high} {stiff.value:.3g}: they are"
+        f" not of one tail, or one torque is wrong; fit each alone, or record again"
+    ]
 
 
 def line(

@@ -13,6 +13,7 @@ from tailbeat.identify.glitches import Glitch
 from tailbeat.identify.hinges import Hinges, hinges_for
 from tailbeat.identify.response import Condition
 from tailbeat.identify.tail import TailFit, frequencies
+from tailbeat.identify.trust import verdict
 
 NUMBERS = ("k_eff", "i_eff", "c_eff", "coulomb")
 MISSED = 0.02  # relative difference of the compiled shaft's stiffness that draws a warning
@@ -57,7 +58,10 @@ def combine(
 def as_report(found: TailResult) -> dict[str, Any]:
     """The JSON report."""
     fit, hinges = found.fit, found.hinges
+    said = verdict((), (), fit.contradictions)
     return {
+        "verdict": list(said.sentences),
+        "trusted": said.trusted,
         **{name: as_row(getattr(fit, name)) for name in NUMBERS},
         "joint_stiffness": list(hinges.stiffness),
         "joint_damping": [k * _damping_time(fit) for k in hinges.stiffness],

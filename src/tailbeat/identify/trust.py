@@ -40,21 +40,36 @@ class Errors:
     error: Array
 
 
-def verdict(to_naive: float | None, best: str, glitches: Sequence[tuple[str, float]]) -> Verdict:
-    """From the error over the best naive predictor's (None: no comparison), that one's name, and
-    the share of samples left out of each recording."""
+@dataclass(frozen=True)
+class Contest:
+    """A fit's error over that of the best naive predictor, `best`, in one quantity."""
+
+    quantity: str
+    ratio: float
+    best: str
+
+
+def verdict(
+    contests: Sequence[Contest],
+    glitches: Sequence[tuple[str, float]],
+    contradictions: Sequence[str] = (),
+) -> Verdict:
+    """From the naive predictors, the share of samples left out of each recording, and what the
+    recordings say against each other."""
     spoilt = [
         f"do not trust this fit: {100 * share:.0f} % of the samples of {name} are glitches; record"
         f" it again"
         for name, share in glitches
         if share > TOO_MANY
     ]
-    lost = []
-    if to_naive is not None and to_naive > 1:
-        lost = [
-            f"the fit loses to a naive predictor: its error is {to_naive:.2f} times that of {best}"
-        ]
-    return Verdict((*spoilt, *lost), not spoilt)
+    against = [f"do not trust this fit: {one}" for one in contradictions]
+    lost = [
+        f"the fit loses to a naive predictor: its {one.quantity} error is {one.ratio:.2f} times"
+        f" that of the {one.best}"
+        for one in contests
+        if one.ratio > 1
+    ]
+    return Verdict((*spoilt, *against, *lost), not (spoilt or against))
 
 
 def share_left_out(glitches: Sequence[Glitch], samples: int) -> float:

@@ -10,7 +10,10 @@ from tailbeat.report.tables import markdown
 def page(report: dict[str, Any], stem: str) -> str:
     """The result as one Markdown page."""
     stages = report["stages"]
-    lines = [f"# {report['fish']}, identified", "", "## Tail", "", f"![tail]({stem}-tail.png)", ""]
+    lines = [f"# {report['fish']}, identified", ""]
+    for name, stage in stages.items():
+        lines += [f"**{name}: {sentence}.**\n" for sentence in stage["verdict"]]
+    lines += ["## Tail", "", f"![tail]({stem}-tail.png)", ""]
     names = ("k_eff", "i_eff", "c_eff", "coulomb")
     lines.append(
         markdown(
