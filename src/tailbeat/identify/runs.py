@@ -34,7 +34,7 @@ from tailbeat.identify.gait import (
 )
 from tailbeat.identify.glitches import Glitch
 from tailbeat.identify.launch import launch_of
-from tailbeat.recording import Recording, check_continuous, markers, require, stretches
+from tailbeat.recording import Recording, markers, require, stretches
 
 Array = NDArray[np.float64]
 SAMPLE = 0.02  # s between samples of a twin's run
@@ -74,7 +74,8 @@ def as_runs(recording: Recording, fish: Fish) -> list[Run]:
 
 def as_run(recording: Recording, fish: Fish) -> Run:
     """A recording without its glitches, checked against a fish. Raises BadInput with the reason."""
-    check_continuous(recording)
+    if "motor_angle_rad" in recording.columns:  # a wrong unit is no glitch
+        check_motor(recording, fish, recording.columns["motor_angle_rad"], most=0.1)
     recording, glitches = clean_swim(recording)
     motor = recording.columns.get("motor_angle_rad")
     if motor is None and fish.motor.kind != "crank":
@@ -114,13 +115,13 @@ def _check_tip(recording: Recording, fish: Fish, track: Track) -> None:
         )
 
 
-def check_motor(recording: Recording, fish: Fish, motor: Array) -> None:
-    """Raises BadInput where a pulley turned beyond its range, which it cannot."""
+def check_motor(recording: Recording, fish: Fish, motor: Array, most: float = 0.0) -> None:
+    """Raises BadInput where more than this share of samples is beyond a pulley's range."""
     if fish.motor.range is None:
         return
     low, high = fish.motor.range
     row = int(np.argmax(np.maximum(motor - high, low - motor)))
-    if not low <= motor[row] <= high:
+    if np.mean((motor < low) | (motor > high)) > most:
         raise BadInput(
             f"{recording.name}: column motor_angle_rad, row {row + 1}: {motor[row]:.3f} is outside"
             f" motor.range {low:.3f} to {high:.3f} of {fish.name}; check its unit and zero."
