@@ -23,14 +23,19 @@ from support import tailbeat, tailbeat_process
 from tailbeat.control import runner as runner
 from tailbeat.control.policy import load_policy
 from tailbeat.emulators import rig as bench
+from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.link import datagrams as link
+from tailbeat.link.datagrams import Receiver
 from tailbeat.link.reasons import Reason
 from tailbeat.link.status import State
 from tailbeat.recording import read_recording
+from tailbeat.robot import session
 from tailbeat.robot.devices import Devices
 from tailbeat.robot.imu import connect as connect_imu
 from tailbeat.robot.loop import Loop
+from tailbeat.robot.plausible import Bounds
+from tailbeat.robot.poses import Poses
 from tailbeat.robot.safety import SafetyLimits
 from tailbeat.robot.servo import connect as connect_servo
 
@@ -110,6 +115,30 @@ def test_it_arms_swims_nearer_and_lets_go(swimming):
     last = math.hypot(1.5 - swimming.rig.shaft.pose[0], 0.5 - swimming.rig.shaft.pose[1])
     assert last < first - 0.1 and swimming.torque == 1
     assert swimming.loop.disarm().state is State.DISARMED and swimming.torque == 0
+
+
+def test_a_set_target_is_held_against_the_pool_that_the_station_tells(swimming):
+    """Not against the virtual pool: 4 m is in a pool of 10 m, and 1.5 m is beyond one of 2 m."""
+    station, poses, receiver = swimming.rig.station.sender, swimming.loop.poses, Receiver(KEY)
+    assert not Poses(receiver, Bounds(), (4.0, 0.5)).outside()  # nobody has told the size yet
+    poses.target, station.pool = (4.0, 0.5), (10.0, 4.0)
+    swimming.ticks(lambda: swimming.loop.devices.receiver.room == (10.0, 4.0))
+    swimming.swim()
+    swimming.loop.disarm()
+    poses.target, station.pool = (1.5, 0.5), (2.0, 1.0)
+    swimming.ticks(lambda: swimming.loop.devices.receiver.room == (2.0, 1.0))
+    refused = swimming.loop.arm(time.monotonic())
+    assert refused.state is State.DISARMED and refused.reason is Reason.TARGET_OUTSIDE
+    assert refused.text == "the target is outside the pool, whose ends lie at x = 1 and y = 0.5"
+
+
+def test_a_drive_by_itself_ends_with_what_is_wrong_with_its_target(swimming):
+    loop, station = swimming.loop, swimming.rig.station
+    loop.poses.target, station.tag, station.sender.pool = (1.5, 0.5), (0.5, 0.2), (2.0, 1.0)
+    swimming.ticks(lambda: loop.devices.receiver.room == (2.0, 1.0))
+    swimming.ticks(lambda: bool(loop.poses.seen) and loop.sensors.servo is not None)
+    with pytest.raises(BadInput, match=r"--target: the target is outside .* x = 1 and y = 0\.5"):
+        session._begin(loop, since=2.0)
 
 
 def test_poses_are_the_plant_s_and_their_age_is_right_on_another_s_clock(swimming):
@@ -239,6 +268,8 @@ def test_what_a_drive_cannot_have_is_one_sentence_and_exit_code_2(tmp_path: Path
         (policy,): "give --servo, --imu, --listen, --station and --key, or --emulated",
         (policy, "--emulated", "--target", "9,9"): "outside the pool",
         (policy, "--emulated", "--target", "left"): "give x,y in metres",
+        (policy, "--target", "4,1.6"): "give --servo",  # the real pool may be larger
+        (policy, "--target", "51,0"): "outside the pool",
         ("nobody", "--emulated"): "no such file",
     }.items():
         done = tailbeat("drive", *words, "--log", log)

@@ -6,7 +6,7 @@ import pytest
 
 from tailbeat.files import BadInput
 from tailbeat.link.addresses import address
-from tailbeat.link.places import POOL, TARGET, is_pool, place, pool_size
+from tailbeat.link.places import ANY_POOL, POOL, TARGET, is_pool, place, pool_size
 
 
 def test_the_paper_s_pool_holds_the_default_target():
@@ -29,6 +29,13 @@ def test_a_place_is_held_against_the_pool_that_is_given():
     assert place("4.9,-1.9", pool=(10.0, 4.0)) == (4.9, -1.9)
     with pytest.raises(BadInput, match=r"--to 4\.9,-1\.9: .* x = 4 and y = 3\."):
         place("4.9,-1.9", "--to", (8.0, 6.0))
+
+
+def test_while_the_pool_is_not_known_a_place_may_lie_in_the_largest():
+    assert place("4,-3", pool=ANY_POOL) == (4.0, -3.0)
+    for text in ("50.1,0", "0,nan", "inf,0"):
+        with pytest.raises(BadInput, match=r"outside the pool, .* x = 50 and y = 50\."):
+            place(text, pool=ANY_POOL)
 
 
 @pytest.mark.parametrize("text", ["1", "1,2,3", "a,b", ""])

@@ -117,6 +117,7 @@ HOLD_CASES: dict[str, dict[str, Any]] = {
     "7 poses in a row": {"jumps": 7},
     "numbers do not change": {"imu_frozen": True},
     "watchdog process is gone": {"guarded": False},
+    "the target is outside the pool": {"outside": "outside the pool"},
 }
 STOP_CASES: dict[str, dict[str, Any]] = {
     "asked by the operator page": {"stop_asked": "the operator page"},

@@ -22,7 +22,7 @@ from tailbeat.cli.options import (
 )
 from tailbeat.files import BadInput, refuse_existing, write_json
 from tailbeat.link.addresses import address
-from tailbeat.link.places import TARGET, place
+from tailbeat.link.places import ANY_POOL, POOL, TARGET, place
 from tailbeat.robot.ports import Ports
 
 if TYPE_CHECKING:
@@ -164,7 +164,8 @@ def drive(
     log = session.log_in(log)
     for path in filter(None, (log, json)):
         refuse_existing(path)
-    aim, stay = None if target is None else place(target), wait or bool(page)
+    pool = POOL if emulated else ANY_POOL  # the station tells the robot the real pool's size
+    aim, stay = None if target is None else place(target, pool=pool), wait or bool(page)
     lasts = _duration(seconds, stay)
     if emulated:
         devices = _emulated(fish, seed, target or TARGET, page)

@@ -7,6 +7,7 @@ from tailbeat.files import BadInput
 LENGTH, WIDTH = 5.5, 2.7  # m, the paper's pool, which the virtual one is
 POOL = (LENGTH, WIDTH)  # where no calibration tells the size
 SMALLEST, LARGEST = 0.3, 100.0  # m of a pool's side
+ANY_POOL = (LARGEST, LARGEST)  # while the pool's size is not known
 TARGET = "1.5,0.5"  # x,y [m], the default target
 
 
@@ -34,9 +35,14 @@ def place(
         x, y = map(float, text.split(","))
     except ValueError:
         raise BadInput(f"{option} {text!r}: give x,y in metres, as 1.2,-0.4.") from None
-    if not (abs(x) <= pool[0] / 2 and abs(y) <= pool[1] / 2):
-        raise BadInput(
-            f"{option} {text}: outside the pool, whose ends lie at x = {pool[0] / 2:g} and"
-            f" y = {pool[1] / 2:g}."
-        )
+    if where := outside((x, y), pool):
+        raise BadInput(f"{option} {text}: {where}.")
     return x, y
+
+
+def outside(at: tuple[float, float], pool: tuple[float, float]) -> str:
+    """Says so where a place [m] is not in a pool of this length and width [m]; "" where it is."""
+    length, width = pool[0] / 2, pool[1] / 2
+    if abs(at[0]) <= length and abs(at[1]) <= width:
+        return ""
+    return f"outside the pool, whose ends lie at x = {length:g} and y = {width:g}"

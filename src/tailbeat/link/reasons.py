@@ -35,6 +35,7 @@ class Reason(Enum):
     IMU_FROZEN = "the IMU's numbers do not change"
     CLOCKS_UNKNOWN = "the clocks are not compared"
     NO_TARGET = "no target"
+    TARGET_OUTSIDE = "the target is {note}"
     SERVO_WARM = "servo at {value:.0f} deg C, too warm to swim"
     SUPPLY = "supply {value:.1f} V"
     PERIODS_MISSED = "{value:.0f} periods missed within a second"

@@ -156,6 +156,7 @@ class Loop:
             jumps=self.poses.jumps,
             clock_step=self.poses.clock_step,
             guarded=self.guarded,
+            outside=self.poses.outside(),
         )
 
     def _decide(self) -> runner.Decision:

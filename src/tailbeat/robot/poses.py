@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.link import datagrams as link
+from tailbeat.link import places
 from tailbeat.link.clock import SECOND
 from tailbeat.link.datagrams import Frame, Receiver
 from tailbeat.robot import plausible
@@ -101,6 +102,11 @@ class Poses:
     def has_target(self) -> bool:
         """Whether the newest pose comes with a target."""
         return bool(self.seen) and self.target_of(self.seen[-1]) is not None
+
+    def outside(self) -> str:
+        """Where the pool ends, if the set target lies beyond; "" while the size is not known."""
+        known = self.receiver.told >= 0
+        return places.outside(self.target, self.receiver.room) if self.target and known else ""
 
     def newest_target(self) -> tuple[float, float] | None:
         """Where the robot swims to [m], as far as it is known."""

@@ -44,7 +44,8 @@ class Health:
     `hardware` names the servo's errors and `imu_frozen` says that the IMU's numbers do not change;
     `follows`: whether the shaft moves when asked; `jumps`: frames in a row with an impossible pose;
     `clock_step` [s] of the station's clock since arming; `guarded`: whether the watchdog process
-    would turn torque off if the loop died."""
+    would turn torque off if the loop died; `outside` says where the pool ends, if the set target
+    lies beyond."""
 
     pose_age: float = math.inf
     imu_age: float = math.inf
@@ -67,6 +68,7 @@ class Health:
     jumps: int = 0
     clock_step: float = 0.0
     guarded: bool = True
+    outside: str = ""
 
 
 @dataclass(frozen=True)
@@ -123,6 +125,7 @@ HOLDS = (
     Rule(Reason.IMU_FROZEN, lambda h, _: h.imu_frozen),
     Rule(Reason.CLOCKS_UNKNOWN, lambda h, lim: not h.clock_doubt < lim.clock_doubt),
     Rule(Reason.NO_TARGET, lambda h, _: not h.target),
+    Rule(Reason.TARGET_OUTSIDE, lambda h, _: bool(h.outside), note=lambda h: h.outside),
     Rule(Reason.SERVO_WARM, lambda h, lim: not h.temperature < lim.temperature_hold,
          lambda h: h.temperature),
     Rule(Reason.SUPPLY, lambda h, lim: not lim.voltage_low <= h.voltage <= lim.voltage_high,

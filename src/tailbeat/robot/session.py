@@ -11,6 +11,7 @@ from pathlib import Path
 from tailbeat.control.policy import load_policy
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.link import datagrams as link
+from tailbeat.link.reasons import Reason
 from tailbeat.link.status import State
 from tailbeat.robot import imu, servo, systemd, timing, watchdog
 from tailbeat.robot import log as log_file
@@ -33,8 +34,9 @@ def log_in(path: Path) -> Path:
 @dataclass(frozen=True)
 class DriveConfig:
     """A drive: the policy (a file or a shipped one's name), where the devices are, the key's file
-    and the log's. `target` [m] stands in for the target's tag. It lasts `seconds`. It arms and
-    swims `by_itself`, or when ordered to; a robot that stopped ends it, unless it is to `stay`."""
+    and the log's. `target` [m] stands in for the target's tag; outside the pool whose size the
+    station tells, the robot does not arm. It lasts `seconds`. It arms and swims `by_itself`, or
+    when ordered to; a robot that stopped ends it, unless it is to `stay`."""
 
     policy: str
     ports: Ports
@@ -163,8 +165,10 @@ def _swim(own: Loop, config: DriveConfig, say: Say, each: Each) -> None:
 
 
 def _begin(own: Loop, since: float) -> None:
-    """Arm after a second, and swim."""
+    """Arm after a second, and swim. Raises BadInput for a target that no waiting brings inside."""
     if own.safety_status.state is State.DISARMED and since > 1.0:
-        own.arm(time.monotonic())
+        refused = own.arm(time.monotonic())
+        if refused.reason is Reason.TARGET_OUTSIDE:
+            raise BadInput(f"--target: {refused.text}; give a place inside.")
     if own.safety_status.state is State.ARMED:
         own.swim()
