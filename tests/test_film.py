@@ -11,16 +11,16 @@ import pytest
 pytest.importorskip("mcap", reason="the robot extra is not installed")
 
 from support import complaint, tailbeat
-from tailbeat.control.policy import load_policy
+from tailbeat.cli import progress
 from tailbeat.evaluate import motion as motions
+from tailbeat.evaluate import swim
 from tailbeat.evaluate.motion import Motion, Span, of_log, of_tour
-from tailbeat.evaluate.tour import tour
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.identify.runs import tracked_pose
-from tailbeat.pool.water import Water
 from tailbeat.report import film as films
 from tailbeat.report import film_frames as rendering
+from tailbeat.report import tour as page
 from tailbeat.report.film_frames import NoPicture, Shot, camera_of, rendered
 from tailbeat.report.pool_scene import View, build_scene
 from tailbeat.robot.log import start
@@ -48,12 +48,17 @@ def write_log(path: Path, rows: list[dict]) -> Path:
 
 
 @pytest.fixture(scope="module")
-def swum():
+def toured():
     """Four seconds of the shipped policy in the pool's plant, in process."""
-    policy = load_policy("pulley-fish-pool-generator")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("tailbeat.evaluate.tour.PATIENCE", 4.0)
-        return tour(policy, FISH, Water(), np.array([[-1.0, 0.6]]), 0, lambda *_: None)
+        config = swim.SwimConfig("pulley-fish-pool-generator", FISH.name, targets=1)
+        return swim.direct(config, progress.counting)
+
+
+@pytest.fixture(scope="module")
+def swum(toured):
+    return toured.tour
 
 
 @pytest.fixture(scope="module")
@@ -191,8 +196,8 @@ def test_a_film_has_the_frames_and_length_asked_for(log, tmp_path):
 @pytest.mark.parametrize("end", [".webp", ".gif"])
 def test_an_animated_picture_is_as_good_as_fits(log, tmp_path, monkeypatch, end):
     width, height = films.SIZES[end]
-    coarse = np.random.default_rng(0).integers(0, 255, (2, height // 9, width // 10, 3), np.uint8)
-    noise = coarse.repeat(9, axis=1)[:, :height].repeat(10, axis=2)
+    coarse = np.random.default_rng(0).integers(0, 255, (2, height // 45, width // 40, 3), np.uint8)
+    noise = coarse.repeat(45, axis=1).repeat(40, axis=2)
     noise = np.pad(noise, ((0, 0), (0, height - noise.shape[1]), (0, 0), (0, 0)))
     monkeypatch.setattr(
         films, "frames", lambda shot: (noise[k % 2] for k in range(shot.motion.frames))
@@ -265,3 +270,19 @@ def test_without_gl_the_film_says_so_and_leaves_nothing(log, tmp_path, monkeypat
         next(rendered(Shot(FISH, turning(), "follow", SMALL), range(1)))
     monkeypatch.setattr(films, "frames", lambda shot: rendered(shot, range(1)))
     assert "no GL library" in refused(tmp_path, log, "--out", tmp_path / "a.mp4")
+
+
+def test_a_tour_s_page_opens_with_the_film_or_says_why_there_is_none(toured, tmp_path, monkeypatch):
+    width, height = films.SIZES[".mp4"]
+    black = np.zeros((height, width, 3), np.uint8)
+    monkeypatch.setattr(films, "frames", lambda shot: (black for _ in range(shot.motion.frames)))
+    page.write(toured, tmp_path, progress.counting, film_seconds=0.3)
+    text = (tmp_path / "report.html").read_text()
+    assert 0 < text.index("<video") < text.index("<img")
+    assert imageio.get_reader(tmp_path / "swim.mp4").count_frames() == 9  # type: ignore[attr-defined]
+    monkeypatch.setattr(mujoco.gl_context, "GLContext", None, raising=False)
+    monkeypatch.setattr(films, "frames", lambda shot: rendered(shot, range(1)))
+    page.write(toured, tmp_path, progress.counting, film_seconds=0.3)
+    text = (tmp_path / "report.html").read_text()
+    assert "There is no film: no GL library" in text and "<video" not in text
+    assert "<img" in text and not (tmp_path / "swim.mp4").exists()
