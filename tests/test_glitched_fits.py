@@ -101,4 +101,5 @@ def test_the_whole_fit_keeps_what_is_decided(data, tmp_path, which):
             low, high = row["interval"]
             assert low <= found["parameters"][name]["value"] <= high, name
     assert found["error_over_best_naive"] < 0.5
-    assert found["fit_mae_deg"] < 1.1 * clean["fit_mae_deg"]
+    # A frozen value in a fast stroke is within what a shaft can do: it stays, and costs a little.
+    assert found["fit_mae_deg"] < clean["fit_mae_deg"] + 0.05

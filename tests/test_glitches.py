@@ -72,7 +72,8 @@ def test_each_kind_is_found_and_named():
 
 
 def test_a_shaft_at_rest_is_not_frozen_and_a_step_is_no_jump():
-    rest = np.where(TIME < 2, 0.0, 1 - np.exp(-np.maximum(TIME - 2, 0) / 0.1))
+    since = np.maximum(TIME - 2, 0) / 0.06  # 280 rad/s^2 at first
+    rest = 1 - (1 + since) * np.exp(-since)
     assert kinds_in(with_angle(slice(None), rest)) == {}
 
 

@@ -7,14 +7,13 @@ SHOWN = 5  # times that a line names
 
 def sentences(rows: list[dict[str, Any]]) -> list[str]:
     """A line of the terminal for every recording, column and kind; the first times alone."""
-    return [
-        f"{row['recording']}: {_said(row)} at {', '.join(f'{t:.2f}' for t in row['times'][:SHOWN])}"
-        f"{', …' if row['count'] > SHOWN else ''} s"
-        for row in rows
-    ]
+    return [_line(row) for row in rows if row["kind"] != "gap"]  # a camera has gaps every second
 
 
-def _said(row: dict[str, Any]) -> str:
-    if row["kind"] == "gap":
-        return f"frames are missing in {row['count']} places, after the samples"
-    return f"{row['count']} samples of {row['column']} left out ({row['kind']})"
+def _line(row: dict[str, Any]) -> str:
+    times = ", ".join(f"{time:.2f}" for time in row["times"][:SHOWN])
+    more = ", …" if row["count"] > SHOWN else ""
+    return (
+        f"{row['recording']}: {row['count']} samples of {row['column']} left out ({row['kind']})"
+        f" at {times}{more} s"
+    )

@@ -17,7 +17,6 @@ from tailbeat.fish.description import COEFFICIENTS, Fish
 from tailbeat.fish.rollout import Swim
 from tailbeat.fish.store import value_at, with_values
 from tailbeat.identify.gait import Track, measure_gait, surge
-from tailbeat.identify.glitches import MISSING
 from tailbeat.identify.runs import Cruise, Run, camera_track, last_beats, repeat
 from tailbeat.identify.search import Parameter, sensitivity
 
@@ -42,6 +41,7 @@ class Sigma:
 SIGMA = Sigma()
 SAMPLES = 60  # poses compared per replayed run
 FIRST_POSITION, FIRST_YAW = 0.003, 0.01  # m, rad: how wrong the first frame may be, chosen
+HOLE = 2.5  # times the median interval: beyond, several frames are missing and nothing is compared
 START_WEIGHT = 4.0  # squared error at the start over that at the end (paper)
 
 # Prior centre, spread of ln(value), and range per coefficient. Outside the range no ellipsoid in
@@ -228,7 +228,7 @@ def _recorded(time: Array, when: Array) -> NDArray[np.bool_]:
     """Which times have a frame on both sides, not a hole in the recording."""
     step = np.diff(when)
     after = np.clip(np.searchsorted(when, time), 1, when.size - 1)
-    return np.asarray(step[after - 1] < MISSING * np.median(step))
+    return np.asarray(step[after - 1] < HOLE * np.median(step))
 
 
 def _without_first_pose(error: Array, way: Array, weight: Array, yaw: float | None = None) -> Array:

@@ -44,7 +44,7 @@ class Limits:
 # tail is driven at 5 Hz and 0.4 rad at most, and a slow pull is slow. No fish of ours swims at
 # 1 m/s; a tail's tip at 5 Hz and 0.1 m has 3 m/s and 100 m/s^2. Noise: seven counts of an encoder,
 # a camera's pixels.
-SHAFT = Limits(speed=25.0, acceleration=1000.0, noise=0.01)
+SHAFT = Limits(speed=25.0, acceleration=500.0, noise=0.005)
 TAIL = Limits(speed=15.0, acceleration=500.0, noise=0.01)
 SLOW_PULL = Limits(speed=2.0, acceleration=20.0, noise=0.01)
 PLACE = Limits(speed=3.0, acceleration=30.0, noise=0.01)
@@ -270,6 +270,8 @@ def _swapped(time: Array, values: Array, kept: Mask, limits: Limits) -> Mask:
 
     Counts of a turn's 4096th, from 0, from half a turn, or signed; the common encoders' ways.
     """
+    if not kept.any():
+        return np.zeros(values.size, dtype=bool)
     expected = np.interp(time, time[kept], values[kept])
     near = limits.noise + limits.speed * np.median(np.diff(time))
     fits = np.zeros(values.size, dtype=bool)
