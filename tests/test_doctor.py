@@ -150,7 +150,7 @@ def test_keys_that_are_absent_open_to_others_or_short_are_found(tmp_path):
     link.make_key(tmp_path / "key")
     assert doctor_link.check_key(tmp_path / "key").verdict == OK
     (tmp_path / "key").chmod(0o644)
-    assert "others may read" in doctor_link.check_key(tmp_path / "key").found
+    assert "other users may read" in doctor_link.check_key(tmp_path / "key").found
 
 
 KEY = bytes(32)
@@ -253,6 +253,6 @@ def test_the_emulated_bench_is_well_and_what_is_broken_is_exit_code_1(tmp_path):
     link.make_key(tmp_path / "key")
     out = tmp_path / "missing.json"  # a table breaks its lines
     words = ("--servo", tmp_path / "none", "--key", tmp_path / "key", "--json", out)
-    assert tailbeat("doctor", *words).returncode == 1 and "not there" in out.read_text()
+    assert tailbeat("doctor", *words).returncode == 1 and "does not exist" in out.read_text()
     done = tailbeat("doctor")
     assert done.returncode == 2 and "or --emulated" in done.stderr

@@ -249,7 +249,7 @@ def test_bad_logs_and_outputs_are_refused_in_one_sentence(log, tmp_path):
     text.write_text("time,x\n1,2\n")
     cut.write_bytes(log.read_bytes()[:300])
     for path in (empty, text, cut):
-        assert "no rows of a swim" in refused(tmp_path, path)
+        assert "no row of a swim" in refused(tmp_path, path)
     assert "no such file" in refused(tmp_path, tmp_path / "none.mcap")
     blind = [{"time_s": 0.02 * k, "state": "run", "motor_angle_rad": 0.0} for k in range(50)]
     said = refused(tmp_path, write_log(tmp_path / "blind.mcap", blind))

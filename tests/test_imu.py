@@ -119,8 +119,8 @@ def test_a_port_that_is_someone_else_s_is_refused(bench, tmp_path):
     with pytest.raises(BadInput, match="give the IMU's port"):
         connect(str(tmp_path / "nothing"))
     bench.sensor.faults.mute = 5
-    with pytest.raises(BadInput, match="nothing answers as a BNO055"):
+    with pytest.raises(BadInput, match="no BNO055 answers"):
         connect(bench.path, deadline=0.02)
     bench.sensor.table[0] = 0x83
-    with pytest.raises(BadInput, match="chip 0x83; a BNO055 says 0xa0"):
+    with pytest.raises(BadInput, match="chip 0x83 answers, a BNO055 has 0xa0"):
         connect(bench.path, deadline=PATIENT)

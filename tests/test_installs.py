@@ -143,7 +143,7 @@ def test_the_robot_s_other_verbs_run_in_its_environment(robot, tmp_path):
     service += ["--station", "127.0.0.1:7002", "--key", tmp_path / "key", "--logs", tmp_path]
     run(tailbeat, *service)
     doctor = ["doctor", "--key", tmp_path / "key", "--servo", tmp_path / "none"]
-    assert "not there" in run(tailbeat, *doctor, "--logs", tmp_path, code=1).stdout
+    assert "does not exist" in run(tailbeat, *doctor, "--logs", tmp_path, code=1).stdout
     torque = run(tailbeat, "torque-off", "--servo", tmp_path / "none", code=2)
     assert "Traceback" not in torque.stderr
     shown = run(tailbeat, "show", "pulley-fish", code=2)

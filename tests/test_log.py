@@ -112,5 +112,5 @@ def test_what_is_no_log_is_refused(tmp_path):
     with pytest.raises(BadInput, match="no such file"):
         read_rows(tmp_path / "none.mcap")
     (tmp_path / "text.mcap").write_text("hello")
-    with pytest.raises(BadInput, match="no rows of a swim"):
+    with pytest.raises(BadInput, match="no row of a swim"):
         read_rows(tmp_path / "text.mcap")

@@ -129,7 +129,7 @@ def test_a_set_target_is_held_against_the_pool_that_the_station_tells(swimming):
     swimming.ticks(lambda: swimming.loop.devices.receiver.room == (2.0, 1.0))
     refused = swimming.loop.arm(time.monotonic())
     assert refused.state is State.DISARMED and refused.reason is Reason.TARGET_OUTSIDE
-    assert refused.text == "the target is outside the pool, whose ends lie at x = 1 and y = 0.5"
+    assert refused.text == "the target is outside the pool: allowed x -1 to 1 m, y -0.5 to 0.5 m"
 
 
 def test_a_drive_by_itself_ends_with_what_is_wrong_with_its_target(swimming):

@@ -116,7 +116,7 @@ HOLD_CASES: dict[str, dict[str, Any]] = {
     "4000 ms in the future": {"pose_age": -4.0},
     "7 poses in a row": {"jumps": 7},
     "numbers do not change": {"imu_frozen": True},
-    "watchdog process is gone": {"guarded": False},
+    "watchdog process has ended": {"guarded": False},
     "the target is outside the pool": {"outside": "outside the pool"},
 }
 STOP_CASES: dict[str, dict[str, Any]] = {

@@ -264,13 +264,13 @@ def test_a_port_that_is_someone_else_s_is_refused(bench, tmp_path):
     with pytest.raises(BadInput, match="give the servo's port"):
         connect(str(tmp_path / "nothing"))
     bench.device.put(7, 9)  # another id
-    with pytest.raises(BadInput, match="nothing answers as servo 1"):
+    with pytest.raises(BadInput, match="no servo 1 answers"):
         connect(bench.path, deadline=0.05)
     bench.device.put(7, 1)
     monkey = emulated.MODEL
     emulated.MODEL = 1060  # an XL430
     try:
-        with pytest.raises(BadInput, match="model 1060; an XW430-T200 says 1280"):
+        with pytest.raises(BadInput, match="model 1060 answers, an XW430-T200 has 1280"):
             connect(bench.path, deadline=PATIENT)
     finally:
         emulated.MODEL = monkey

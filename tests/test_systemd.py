@@ -73,7 +73,7 @@ def test_the_unit_runs_drive_disarmed_fed_by_the_loop_and_lets_go_last(tmp_path)
               "CPUSchedulingPolicy": "fifo", "LimitMEMLOCK": "infinity",
               "SupplementaryGroups": "dialout", "After": "network.target"}  # fmt: skip
     assert wanted.items() <= lines.items()
-    with pytest.raises(BadInput, match="cannot be part of a unit"):
+    with pytest.raises(BadInput, match="not allowed in a unit"):
         systemd.unit("/usr/bin/python3", "fish\nRoot", "/dev/x", WORDS)
 
 

@@ -44,7 +44,7 @@ CASES = (
     Case("loop hangs", "loop", "hang", "gone"),
     Case("an exception in the loop", "loop", "exception", "gone"),
     Case("disk full", "loop", "disk full", "hold", "log cannot be written"),
-    Case("watchdog killed with -9", "loop", "no watchdog", "hold", "watchdog process is gone"),
+    Case("watchdog killed with -9", "loop", "no watchdog", "hold", "watchdog process has ended"),
     Case("killed with -9", "signal", "SIGKILL", "gone"),
     Case("stopped with Ctrl-Z", "signal", "SIGSTOP", "gone"),
     Case("SIGTERM", "signal", "SIGTERM", "stop", "stop asked by"),

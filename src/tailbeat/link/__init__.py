@@ -1,1 +1,1 @@
-"""What crosses the network? Signed datagrams, the clock, the status."""
+"""Signed datagrams between station and fish, the clock comparison, the robot's status."""

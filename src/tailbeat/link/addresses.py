@@ -1,4 +1,4 @@
-"""Network addresses as a person types them."""
+"""Parse network addresses that a person types."""
 
 import socket
 
@@ -6,11 +6,12 @@ from tailbeat.files import BadInput
 
 
 def address(text: str, option: str) -> tuple[str, int]:
-    """`host:port`."""
+    """Parse `host:port` and resolve the host once. Raises BadInput; `option` names the text in its
+    message."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdigit() or not 0 <= int(port) < 65536:
-        raise BadInput(f"{option} {text!r}: give host:port, as 127.0.0.1:5151.")
+        raise BadInput(f"{option} {text!r}: give host:port, like 127.0.0.1:5151.")
     try:
         return socket.gethostbyname(host), int(port)  # once, not in every period of the loop
     except OSError as error:
-        raise BadInput(f"{option} {host}: {error.strerror}; give its address.") from None
+        raise BadInput(f"{option} {host}: {error.strerror}; give its numeric address.") from None

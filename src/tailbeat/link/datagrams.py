@@ -1,10 +1,11 @@
-"""Poses and orders from station to fish: small signed datagrams; the newest counts.
+"""Poses and orders from station to fish: small signed datagrams; only the newest is used.
 
-A pose datagram holds the three newest frames, so one lost costs nothing; it is signed with a shared
-key (HMAC-SHA256, 16 bytes) and carries the fish's own nonce, drawn at its start, so that nothing
-recorded earlier is taken. Every start of a sender is a run of its own; one that another has
-followed is ignored from then on, so no recording of it is accepted either. Clocks are monotonic and
-compared by echoes in the same socket; wall clocks are never asked.
+A pose datagram holds the three newest frames, so that a single lost datagram loses no frame. It is
+signed with a shared key (HMAC-SHA256, 16 bytes) and carries a nonce that the fish draws at its
+start, so that recordings from before that start are rejected. Every start of a sender has its own
+run number. Once another run has replaced it, its datagrams are ignored, so replays of it are
+rejected too. Clocks are monotonic and compared by echoes over the same socket; wall clocks are not
+used.
 """
 
 import hmac
@@ -27,7 +28,7 @@ KEY_BYTES, MAC_BYTES = 32, 16
 POSES, ASK, TELL, ORDER = b"tbP1", b"tbA1", b"tbT2", b"tbO1"
 FRAMES = 3
 HEAD = struct.Struct("<4sQQQ")  # kind, sender's run, receiver's nonce, sequence
-FRAME = struct.Struct("<QB5f")  # captured [ns], what was seen, fish x, y, yaw, target x, y
+FRAME = struct.Struct("<QB5f")  # captured [ns], seen flags, fish x, y, yaw, target x, y
 ORDERED = struct.Struct("<QB")  # sent [ns of the sender's clock], which order
 TIMES = struct.Struct("<QQQ")  # of an echo: asked, received, sent back [ns]
 POOL_SIZE = struct.Struct("<2f")  # length, width [m]
@@ -38,12 +39,12 @@ LENGTHS = {
     TELL: HEAD.size + TIMES.size + POOL_SIZE.size + MAC_BYTES,
     ORDER: HEAD.size + ORDERED.size + MAC_BYTES,
 }
-MARGIN = 0.03  # m beyond the walls: ten times the camera's noise, of a fish that touches one
-ORDER_AGE = 2.0  # s: an order to move that took longer was held back on its way
+MARGIN = 0.03  # m beyond a wall that a pose may lie: ten times the camera's noise
+ORDER_AGE = 2.0  # s: an older order to arm or to swim is rejected as delayed
 
 
 class Order(IntEnum):
-    """What an operator wants of the fish; the last two are taken however late they come."""
+    """The operator's orders to the fish. DISARM and STOP are accepted however late they arrive."""
 
     ARM = 1
     SWIM = 2
@@ -53,8 +54,11 @@ class Order(IntEnum):
 
 @dataclass(frozen=True)
 class Frame:
-    """What one camera frame showed: `captured` [ns] of the sender's monotonic clock; fish x, y [m],
-    yaw [rad] and target x, y [m] in the pool, None where the tag was not seen."""
+    """What one camera frame showed.
+
+    `captured` [ns] is on the sender's monotonic clock. Fish x, y [m] and yaw [rad], and target x, y
+    [m], are in the pool; None where the tag was not seen.
+    """
 
     captured: int
     fish: tuple[float, float, float] | None
@@ -72,11 +76,12 @@ def make_key(path: Path) -> None:
 
 
 def read_key(path: Path) -> bytes:
-    """A key of `make_key`. Raises BadInput if it is missing, short, or open to others."""
+    """Read a key of `make_key`. Raises BadInput if it is missing, has another length, or is
+    readable by others."""
     if not path.is_file():
-        raise BadInput(f"{path}: no key; make one and copy it to both machines.")
+        raise BadInput(f"{path}: no key file there; make one and copy it to both machines.")
     if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        raise BadInput(f"{path}: others may read this key; chmod 600 it, or make a new one.")
+        raise BadInput(f"{path}: other users may read this key; chmod 600 it, or make a new one.")
     key = path.read_bytes()
     if len(key) != KEY_BYTES:
         raise BadInput(f"{path}: {len(key)} bytes; a key has {KEY_BYTES}. Make a new one.")
@@ -87,12 +92,13 @@ def read_key(path: Path) -> bytes:
 
 
 def sign(key: bytes, body: bytes) -> bytes:
-    """The body with its signature behind it."""
+    """The body followed by its signature."""
     return body + hmac.digest(key, body, "sha256")[:MAC_BYTES]
 
 
 def pose_datagram(key: bytes, run: int, nonce: int, sequence: int, frames: list[Frame]) -> bytes:
-    """Up to three frames, oldest first; a short list repeats its first."""
+    """A signed pose datagram with up to three frames, oldest first; a short list repeats its first
+    frame."""
     frames = [frames[0]] * (FRAMES - len(frames)) + frames[-FRAMES:]
     return sign(key, HEAD.pack(POSES, run, nonce, sequence) + b"".join(map(_packed, frames)))
 
@@ -112,15 +118,15 @@ def _unpacked(body: bytes) -> list[Frame]:
 
 
 def ask_datagram(key: bytes, nonce: int, sequence: int, now: int) -> bytes:
-    """The fish's question for the sender's clock; it also tells the sender the nonce."""
+    """The fish's request for the sender's clock; it also tells the sender the fish's nonce."""
     return sign(key, HEAD.pack(ASK, 0, nonce, sequence) + TIMES.pack(now, 0, 0))
 
 
 def tell_datagram(
     key: bytes, run: int, asked: bytes, received: int, sent: int, pool: tuple[float, float] = POOL
 ) -> bytes | None:
-    """The sender's answer to a question, None if it is not a signed one: its clock's times [ns] and
-    the length and width of the pool [m]."""
+    """The sender's answer to a clock request: its clock's times [ns] and the length and width of
+    the pool [m]. None if the request is not signed with this key."""
     if not is_signed(key, asked, ASK, LENGTHS[ASK]):
         return None
     _, _, nonce, sequence = HEAD.unpack_from(asked)
@@ -130,12 +136,13 @@ def tell_datagram(
 
 
 def order_datagram(key: bytes, run: int, nonce: int, number: int, order: Order, sent: int) -> bytes:
-    """An order, sent at `sent` [ns]; one that is repeated keeps its number."""
+    """A signed order, sent at `sent` [ns] of the sender's clock. A repeated order keeps its
+    number."""
     return sign(key, HEAD.pack(ORDER, run, nonce, number) + ORDERED.pack(sent, order))
 
 
 def stop_datagram(key: bytes, run: int, nonce: int, number: int) -> bytes:
-    """The order to stop."""
+    """A signed order to stop."""
     return order_datagram(key, run, nonce, number, Order.STOP, 0)
 
 
@@ -152,28 +159,31 @@ def is_signed(key: bytes, data: bytes, kind: bytes, length: int) -> bool:
 
 @dataclass(eq=False)
 class Receiver:
-    """Takes datagrams and keeps the newest frames. `room` (length, width) [m], told by
-    the sender, bounds poses about the pool's middle; `rejected` counts what was dropped, by reason;
-    `orders` wait for the loop; `run` is the sender's, 0 before the first; `ordered` the number of
-    each run's newest order."""
+    """The fish's end: checks datagrams and keeps the newest frames.
+
+    `room` (length, width) [m] is sent by the station; poses must lie inside it, with the origin in
+    the middle of the pool. `rejected` counts rejected datagrams by reason. `orders` are those that
+    the loop has not yet taken. `run` is the sender's run, 0 before the first. `ordered` is the
+    number of the newest order of each run.
+    """
 
     key: bytes
     room: tuple[float, float] = POOL
     nonce: int = field(default_factory=lambda: secrets.randbits(64))
     clock: Clock = field(default_factory=Clock)
     loss: Loss = field(default_factory=Loss)
-    frames: list[Frame] = field(default_factory=list)  # newest first, of the sender's clock
+    frames: list[Frame] = field(default_factory=list)  # newest first, on the sender's clock
     orders: list[Order] = field(default_factory=list)  # oldest first
     rejected: Counter[str] = field(default_factory=Counter)
     accepted: int = 0
     run: int = 0
-    followed: set[int] = field(default_factory=set)  # runs that ended
+    followed: set[int] = field(default_factory=set)  # runs that another run has replaced
     last: int = -1  # sequence of the newest poses
     told: int = -1  # sequence of the last echo
     ordered: dict[int, int] = field(default_factory=dict)
 
     def take(self, data: bytes, now: int) -> None:
-        """One datagram, heard at `now` [ns]; never raises, whatever it holds."""
+        """Handle one datagram, received at `now` [ns]. Never raises, whatever it contains."""
         kind = data[:4]
         if kind not in (POSES, TELL, ORDER) or len(data) != LENGTHS[kind]:
             self.rejected["not ours"] += 1
@@ -194,16 +204,16 @@ class Receiver:
 
     @property
     def stopped(self) -> bool:
-        """Whether an order to stop waits."""
+        """Whether an order to stop is among the orders not yet taken."""
         return Order.STOP in self.orders
 
     def take_orders(self) -> list[Order]:
-        """The orders that wait, oldest first; they wait no longer."""
+        """Return the orders not yet taken, oldest first, and clear the list."""
         taken, self.orders = self.orders, []
         return taken
 
     def _follow(self, run: int) -> None:
-        """Hear a sender that started anew: its clock may be another's."""
+        """Switch to a sender's new run: its clock may be another machine's."""
         if run != self.run:
             self.followed |= {self.run}
             self.run, self.last = run, -1
@@ -223,11 +233,11 @@ class Receiver:
         self.clock.add(asked, received, sent, now)
 
     def _order(self, data: bytes, run: int, number: int, now: int) -> None:
-        """STOP is accepted from any run; all else only from the run that is followed."""
+        """STOP is accepted from any run; all other orders only from the current run."""
         sent, which = ORDERED.unpack_from(data, HEAD.size)
         newest = self.ordered.get(run, 0)
         if number == newest:
-            return  # its sender repeats it
+            return  # a repetition
         if which not in tuple(Order):
             self.rejected["implausible"] += 1
         elif number < newest or (which != Order.STOP and run != self.run):
@@ -239,7 +249,8 @@ class Receiver:
             self.orders.append(Order(which))
 
     def _late(self, sent: int, now: int) -> bool:
-        """Whether an order was held back; without clocks compared nothing moves, see `safety`."""
+        """Whether an order was delayed. While the clocks are not compared, nothing is late; see
+        `safety`."""
         offset = self.clock.offset(now)
         return offset is not None and abs(now - (sent - offset[0])) > ORDER_AGE * SECOND
 
@@ -268,7 +279,7 @@ class Receiver:
         return all(map(math.isfinite, numbers)) and inside
 
     def age(self, frame: Frame, now: int) -> float | None:
-        """Seconds since a frame was captured, or None while the clocks are not compared."""
+        """Age of a frame [s], or None while the clocks are not compared."""
         offset = self.clock.offset(now)
         return None if offset is None else (now - (frame.captured - offset[0])) / SECOND
 
@@ -277,9 +288,9 @@ class Receiver:
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """A datagram socket on a chosen address, never waiting. Raises BadInput."""
+    """Open a non-blocking datagram socket on one address. Raises BadInput."""
     if host in ("", "0.0.0.0"):
-        raise BadInput("link: give the address of one network, not all of them.")
+        raise BadInput("link address {host!r}: this means all networks; give the address of one.")
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     made.setblocking(False)
     try:
@@ -293,14 +304,14 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 def free_address() -> tuple[str, int]:
-    """A free address on this machine."""
+    """A free address on this machine: host and port."""
     with bind("127.0.0.1", 0) as probe:
         host, port = probe.getsockname()
     return host, port
 
 
 def drain(made: socket.socket, most: int = 1000) -> Iterator[tuple[bytes, tuple[str, int]]]:
-    """What has arrived, oldest first, at most so many."""
+    """Read the datagrams that have arrived, oldest first, at most `most`."""
     for _ in range(most):
         try:
             yield made.recvfrom(2048)

@@ -1,12 +1,12 @@
-"""Why the robot is in its state: a value that log, status and operator page share, and its text."""
+"""Why the robot is in its state: one reason for log, status and operator page, with its text."""
 
 import math
 from enum import Enum
 
 
 class Reason(Enum):
-    """One cause each. The value is the text; `{value}` [unit of the text], `{ms}` (the same in
-    milliseconds) and `{note}` are filled in by `text_of`."""
+    """One cause each. The value is the text. `text_of` fills in `{value}` [unit of the text],
+    `{ms}` (the value in milliseconds) and `{note}`."""
 
     NOT_ARMED = "not armed yet"
     ARMED = "armed"
@@ -40,10 +40,10 @@ class Reason(Enum):
     SUPPLY = "supply {value:.1f} V"
     PERIODS_MISSED = "{value:.0f} periods missed within a second"
     LOG_FAILED = "the log cannot be written"
-    NO_WATCHDOG = "the watchdog process is gone: torque would stay on if the loop died"
+    NO_WATCHDOG = "the watchdog process has ended: torque would stay on if the loop failed"
 
 
-REASONS = tuple(Reason)  # a status carries the place in this list
+REASONS = tuple(Reason)  # a status carries the index in this tuple
 
 
 def text_of(reason: Reason, value: float = math.nan, note: str = "") -> str:

@@ -1,6 +1,6 @@
 """The station's end of the link: sends frames, clock answers and orders; receives the status.
 
-A plain object that its owner steps; it has no thread and knows nothing of cameras or pools.
+A plain object without a thread; its owner calls `work`. It does not depend on camera or pool.
 """
 
 import contextlib
@@ -19,14 +19,15 @@ from tailbeat.link.places import POOL
 from tailbeat.link.status import Status, read_status
 
 REPEAT = 0.05  # s between two sendings of an order
-GIVE_UP = 3.0  # s without the fish having taken an order
-LIVE = 1.0  # s: a fish heard so lately is not given up for another start's question
-STATUSES = 50  # five seconds
+GIVE_UP = 3.0  # s until an order that the fish has not taken is given up
+LIVE = 1.0  # s since the last status in which another start's request does not replace the fish
+STATUSES = 50  # five seconds of statuses
 
 
 @dataclass(eq=False)
 class Pending:
-    """An order that the fish has not taken yet: its number, when it was given, when it is due."""
+    """An order that the fish has not taken yet: its number, when it was given and when it is sent
+    again [s]."""
 
     order: Order
     number: int
@@ -36,10 +37,13 @@ class Pending:
 
 @dataclass(eq=False)
 class Sender:
-    """The station's end; `work` it a few hundred times a second or more, and `show` it every
-    frame. `clock` gives its own monotonic time [ns]. `target` [m], if set, stands in for what the
-    camera saw; the fish is told the length and width of the `pool` [m]. `status` is the fish's
-    last, heard at `heard` [s]; `said` is what became of the last order."""
+    """The station's end. Call `work` at least a few hundred times a second, and `show` at every
+    frame.
+
+    `clock` gives the station's monotonic time [ns]. `target` [m], if set, replaces the target that
+    the camera saw. `pool` is the length and width [m] that the fish is told. `status` is the fish's
+    last one, received at `heard` [s]. `said` tells what happened to the last order.
+    """
 
     key: bytes
     socket: socket.socket
@@ -48,9 +52,9 @@ class Sender:
     target: tuple[float, float] | None = None
     pool: tuple[float, float] = POOL
     run: int = field(default_factory=lambda: 1 + secrets.randbits(63))
-    nonce: int | None = None  # of the fish's start that gets our datagrams
-    answerer: int | None = None  # of the start whose status was heard last
-    left: set[int] = field(default_factory=set)  # of starts that ended
+    nonce: int | None = None  # of the fish's start to which we send
+    answerer: int | None = None  # nonce of the start that sent the last status
+    left: set[int] = field(default_factory=set)  # nonces of starts that ended
     frames: deque[Frame] = field(default_factory=lambda: deque(maxlen=link.FRAMES))
     seen: Frame | None = None  # the newest with the fish in it
     status: Status | None = None
@@ -64,13 +68,13 @@ class Sender:
     pending: deque[Pending] = field(default_factory=deque)
 
     def work(self, now: float) -> None:
-        """Hear what has come and send what is due, at `now` [s], monotonic."""
+        """Handle received datagrams and send orders that are due, at `now` [s], monotonic."""
         for data, _ in link.drain(self.socket):
             self._take(data, now)
         self._repeat(now)
 
     def show(self, frame: Frame) -> None:
-        """Send a frame, with the two before it; the operator's target goes over the camera's."""
+        """Send a frame, with the two before it. The operator's target replaces the camera's."""
         if self.target is not None:
             frame = replace(frame, target=self.target)
         self.frames.append(frame)
@@ -83,7 +87,8 @@ class Sender:
         self._send(link.pose_datagram(self.key, self.run, self.nonce, self.sequence, frames))
 
     def order(self, order: Order, now: float) -> None:
-        """Send an order until the status shows it taken; to stop and to disarm go before all."""
+        """Send an order until the status shows that it is taken. STOP and DISARM cancel all earlier
+        orders."""
         if order in (Order.STOP, Order.DISARM):
             self.pending.clear()
         self.orders += 1
@@ -103,7 +108,8 @@ class Sender:
             self.rejected["not the fish's"] += 1
 
     def _answer(self, data: bytes, received: int, now: float) -> None:
-        """A question may be a recording: it starts no talk with another while a fish is heard."""
+        """Answer a clock request. It may be a recording, so it changes the fish only if none is
+        heard."""
         nonce = link.HEAD.unpack_from(data)[2]
         if now - self.heard > LIVE and nonce not in self.left:
             self.nonce = nonce
@@ -112,7 +118,7 @@ class Sender:
             self._send(told)
 
     def _hear(self, run: int, nonce: int, sequence: int, status: Status, now: float) -> None:
-        """A status that names our run answers us, so it is no recording."""
+        """Accept a status that names our run: it answers us, so it is not a recording."""
         old = nonce == self.answerer and sequence <= self.answered
         if run != self.run or nonce in self.left or old:
             self.rejected["old"] += 1
@@ -123,14 +129,14 @@ class Sender:
         self.loss.add(sequence)
 
     def _meet(self, nonce: int) -> None:
-        """A fish that started anew gets no orders that were given to the one before."""
+        """Switch to a fish that restarted; it does not get the orders given before."""
         if self.answerer is not None:
             self.left.add(self.answerer)
             self.pending.clear()
         self.answerer, self.loss = nonce, Loss(deque(maxlen=STATUSES))
 
     def _repeat(self, now: float) -> None:
-        """The oldest order that the fish has not taken; the others wait for it."""
+        """Send the oldest order that the fish has not taken; later orders wait for it."""
         taken = self.status.order if self.status else 0
         while self.pending and self.pending[0].number <= taken:
             self.said = f"{self.pending.popleft().order.name} taken"
@@ -146,5 +152,5 @@ class Sender:
             self._send(link.order_datagram(self.key, *words))
 
     def _send(self, datagram: bytes) -> None:
-        with contextlib.suppress(OSError):  # a network that is down shows in the status' age
+        with contextlib.suppress(OSError):  # the age of the status shows that a network is down
             self.socket.sendto(datagram, self.fish)

@@ -1,7 +1,8 @@
 """The robot's status: one signed datagram ten times a second, to the station.
 
-It names the sender's run that the robot hears, so that the station accepts none that was recorded
-before its own start, and the number of the newest order taken, so that a lost order is repeated.
+It names the sender's run that the robot follows, so that the station rejects statuses recorded
+before its own start. It also carries the number of the newest order taken, so that the station can
+repeat a lost order.
 """
 
 import math
@@ -13,12 +14,12 @@ from tailbeat.link.datagrams import HEAD, MAC_BYTES, is_signed, sign
 from tailbeat.link.reasons import REASONS, Reason
 
 STATUS = b"tbR2"
-TEXT_BYTES = 96  # of the reason's text, UTF-8, cut where it is longer
+TEXT_BYTES = 96  # of the reason's text, UTF-8; a longer text is cut
 
 
 class State(Enum):
-    """DISARMED: no torque. ARMED: torque, tail held. RUN: the policy swims. HOLD: back to straight
-    and wait. STOP: no torque, and it stays so."""
+    """DISARMED: no torque. ARMED: torque on, tail held. RUN: the policy swims. HOLD: tail moves to
+    straight and waits. STOP: no torque, until the robot is disarmed."""
 
     DISARMED = "disarmed"
     ARMED = "armed"
@@ -34,11 +35,14 @@ FIRST = struct.Struct(f"<BBHIQd{TEXT_BYTES}s")
 
 @dataclass(frozen=True)
 class Numbers:
-    """What a status says in numbers, SI, NaN where nothing is known: age of the newest pose and
-    what age holds and stops; motor angle and the setpoint sent [rad]; servo temperature [deg C],
-    voltage, current; how late a period began and how long it took, longest since the status
-    before; share of the tail's power below the band's upper edge; how far the clocks' offset may be
-    off; share of poses lost; the target that the fish swims to."""
+    """The numbers of a status, in SI units; NaN where a number is not known.
+
+    Age of the newest pose, and the ages that lead to HOLD and STOP [s]. Motor angle and setpoint
+    sent [rad]. Servo temperature [deg C], voltage [V], current [A]. Latest start and longest
+    duration of a period since the last status [s]. Fraction of the tail's power below the band's
+    upper edge. Largest error of the clock offset [s]. Fraction of poses lost. The target that the
+    fish swims to [m].
+    """
 
     pose_age: float = math.nan
     pose_hold: float = math.nan
@@ -63,8 +67,9 @@ LENGTH = HEAD.size + FIRST.size + NUMBERS.size + MAC_BYTES
 
 @dataclass(frozen=True)
 class Status:
-    """State, reason and its text, periods `missed` within a second, datagrams rejected since the
-    start, the newest `order` taken, the sender's clock less the fish's [s], and the numbers."""
+    """A status: state, reason and its text, periods `missed` within a second, datagrams rejected
+    since the start, number of the newest `order` taken, sender's clock minus the fish's [s], and
+    the numbers."""
 
     state: State
     reason: Reason
@@ -77,7 +82,7 @@ class Status:
 
 
 def status_datagram(key: bytes, run: int, nonce: int, sequence: int, status: Status) -> bytes:
-    """A status of the fish's start `nonce` for the sender's run."""
+    """A signed status of the fish's start `nonce` for the sender's run. A long text is cut."""
     text = status.text.encode()[:TEXT_BYTES].decode(errors="ignore").encode()
     first = FIRST.pack(
         STATES.index(status.state),
@@ -93,8 +98,8 @@ def status_datagram(key: bytes, run: int, nonce: int, sequence: int, status: Sta
 
 
 def read_status(key: bytes, data: bytes) -> tuple[int, int, int, Status] | None:
-    """The sender's run, the fish's nonce, the sequence, and what it says; None if it is not a
-    signed one."""
+    """The sender's run, the fish's nonce, the sequence number and the status; None if the datagram
+    is not a signed status."""
     if not is_signed(key, data, STATUS, LENGTH):
         return None
     _, run, nonce, sequence = HEAD.unpack_from(data)

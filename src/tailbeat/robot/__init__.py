@@ -1,1 +1,1 @@
-"""What runs on the fish? The loop, safety, watchdog, drivers, log, doctor."""
+"""The programs on the fish: loop, safety, watchdog, drivers, log, doctor."""

@@ -1,4 +1,4 @@
-"""The robot's devices, open."""
+"""The robot's open devices."""
 
 import socket
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from tailbeat.robot.servo import Servo
 
 @dataclass(frozen=True, eq=False)
 class Devices:
-    """What the loop reads and writes; status and questions for the clock go to `station`."""
+    """What the loop reads and writes. Status and clock requests are sent to `station`."""
 
     servo: Servo
     imu: Imu

@@ -1,8 +1,7 @@
-"""What usually keeps a robot from moving: all checks before a swim, in the order in which things
-fail.
+"""All checks before a swim, in the order in which things usually fail.
 
-Every check is a function that returns findings and moves nothing. Checks of a camera are functions
-of the same kind, passed in where there is a camera.
+Every check is a function that returns findings and moves nothing. The camera's checks are functions
+of the same kind; the caller passes them in when there is a camera.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,7 +25,7 @@ Check = Callable[[], list[Finding]]
 
 @dataclass(frozen=True)
 class Parts:
-    """Where the parts are; "" or None: not given, not looked at."""
+    """Where the parts are. A part that is "" or None is not checked."""
 
     servo: str = ""
     imu: str = ""
@@ -43,7 +42,7 @@ class Parts:
 def examine(
     policy: str, fish: str, parts: Parts, logs: Path, cameras: Sequence[Check] = ()
 ) -> list[Finding]:
-    """Every check that applies; `cameras` are those of a camera."""
+    """Run every check that applies; `cameras` are the camera's checks."""
     return [
         *check_policy(policy, fish),
         *of_computer(logs),
@@ -55,11 +54,13 @@ def examine(
 
 
 def of_camera(camera: str, calibration: Path | None) -> list[Check]:
-    """The checks of a camera, where one is given."""
+    """The checks of a camera; none if `camera` is "". Raises BadInput if it has no calibration."""
     if not camera:
         return []
     if calibration is None:
-        raise BadInput("--camera: give its --calibration, made by `tailbeat calibrate`.")
+        raise BadInput(
+            "--camera needs --calibration: give the file that `tailbeat calibrate` wrote."
+        )
     from tailbeat.robot.doctor_camera import check_camera  # needs OpenCV
     from tailbeat.vision.tags import FISH, TARGET
 
@@ -67,7 +68,7 @@ def of_camera(camera: str, calibration: Path | None) -> list[Check]:
 
 
 def check_policy(policy: str, fish: str) -> list[Finding]:
-    """Whether the policy may run, and on this fish."""
+    """Whether the policy can be loaded, and fits this fish."""
     try:
         loaded = load_policy(policy)
     except BadInput as error:
@@ -78,13 +79,13 @@ def check_policy(policy: str, fish: str) -> list[Finding]:
     try:
         check_swims(loaded, None, load_fish(fish))
     except BadInput as error:
-        do = "train one for this fish, or give the fish that it was trained for"
+        do = "train a policy for this fish, or give the fish that this one was trained for"
         return [*found, finding("policy fits the fish", str(error), bad=True, do=do)]
     return [*found, finding("policy fits the fish", fish)]
 
 
 def of_computer(logs: Path) -> list[Finding]:
-    """Disk, rights, clock rate, wireless."""
+    """Check disk, rights, processor clock, wireless."""
     return [
         computer.check_disk(logs),
         *computer.check_scheduling(),
@@ -94,19 +95,19 @@ def of_computer(logs: Path) -> list[Finding]:
 
 
 def of_servo(parts: Parts) -> list[Finding]:
-    """From its port to its last register."""
+    """Check the servo: its port, its answer, its registers."""
     return _of_device("servo's port", parts.servo, devices.find_servo, devices.check_servo)
 
 
 def of_imu(parts: Parts) -> list[Finding]:
-    """From its port to its noise."""
+    """Check the IMU: its port, its answer, its noise."""
     return _of_device("IMU's port", parts.imu, devices.find_imu, devices.check_imu)
 
 
 def _of_device(
     name: str, path: str, find: Callable[..., Any], check: Callable[..., Any]
 ) -> list[Finding]:
-    """A device at a port: the port, whether it answers there, and what it says of itself."""
+    """Check the port, whether the device answers there, and what it reports about itself."""
     if not path:
         return []
     found = devices.check_port(name, path)
@@ -115,12 +116,12 @@ def _of_device(
     device, answer = find(path)
     if device is None:
         return [*found, answer]
-    with device.port:  # looked at, not touched
+    with device.port:  # reads only
         return [*found, answer, *check(device)]
 
 
 def of_link(parts: Parts) -> list[Finding]:
-    """Key, address, station."""
+    """Check key, own address, station."""
     if parts.listen is None and parts.key is None:
         return []
     key = doctor_link.check_key(parts.key)
@@ -129,7 +130,7 @@ def of_link(parts: Parts) -> list[Finding]:
     try:
         made = link.bind(*parts.listen)
     except BadInput as error:
-        return [key, finding("own address", str(error), bad=True, do="give another")]
+        return [key, finding("own address", str(error), bad=True, do="give another address")]
     with made:
         receiver = link.Receiver(link.read_key(parts.key))
         return [key, *doctor_link.check_link(made, parts.station, receiver)]

@@ -1,4 +1,4 @@
-"""What keeps the camera from seeing the fish: the doctor's questions above the pool."""
+"""Check that the camera sees the fish: the doctor's checks of camera, light and tags."""
 
 import time
 from pathlib import Path
@@ -12,24 +12,24 @@ from tailbeat.vision.camera import CameraFault, Picture, open_camera
 from tailbeat.vision.tracker import Sighting, Tracker
 
 WATCHED = 120  # frames: two seconds
-SLOW, SLOWEST = 50.0, 25.0  # frames per second: below, it may swim badly, or not at all
-DARK, BRIGHT = 30.0, 0.05  # mean grey level, share of pixels that are white
-SMALL = 14.0  # px of a tag's side: the least that were found in every rendered picture
-SEEN = 0.9  # share of frames
+SLOW, SLOWEST = 50.0, 25.0  # frames per second: below, a warning, and a failed check
+DARK, BRIGHT = 30.0, 0.05  # mean grey level, fraction of pixels that are white
+SMALL = 14.0  # px, side of the smallest tag that was found in every rendered picture
+SEEN = 0.9  # fraction of frames
 WHITE = 250
 DO = {
-    "camera": "plug it in; end what else uses it; v4l2-ctl --list-devices",
-    "calibration": "tailbeat calibrate; docs/how-to/calibrate-the-camera.md says how",
-    "frames per second": "exposure locked, 2 ms or less? MJPG? nothing else on the station?",
-    "exposure": "lock it so that white is not quite white: v4l2-ctl -l; move lamps that shine back",
-    "fish's tag": "its own id, whole, flat and without glare in view; tailbeat track says why not",
-    "target's tag": "float it, whole and in view; or drag a target on the page",
+    "camera": "plug it in; end other programs that use it; v4l2-ctl --list-devices",
+    "calibration": "tailbeat calibrate; see docs/how-to/calibrate-the-camera.md",
+    "frames per second": "lock the exposure at 2 ms or less, use MJPG, end other programs",
+    "exposure": "lock it so that white paper is below 250 of 255: v4l2-ctl -l; move the lamps",
+    "fish's tag": "check its id; show it whole, flat, without glare; run tailbeat track",
+    "target's tag": "show it whole in view; or drag a target on the operator page",
     "size of the tags": "hang the camera lower, or print them larger",
 }
 
 
 def check_camera(camera: str, calibration: Path, ids: tuple[int, int]) -> list[Finding]:
-    """Two seconds of frames: rate, light, tags, through the calibration that will be used."""
+    """Check two seconds of frames with this calibration: rate, light, tags."""
     try:
         made = read_calibration(calibration)
         found = [finding("calibration", f"of {made.made}, {1e3 * made.hung.rms:.1f} mm rms")]
@@ -73,12 +73,13 @@ def _rate_and_light(rate: float, image: Picture) -> list[Finding]:
 
 
 def _tags(sighting: Sighting, ids: tuple[int, int]) -> list[Finding]:
-    """Of fish (without it nothing swims) and target (which may be a dragged one)."""
+    """Check the tags of the fish (required) and of the target (which the operator may set
+    instead)."""
     found = []
     for name, ident in zip(("fish's tag", "target's tag"), ids, strict=True):
         share = sighting.believed.get(ident, 0) / sighting.frames
         gone = share < SEEN
-        said = f"id {ident} believed in {100 * share:.0f} % of frames{_why(sighting, gone)}"
+        said = f"id {ident} accepted in {100 * share:.0f} % of frames{_why(sighting, gone)}"
         fish = ident == ids[0]
         found.append(finding(name, said, bad=gone and fish, warn=gone and not fish, do=DO[name]))
     sides = [float(np.hypot(*(c[1] - c[0]))) for c in sighting.corners.values()]
@@ -89,6 +90,6 @@ def _tags(sighting: Sighting, ids: tuple[int, int]) -> list[Finding]:
 
 
 def _why(sighting: Sighting, gone: bool) -> str:
-    """What was refused, where something is missing."""
+    """What was rejected, if a tag is missing."""
     reasons = ", ".join(f"{why} {count}" for why, count in sighting.rejected.items())
-    return f"; refused: {reasons}" if gone and reasons else ""
+    return f"; rejected: {reasons}" if gone and reasons else ""

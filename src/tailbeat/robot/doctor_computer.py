@@ -7,13 +7,13 @@ from pathlib import Path
 
 from tailbeat.robot.findings import Finding, finding
 
-ROOM_WARN, ROOM_BAD = 2e9, 2e8  # bytes: a swim's log takes some 120 MB an hour
+ROOM_WARN, ROOM_BAD = 2e9, 2e8  # bytes: a log takes about 120 MB an hour
 
 
 def check_disk(folder: Path) -> Finding:
-    """Room for the log."""
+    """Check the free space for the log."""
     if not folder.is_dir() or not os.access(folder, os.W_OK):
-        return finding("disk", f"{folder}: no folder to write to", bad=True)
+        return finding("disk", f"{folder}: not a writable folder", bad=True)
     free = shutil.disk_usage(folder).free
     return finding("disk", f"{free / 1e9:.1f} GB free", bad=free < ROOM_BAD, warn=free < ROOM_WARN)
 
@@ -31,7 +31,7 @@ def check_scheduling() -> list[Finding]:
 
 
 def check_governor(sysfs: Path = Path("/sys/devices/system/cpu")) -> Finding:
-    """Whether the processor's clock stays up."""
+    """Whether the processor runs at its highest clock rate."""
     files = sysfs.glob("cpu[0-9]*/cpufreq/scaling_governor")
     found = sorted({file.read_text().strip() for file in files})
     slow = bool(found) and found != ["performance"]

@@ -1,4 +1,5 @@
-"""Checks of serial ports, servo and IMU: no torque, no register of the servo is written."""
+"""Checks of serial ports, servo and IMU. They turn no torque on and write no register of the
+servo."""
 
 import contextlib
 import fcntl
@@ -19,19 +20,19 @@ from tailbeat.robot.servo import Servo, ServoFault
 REVERSED, OVERLOAD = 0b1, 0b100000  # bits of drive mode and shutdown
 BAUDS = (57_600, 115_200, 2_000_000, 3_000_000, 4_000_000, 9_600)  # besides 1,000,000
 LIMITS = SafetyLimits()
-FIRMWARE = 42  # older firmware of the X series was not looked at
+FIRMWARE = 42  # older firmware of the X series was not checked
 READS = 50
 
 # ---- ports --------------------------------------------------------------------------------------
 
 
 def check_port(name: str, path: str, sysfs: Path = Path("/sys/class/tty")) -> list[Finding]:
-    """Whether a serial port is there, may be opened, is free, and answers without delay."""
+    """Whether a serial port exists, may be opened, is not in use, and answers without delay."""
     if not Path(path).exists():
         do = "plug the cable in; see ls -l /dev/serial/by-id"
-        return [finding(name, f"{path}: not there", bad=True, do=do)]
+        return [finding(name, f"{path}: does not exist", bad=True, do=do)]
     if not os.access(path, os.R_OK | os.W_OK):
-        do = "sudo usermod -aG dialout $USER, then log in anew"
+        do = "sudo usermod -aG dialout $USER, then log in again"
         return [finding(name, f"{path}: no permission", bad=True, do=do)]
     if not _free(path):
         return [
@@ -42,13 +43,13 @@ def check_port(name: str, path: str, sysfs: Path = Path("/sys/class/tty")) -> li
     timer = sysfs / Path(path).resolve().name / "device" / "latency_timer"
     if not timer.is_file():
         return [finding(name, path)]
-    waits, do = int(timer.read_text()), f"echo 1 | sudo tee {timer}; for good, by a udev rule"
+    waits, do = int(timer.read_text()), f"echo 1 | sudo tee {timer}; or a udev rule"
     slow = finding(f"{name}: latency timer", f"{waits} ms", bad=waits > 4, warn=waits > 1, do=do)
     return [finding(name, path), slow]
 
 
 def _free(path: str) -> bool:
-    """Whether the lock that drivers take is free."""
+    """Whether no driver holds the port's lock."""
     handle = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -63,7 +64,7 @@ def _free(path: str) -> bool:
 
 
 def find_servo(path: str, ident: int = 1, deadline: float = 0.05) -> tuple[Servo | None, Finding]:
-    """The servo at a million baud, or at which other rate it answers."""
+    """Find the servo at 1,000,000 baud; if it answers at another rate, say at which."""
     name = "servo answers"
     try:
         found = servos.connect(path, ident, deadline=deadline)
@@ -73,13 +74,14 @@ def find_servo(path: str, ident: int = 1, deadline: float = 0.05) -> tuple[Servo
     for baud in BAUDS:
         with contextlib.suppress(BadInput):
             servos.connect(path, ident, baud, deadline=deadline).port.close()
-            do = "set its baud rate, register 8, to 3 with the maker's Dynamixel Wizard"
+            do = "set its baud rate, register 8, to 3 with Dynamixel Wizard"
             return None, finding(name, f"at {baud} baud, not at 1000000", bad=True, do=do)
     return None, finding(name, said, bad=True)
 
 
 def check_servo(servo: Servo, limits: SafetyLimits = LIMITS) -> list[Finding]:
-    """Firmware, supply, temperature, errors, mode, limits, delays, and how long a reading takes."""
+    """Check firmware, supply, temperature, errors, mode, limits, delays, and the time of a
+    reading."""
     try:
         return [*_condition(servo, limits), *_settings(servo), _reading_time(servo)]
     except ServoFault as fault:
@@ -102,7 +104,8 @@ def _condition(servo: Servo, limits: SafetyLimits) -> list[Finding]:
 
 
 def _settings(servo: Servo) -> list[Finding]:
-    """EEPROM; arming sets mode, delay and limits by itself."""
+    """Check the EEPROM. Arming sets mode, return delay and limits; the other registers stay as they
+    are."""
     mode, delay = servo.get(servos.OPERATING_MODE), servo.get(servos.RETURN_DELAY)
     low, high = servo.get(servos.LOWEST), servo.get(servos.HIGHEST)
     drive, homing, shutdown = servo.get((10, 1)), servo.get((20, 4)), servo.get((63, 1))
@@ -118,7 +121,7 @@ def _settings(servo: Servo) -> list[Finding]:
 
 
 def _reading_time(servo: Servo) -> Finding:
-    """A reading must leave room in 20 ms."""
+    """Check the time of a reading: it must leave room in the 20 ms of a period."""
     took = []
     for _ in range(READS):
         began = time.monotonic()
@@ -133,7 +136,7 @@ def _reading_time(servo: Servo) -> Finding:
 
 
 def find_imu(path: str, deadline: float = 0.05) -> tuple[Imu | None, Finding]:
-    """The BNO055, or why none answers."""
+    """Find the BNO055, or say why none answers."""
     try:
         return imus.connect(path, deadline=deadline), finding("IMU answers", "BNO055")
     except BadInput as error:
@@ -141,7 +144,7 @@ def find_imu(path: str, deadline: float = 0.05) -> tuple[Imu | None, Finding]:
 
 
 def check_imu(imu: Imu) -> list[Finding]:
-    """Its own errors, its mode, whether it measures, and its noise at rest."""
+    """Check its own errors, its mode, its readings, and its noise at rest."""
     try:
         error = imu.registers(imus.STATUS, 2)[1]
         imu.prepare()
@@ -149,7 +152,7 @@ def check_imu(imu: Imu) -> list[Finding]:
         rates = []
         for _ in range(READS):
             rates.append(imu.read())
-            time.sleep(0.01)  # it has a new number a hundred times a second
+            time.sleep(0.01)  # it measures a hundred times a second
     except ImuFault as fault:
         return [finding("IMU", str(fault), bad=True)]
     came = [one.rate for one in rates if one is not None]

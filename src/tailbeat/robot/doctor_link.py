@@ -14,13 +14,13 @@ from tailbeat.robot.findings import Finding, finding
 from tailbeat.robot.safety import SafetyLimits
 
 LIMITS = SafetyLimits()
-LISTEN = 2.0  # s to the station
+LISTEN = 2.0  # s that the check listens to the station
 
 
 def check_key(path: Path | None) -> Finding:
-    """Whether the shared key exists, and only its owner can read it."""
+    """Whether the shared key exists and only its owner can read it."""
     if path is None:
-        return finding("key", "none given", bad=True)
+        return finding("key", "not given", bad=True)
     try:
         link.read_key(path)
     except BadInput as error:
@@ -31,8 +31,11 @@ def check_key(path: Path | None) -> Finding:
 def listen_to(
     made: socket.socket, station: tuple[str, int], receiver: Receiver, seconds: float
 ) -> list[tuple[int, float]]:
-    """Ask the station for its clock and take its poses for so long; sequence and age [s] of
-    each, NaN while the clocks were not compared."""
+    """Ask the station for its clock and take its poses for `seconds`.
+
+    Returns sequence number and age [s] of each pose; the age is NaN while the clocks are not
+    compared.
+    """
     heard: list[tuple[int, float]] = []
     end, asked, questions = time.monotonic() + seconds, 0.0, 0
     while (now := time.monotonic()) < end:
@@ -58,11 +61,11 @@ def check_link(
     seconds: float = LISTEN,
     limits: SafetyLimits = LIMITS,
 ) -> list[Finding]:
-    """Clock offset, loss, age of the poses, and whether fish and target are seen."""
+    """Check clock offset, loss, age of the poses, and whether fish and target are seen."""
     heard = listen_to(made, station, receiver, seconds)
     offset = receiver.clock.offset(time.monotonic_ns())
     if offset is None:
-        strange = f"; dropped: {dict(receiver.rejected)}" if receiver.rejected else ""
+        strange = f"; rejected: {dict(receiver.rejected)}" if receiver.rejected else ""
         where = f"{station[0]}:{station[1]}"
         return [finding("station answers", f"nothing from {where}{strange}", bad=True)]
     ahead, doubt = offset[0] / link.SECOND, offset[1] / link.SECOND

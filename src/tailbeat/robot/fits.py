@@ -1,4 +1,4 @@
-"""Does a policy fit a fish? The twin that it was trained in, and the body that it may swim."""
+"""Does a policy fit a fish? Compares the twin that it was trained in, and the body of the fish."""
 
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import Policy, check_fits
@@ -6,15 +6,18 @@ from tailbeat.files import BadInput, leaves
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest, load_fish
 
-# What an identification may change of a description; all else is the fish's body.
+# Fields of a description that an identification may change; all others describe the body.
 LAW = ("zones", "added_inertia", "added_along", "trailing_edge")  # of the fluid
 FITTED = ("name", "summary", "servo", "simulation", "uncertain", *LAW)
 FITTED_IN_TAIL = ("tail.damping_time", "tail.friction", "tail.k_eff", "tail.stiffness_scale")
 
 
 def twin_of(policy: Policy, twin: str | None) -> Fish:
-    """The fish that a policy was trained on, with the servo it had; `twin` names its file where it
-    is not a shipped one."""
+    """The fish that a policy was trained on, with the servo that it had.
+
+    `twin` is that fish's file, or None for a shipped fish. Raises BadInput if it does not match the
+    policy's contract.
+    """
     contract = policy.contract
     described = load_fish(twin or contract.fish)
     variants = [described.model_copy(update={"servo": name}) for name in described.servos]
@@ -25,7 +28,7 @@ def twin_of(policy: Policy, twin: str | None) -> Fish:
 
 
 def check_swims(policy: Policy, twin: str | None, fish: Fish) -> Fish:
-    """The fish that a policy was trained on; raises BadInput where it may not swim `fish`."""
+    """The fish that a policy was trained on. Raises BadInput if the policy does not fit `fish`."""
     trained = twin_of(policy, twin)
     check_same_body(trained, fish)
     check_fits(policy.contract, trained.name, digest(trained), fish.band, PERIOD)
@@ -33,7 +36,8 @@ def check_swims(policy: Policy, twin: str | None, fish: Fish) -> Fish:
 
 
 def check_same_body(twin: Fish, fish: Fish) -> None:
-    """Raises BadInput where twin and pool's fish differ in what no identification changes."""
+    """Check that twin and fish are the same body: equal in all fields that identification cannot
+    change. Raises BadInput naming the fields that differ."""
     a, b = (leaves("", one.model_dump()) for one in (twin, fish))
     wrong = [
         f"{name} is {a.get(name)} in {twin.name}, {b.get(name)} in {fish.name}"
@@ -43,8 +47,8 @@ def check_same_body(twin: Fish, fish: Fish) -> None:
     if wrong:
         more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
         raise BadInput(
-            f"the policy's fish is not the pool's: {'; '.join(wrong[:3])}{more}. Give the fish that"
-            f" it was identified from."
+            f"the policy's fish is not the pool's: {'; '.join(wrong[:3])}{more}. Give the fish from"
+            f" which the policy's fish was identified."
         )
 
 

@@ -1,8 +1,9 @@
 """The fish's IMU: a Bosch BNO055 on a UART, read for its yaw rate.
 
-Own driver: one burst a read, no waiting for a sensor that is busy ("bus over-run" is its normal
-life and passes by itself). Registers, units and replies: data sheet BST-BNO055-DS000 (not tried on
-a real one). Only the gyroscope is used: its heading drifts and starts anywhere, the camera has it.
+Own driver. A reading is one burst. It does not wait for a busy sensor: "bus over-run" replies are
+normal and pass by themselves. Registers, units and replies: data sheet BST-BNO055-DS000 (not
+checked on a real sensor). Only the gyroscope is used. The IMU's heading drifts and has no fixed
+zero; the camera gives the heading.
 """
 
 import contextlib
@@ -18,11 +19,11 @@ from tailbeat.robot.wire import GONE, heard, reopen
 
 CHIP_ID, GYRO, STATUS, UNITS, MODE, TRIGGER, PAGE = 0x00, 0x14, 0x39, 0x3B, 0x3D, 0x3F, 0x07
 CHIP = 0xA0
-CONFIG, ACCGYRO = 0x00, 0x05  # raw rates: the fusion modes recalibrate by themselves
+CONFIG, ACCGYRO = 0x00, 0x05  # raw rates: the fusion modes recalibrate during use
 RATE = math.radians(1 / 16)  # rad/s per count
 FASTEST = math.radians(2000)
 TO_CONFIG, TO_OPERATE = 0.019, 0.007  # s that a change of mode takes
-DEADLINE = 0.008  # s for a reply: 12 bytes at 115,200 baud and the sensor's own time
+DEADLINE = 0.008  # s for a reply: 12 bytes at 115,200 baud plus the sensor's time
 PATIENCE = 0.1  # s for the first one
 OVER_RUN = 0x07
 ERRORS = {
@@ -30,12 +31,13 @@ ERRORS = {
     0x06: "wrong start byte", 0x07: "bus over-run", 0x08: "too long", 0x09: "too short",
     0x0A: "time-out",
 }  # fmt: skip
-FROZEN = 10  # the same three numbers so often in a row: a still sensor has noise of several counts
+FROZEN = 10  # equal readings in a row that are a fault: at rest, noise is several counts
 
 
 class ImuFault(Exception):
-    """The sensor did not answer as it should; `kind`: "silent", "gone", "refused", or
-    "frozen" where it answers and its numbers no longer change."""
+    """The sensor did not answer correctly. `kind`: "silent" (no reply), "gone" (the port is
+    missing), "refused" (an error reply), or "frozen" (it answers, but its numbers do not
+    change)."""
 
     def __init__(self, kind: str, text: str) -> None:
         super().__init__(text)
@@ -44,8 +46,8 @@ class ImuFault(Exception):
 
 @dataclass(frozen=True)
 class Mounting:
-    """Which of the sensor's axes (0, 1, 2) points along the fish's z, and whether up (1) or down
-    (-1)."""
+    """Which sensor axis (0, 1, 2) is along the fish's z axis, and its sign: 1 if it points up, -1
+    if down."""
 
     axis: int = 2
     sign: int = 1
@@ -53,7 +55,7 @@ class Mounting:
 
 @dataclass(frozen=True)
 class YawRate:
-    """One reading: `time` [s] monotonic, rate [rad/s] counter-clockwise from above."""
+    """One reading: `time` [s] monotonic, `rate` [rad/s], counter-clockwise from above."""
 
     time: float
     rate: float
@@ -61,8 +63,8 @@ class YawRate:
 
 @dataclass(eq=False)
 class Imu:
-    """An open sensor; see `connect`. `missed` counts readings that did not come, `over_runs` those
-    that the sensor refused because it was busy."""
+    """An open sensor; see `connect`. `missed` counts failed readings, `over_runs` those that the
+    sensor refused because it was busy."""
 
     port: serial.Serial
     mounting: Mounting
@@ -73,8 +75,8 @@ class Imu:
     same: int = 0
 
     def read(self) -> YawRate | None:
-        """The yaw rate, or None where none came in time or it was none; ask again next time.
-        Raises ImuFault where the sensor is gone, or its numbers do not change at all."""
+        """The yaw rate, or None if no valid reading came in time; the next call tries again. Raises
+        ImuFault if the sensor is gone, or its numbers do not change."""
         try:
             data = self.registers(GYRO, 6)
         except ImuFault as fault:
@@ -96,7 +98,8 @@ class Imu:
             raise ImuFault("frozen", f"the IMU gave the same numbers {FROZEN} times; restart it")
 
     def prepare(self) -> None:
-        """Degrees per second, accelerometer and gyroscope alone."""
+        """Set the units to degrees per second and the mode to accelerometer and gyroscope. Raises
+        ImuFault."""
         for register, value, pause in (
             (MODE, CONFIG, TO_CONFIG), (PAGE, 0, 0.0), (UNITS, 0, 0.0), (MODE, ACCGYRO, TO_OPERATE),
         ):  # fmt: skip
@@ -108,14 +111,15 @@ class Imu:
         return self.registers(STATUS, 2)[1] == 0
 
     def registers(self, first: int, length: int) -> bytes:
-        """A burst of registers. Raises ImuFault."""
+        """Read a burst of registers. Raises ImuFault."""
         reply = self._exchange(bytes([0xAA, 0x01, first, length]), 2 + length)
         if reply[0] == 0xBB and reply[1] == length and len(reply) == 2 + length:
             return reply[2:]
         raise self._refused(reply)
 
     def set(self, register: int, value: int, tries: int = 5) -> None:
-        """Write one register, again while the sensor is busy or silent. Raises ImuFault."""
+        """Write one register; try again while the sensor is busy or does not reply. Raises
+        ImuFault."""
         for _ in range(tries):
             try:
                 reply = self._exchange(bytes([0xAA, 0x00, register, 1, value]), 2)
@@ -136,7 +140,7 @@ class Imu:
         return ImuFault("refused", f"the IMU: {ERRORS.get(code, 'a damaged reply')}")
 
     def _exchange(self, question: bytes, length: int) -> bytes:
-        """A question and its reply: `length` bytes, or two where it is an error."""
+        """Send a request and read its reply: `length` bytes, or two bytes if it is an error."""
         try:
             self.port.reset_input_buffer()
             self.port.write(question)
@@ -147,15 +151,16 @@ class Imu:
                     raise ImuFault("silent", f"no reply within {1e3 * self.deadline:g} ms")
                 reply += data
         except GONE as error:
-            raise ImuFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
+            raise ImuFault("gone", f"{self.port.port}: {error}; check the cable") from None
         return reply
 
     def reopen(self) -> None:
-        """Open the port anew, after the cable was out; set up as before. Raises ImuFault."""
+        """Open the port again after the cable was unplugged, and set the sensor up. Raises
+        ImuFault."""
         try:
             reopen(self.port)
         except GONE as error:
-            raise ImuFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
+            raise ImuFault("gone", f"{self.port.port}: {error}; check the cable") from None
         self.prepare()
 
     def close(self) -> None:
@@ -165,11 +170,12 @@ class Imu:
 
 
 def connect(path: str, mounting: Mounting | None = None, deadline: float = DEADLINE) -> Imu:
-    """Open a port and make sure that a BNO055 answers. Raises BadInput."""
+    """Open a port and check that a BNO055 answers. `deadline` [s] is for a reply. Raises
+    BadInput."""
     try:
         port = serial.Serial(path, 115_200, timeout=deadline, write_timeout=0.1, exclusive=True)
     except (*GONE, ValueError) as error:
-        raise BadInput(f"{path}: {error}; give the IMU's port, not in use elsewhere.") from None
+        raise BadInput(f"{path}: {error}; give the IMU's port, closed in other programs.") from None
     imu = Imu(port, mounting or Mounting(), max(deadline, PATIENCE))
     fault = None
     for _ in range(5):
@@ -181,11 +187,13 @@ def connect(path: str, mounting: Mounting | None = None, deadline: float = DEADL
     else:
         imu.close()
         raise BadInput(
-            f"{path}: {fault}; nothing answers as a BNO055 at 115200 baud: check cable, power and"
+            f"{path}: no BNO055 answers at 115200 baud ({fault}); check cable, power and"
             f" its PS1 pin (high for UART)."
         )
     imu.deadline = deadline
     if chip != CHIP:
         imu.close()
-        raise BadInput(f"{path}: chip {chip:#x}; a BNO055 says {CHIP:#x}. Give its port.")
+        raise BadInput(
+            f"{path}: chip {chip:#x} answers, a BNO055 has {CHIP:#x}; give the IMU's port."
+        )
     return imu

@@ -1,8 +1,8 @@
-"""What a swim leaves behind: one MCAP file, written beside the loop, readable in Foxglove.
+"""The log of a swim: one MCAP file, readable in Foxglove.
 
 Rows are JSON with a schema. A thread writes them in small chunks, straight to the file: the loop
-never waits, and a process that is killed loses the last chunk alone. A full queue or a full disk
-drops rows, counts them and says so; the loop decides what that means.
+never waits, and a process that is killed loses only the last chunk. With a full queue or a full
+disk, rows are dropped and counted; the loop decides what follows.
 """
 
 import json
@@ -23,12 +23,12 @@ from mcap.writer import CompressionType, Writer
 from tailbeat import __version__
 from tailbeat.files import BadInput, refuse_existing
 
-CHUNK = 4096  # bytes: about a seventh of a second of rows, so much may be lost
+CHUNK = 4096  # bytes, about 0.14 s of rows: the most that is lost
 WAITING = 500  # rows, ten seconds
 MAGIC = b"\x89MCAP0\r\n"  # begins and ends an MCAP file
 TOPIC, NOTES = "/swim", "tailbeat"
 SECOND = 1_000_000_000
-# What a row may hold. A number that is not finite is left out of its row.
+# Fields of a row. A number that is not finite is left out of its row.
 NUMBERS = {
     "time_s": "when the period was due, monotonic clock [s]",
     "command_rad": "setpoint that the servo was sent last [rad]",
@@ -36,21 +36,21 @@ NUMBERS = {
     "motor_angle_rad": "shaft angle that the servo measured [rad]",
     "motor_velocity_rad_s": "shaft speed that the servo measured [rad/s]",
     "yaw_rate_rad_s": "yaw rate of the IMU, counter-clockwise positive [rad/s]",
-    "x_m": "newest believed pose: x in the pool [m]",
-    "y_m": "newest believed pose: y in the pool [m]",
-    "yaw_rad": "newest believed pose: heading, counter-clockwise from x [rad]",
+    "x_m": "newest accepted pose: x in the pool [m]",
+    "y_m": "newest accepted pose: y in the pool [m]",
+    "yaw_rad": "newest accepted pose: heading, counter-clockwise from x [rad]",
     "pose_age_s": "time since the newest pose was captured [s]",
-    "clock_doubt_s": "possible error of the compared clocks [s]",
+    "clock_doubt_s": "largest error of the clock offset [s]",
     "temperature_deg_c": "servo temperature [deg C]",
     "voltage_v": "supply at the servo [V]",
     "current_a": "mean servo current [A]",
     "band_share": "fraction of the tail's power below the band's upper edge",
     "below_band_share": "fraction of the tail's power below the band's lower edge",
     "late_s": "how late the period began [s]",
-    "busy_s": "time from the period's begin to its row [s]",
+    "busy_s": "time from the start of the period to its row [s]",
     "compute_s": "processor time of the loop's thread in the period [s]",
     "missed": "periods missed within the last second",
-    "spikes": "yaw rates refused since the start",
+    "spikes": "yaw rates rejected since the start",
     "pose_jumps": "implausible poses in a row",
 }
 ARRAYS = {
@@ -64,13 +64,13 @@ TEXTS = {
     "reason": "why it is in this state, as the operator reads it",
     "cause": "the reason's name",
 }
-# What `rows` must have to be a recording that identification reads; see `log_export`.
+# Columns of a recording that identification reads; see `log_export`.
 COLUMNS = ("command_rad", "motor_angle_rad", "yaw_rate_rad_s", "x_m", "y_m", "yaw_rad")
 
 
 def schema() -> dict[str, Any]:
-    """JSON schema of a row, in what Foxglove understands: one type a field, no `null` among them
-    (its parser refuses a list of types, and with it the whole topic)."""
+    """JSON schema of a row, as Foxglove reads it: one type for each field, and no `null` (its
+    parser refuses a list of types, and with it the whole topic)."""
     number, text = {"type": "number"}, {"type": "string"}
     listed = {"type": "array", "items": number}
     kinds = ((NUMBERS, number), (ARRAYS, listed), (TEXTS, text))
@@ -81,8 +81,8 @@ def schema() -> dict[str, Any]:
 
 @dataclass(eq=False)
 class Log:
-    """An open log; see `start`. `put` never waits; `dropped` rows did not fit; `failed` says why
-    nothing is written any more, or ""."""
+    """An open log; see `start`. `put` never waits. `dropped` counts rows that were not written.
+    `failed` says why writing ended, or is ""."""
 
     path: Path
     file: BinaryIO
@@ -93,14 +93,14 @@ class Log:
     last_notes: dict[str, str] = field(default_factory=dict)
 
     def put(self, row: Mapping[str, Any]) -> None:
-        """Take a row for writing; `time_s` is the loop's monotonic time."""
+        """Queue a row for writing; `time_s` is the loop's monotonic time."""
         try:
             self.waiting.put_nowait(row)
         except queue.Full:
             self.dropped += 1
 
     def close(self) -> None:
-        """Write what waits, `last_notes`, and the file's end."""
+        """Write the queued rows, `last_notes` and the end of the file."""
         self.waiting.put(None)
         if self.thread is not None:
             self.thread.join(10)
@@ -108,7 +108,8 @@ class Log:
 
 
 def start(path: Path, notes: Mapping[str, str]) -> Log:
-    """Open a new log; `notes` (policy, fish, configuration) go into its head. Raises BadInput."""
+    """Open a new log; `notes` (policy, fish, configuration) are written at its start. Raises
+    BadInput."""
     refuse_existing(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -135,7 +136,7 @@ def _write(log: Log, notes: dict[str, str]) -> None:
         if log.last_notes:
             writer.add_metadata(NOTES, log.last_notes)
         writer.finish()
-    except (OSError, ValueError) as error:  # a full disk, or the file closed under it
+    except (OSError, ValueError) as error:  # a full disk, or the file was closed
         log.failed = str(error)
         while log.waiting.get() is not None:
             log.dropped += 1
@@ -147,7 +148,7 @@ def _text(row: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """JSON has neither arrays of numpy nor numbers that are not finite."""
+    """Convert numpy arrays to lists and numbers that are not finite to None: JSON has neither."""
     if isinstance(value, np.ndarray):
         value = value.ravel().tolist()
     if isinstance(value, list | tuple):
@@ -161,7 +162,7 @@ def _plain(value: Any) -> Any:
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Every whole row of a log, also of one whose writer was killed; a number that a row lacks is
+    """Every complete row of a log, even if its writer was killed. A number that a row lacks is
     None. Raises BadInput."""
     if not path.is_file():
         raise BadInput(f"{path}: no such file; give a log, .mcap.")
@@ -170,7 +171,7 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
         for text in _messages(file):
             rows.append({**absent, **_row(path, text)})
     if not rows:
-        raise BadInput(f"{path}: no rows of a swim in it; give a log of `tailbeat drive`.")
+        raise BadInput(f"{path}: no row of a swim in this file; give a log of `tailbeat drive`.")
     return rows
 
 
@@ -180,19 +181,21 @@ def _row(path: Path, text: bytes) -> dict[str, Any]:
     except ValueError:
         row = None
     if not isinstance(row, dict):
-        raise BadInput(f"{path}: a message of {TOPIC} is no JSON object; give a log of tailbeat.")
+        raise BadInput(
+            f"{path}: a message of {TOPIC} is not a JSON object; give a log of tailbeat."
+        )
     return row
 
 
 def is_whole(path: Path) -> bool:
-    """Whether a log's writer came to its end; one that was killed leaves a log that is cut off."""
+    """Whether a log is complete. The log of a process that was killed has no end mark."""
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - len(MAGIC), 0))
         return file.read() == MAGIC
 
 
 def _messages(file: BinaryIO) -> Iterator[bytes]:
-    """Up to where the file is whole."""
+    """The messages up to where the file is damaged or cut off."""
     try:
         for _, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
             if channel.topic == TOPIC:

@@ -13,17 +13,18 @@ from tailbeat.robot.log import COLUMNS, read_rows
 
 
 def as_recording(path: Path) -> Recording:
-    """A log as a recording that `identify` reads: rows that have every one of `COLUMNS`."""
+    """Convert a log to a recording that `identify` reads: the rows that have all of `COLUMNS`.
+    Raises BadInput."""
     whole = [row for row in read_rows(path) if all(row.get(c) is not None for c in COLUMNS)]
     if len(whole) < 2:
-        raise BadInput(f"{path}: {len(whole)} whole rows; a recording needs at least 2.")
+        raise BadInput(f"{path}: {len(whole)} complete rows; a recording needs at least 2.")
     time = np.array([row["time_s"] for row in whole])
     columns = {name: np.array([row[name] for row in whole]) for name in COLUMNS}
     return Recording(path.stem, time - time[0], columns, {"source": "tailbeat drive"})
 
 
 def export(log: Path, out: Path) -> Recording:
-    """A log as a recording, CSV or Parquet."""
+    """Write a log as a recording, CSV or Parquet. Raises BadInput."""
     refuse_existing(out)
     recording = replace(as_recording(log), name=out.stem)
     write_recording(recording, out)

@@ -1,8 +1,8 @@
-"""Fifty times a second: listen, read, decide, limit, send, log. Built from the policy's contract.
+"""The 50 Hz loop: listen, read, decide, limit, send, log. Built from the policy's contract.
 
 Deadlines are absolute, so the rate does not drift; a period that is missed is skipped and counted.
-Whatever ends the loop, an exception included, it turns torque off. `safety` decides what is
-allowed, `control.runner` what the policy asks for; here both meet the devices.
+The loop turns torque off whenever it ends, also after an exception. `safety` decides what is
+allowed, `control.runner` computes the policy's setpoint; this module connects both to the devices.
 """
 
 import contextlib
@@ -33,15 +33,18 @@ from tailbeat.robot.servo import ServoFault
 from tailbeat.robot.timing import Pace, sleep_until, without_collection
 from tailbeat.robot.torque import Torque
 
-BAND_EVERY = 10  # periods between two looks at the band, which take longer than a decision
+BAND_EVERY = 10  # periods between two band checks, which take longer than a decision
 Row = dict[str, Any]
 
 
 @dataclass(eq=False)
 class Loop:
-    """The robot's loop; `tick` is one period, `run` many. `target` [m], if set, stands in for the
-    target's tag. `put` takes a row for the log. `alive` is told once a period whether torque is on,
-    and returns whether the watchdog would turn it off if the loop died."""
+    """The robot's loop; `tick` is one period, `run` many.
+
+    `target` [m], if set, replaces the target's tag. `put` takes a row for the log. `alive` is
+    called once a period with whether torque is on; it returns whether the watchdog would turn
+    torque off if the loop failed.
+    """
 
     policy: Policy
     devices: Devices
@@ -92,7 +95,7 @@ class Loop:
         self._report(row)
 
     def _act(self, health: Health) -> runner.Decision | None:
-        """Judge, decide where the policy swims, and send."""
+        """Apply the safety rules, let the policy decide in RUN, and send the setpoint."""
         before = self.safety_status.state
         self.safety_status = safety.judge(self.safety_status, health, self.limits)
         state = self.safety_status.state
@@ -106,7 +109,7 @@ class Loop:
         return decision
 
     def _listen(self, now: float) -> None:
-        """Datagrams of this period, and a question for the station's clock now and then."""
+        """Handle the datagrams of this period, and ask for the station's clock when it is due."""
         receiver = self.devices.receiver
         for data, _ in link.drain(self.devices.socket):
             receiver.take(data, time.monotonic_ns())
@@ -118,18 +121,18 @@ class Loop:
             self._to_station(question)
 
     def _to_station(self, datagram: bytes) -> None:
-        with contextlib.suppress(OSError):  # a network that is down shows in the poses' age
+        with contextlib.suppress(OSError):  # the age of the poses shows that a network is down
             self.devices.socket.sendto(datagram, self.devices.station)
 
     def _report(self, row: Row) -> None:
-        """Send the station a status, where one is due."""
+        """Send the station a status when it is due."""
         target = self.poses.newest_target()
         said = self.reporter.report(row, self.late, self.devices.receiver, self.limits, target)
         if said is not None:
             self._to_station(said)
 
     def health(self, now: float) -> Health:
-        """What is known at this moment."""
+        """Collect what is known at `now` [s] for the safety rules."""
         servo, age = self.sensors.servo, self.poses.age(time.monotonic_ns())
         offset = self.devices.receiver.clock.offset(time.monotonic_ns())
         while self.missed and now - self.missed[0] > 1.0:
@@ -171,8 +174,12 @@ class Loop:
         return decision
 
     def _send(self, decision: runner.Decision | None) -> None:
-        """The policy's setpoint; held while armed, straight and slowly on hold. After its own
-        watchdog stopped it, the servo is on hold brought back from where it is."""
+        """Send the setpoint: the policy's in RUN, the held angle when armed, slowly to straight in
+        HOLD.
+
+        If the servo's own watchdog stopped it, HOLD first makes it accept setpoints again from
+        where it is.
+        """
         limits, on_hold = self.limits, self.safety_status.state is State.HOLD
         if self.torque.watchdog and on_hold:
             self.torque.release(self.devices.servo)
@@ -188,7 +195,7 @@ class Loop:
             self.pace.latency.add(self.poses.age(time.monotonic_ns()) or 0)
 
     def _obey(self, order: Order, now: float) -> None:
-        """An order from the station; only a robot that is disarmed or on hold is armed."""
+        """Follow an order from the station; only a robot that is DISARMED or in HOLD is armed."""
         self.ordered = True
         if order is Order.STOP:
             self.stop_asked = self.stop_asked or "the operator page"
@@ -217,24 +224,25 @@ class Loop:
         return self.safety_status
 
     def swim(self) -> SafetyStatus:
-        """Let the policy swim, out of ARMED alone."""
+        """Let the policy swim; only from ARMED."""
         self.safety_status = safety.run(self.safety_status)
         return self.safety_status
 
     def disarm(self) -> SafetyStatus:
-        """Torque off, back to the beginning."""
+        """Turn torque off and return to DISARMED."""
         self._torque_off()
         self.stop_asked, self.safety_status = "", safety.disarm(self.safety_status)
         return self.safety_status
 
     def _torque_off(self, tries: int = 3) -> None:
-        """Torque off; where the servo does not confirm it, it is tried again every period."""
+        """Turn torque off; while the servo has not confirmed it, every period tries again."""
         fault = self.torque.switch_off(self.devices.servo, tries)
         if fault is not None:
             self.sensors.servo_gone = fault.kind == "gone"
 
     def run(self, over: Callable[[float], bool]) -> None:
-        """Tick until `over` (asked with the time since the start, each period) says so."""
+        """Tick until `over` returns True; it is called every period with the time since the start
+        [s]."""
         with without_collection():
             try:
                 self._run(over)
@@ -245,7 +253,7 @@ class Loop:
         start = due = time.monotonic()
         before = self.safety_status
         while not over(due - start):
-            if self.safety_status is not before:  # arming took time, and is no miss
+            if self.safety_status is not before:  # the time for arming is not a missed period
                 due += self.period * max((time.monotonic() - due) // self.period, 0.0)
             self.late = time.monotonic() - due
             self.pace.late.add(self.late)
@@ -267,7 +275,7 @@ class Loop:
         return due + skipped * self.period
 
     def _row(self, now: float, health: Health, decision: runner.Decision | None) -> Row:
-        """For the log; `tick` adds how long it took."""
+        """A row for the log; `tick` adds how long the period took."""
         sensors, (x, y, yaw) = self.sensors, self.poses.pose()
         if self.pace.periods % BAND_EVERY == 0:
             sensors.look_at_band()

@@ -12,8 +12,8 @@ MARK, STUFFED = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
 PING, READ, WRITE, REBOOT, STATUS = 0x01, 0x02, 0x03, 0x08, 0x55
 BROADCAST = 0xFE
 OVERHEAD = 7  # bytes before the instruction
-LONGEST = 1024  # a length beyond is garbage: no table is so large
-ALERT = 0x80  # in a status's error byte: there is a hardware error; the data are valid
+LONGEST = 1024  # a larger length is garbage: no control table is so large
+ALERT = 0x80  # bit of a status's error byte: a hardware error; the data are valid
 ERRORS = {
     1: "result fail",
     2: "unknown instruction",
@@ -40,7 +40,7 @@ TABLE = _table()
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16: polynomial 0x8005, from 0, most significant bit first, nothing reflected."""
+    """CRC-16: polynomial 0x8005, initial value 0, most significant bit first, not reflected."""
     value = 0
     for byte in data:
         value = ((value << 8) & 0xFFFF) ^ TABLE[(value >> 8) ^ byte]
@@ -49,7 +49,8 @@ def crc16(data: bytes) -> int:
 
 @dataclass(frozen=True)
 class Packet:
-    """One packet: for a status `instruction` is 0x55 and the first parameter its error byte."""
+    """One packet. In a status packet, `instruction` is 0x55 and the first parameter is its error
+    byte."""
 
     ident: int
     instruction: int
@@ -57,7 +58,7 @@ class Packet:
 
     @property
     def error(self) -> int:
-        """A status's error number, the alert bit apart."""
+        """Error number of a status packet, without the alert bit."""
         return self.parameters[0] & ~ALERT
 
     @property
@@ -67,7 +68,7 @@ class Packet:
 
     @property
     def data(self) -> bytes:
-        """What a status carries."""
+        """Data of a status packet."""
         return self.parameters[1:]
 
 
@@ -81,8 +82,8 @@ def encode(packet: Packet) -> bytes:
 
 @dataclass(eq=False)
 class Parser:
-    """Packets out of a stream that may begin anywhere and hold garbage; `bad` counts what looked
-    like a packet and was none."""
+    """Finds packets in a stream that may begin anywhere and contain garbage. `bad` counts what
+    looked like a packet but was not one."""
 
     held: bytearray = field(default_factory=bytearray)
     bad: int = 0
@@ -102,7 +103,7 @@ class Parser:
         return found
 
     def _length(self) -> int | None:
-        """Bytes of the packet at the front, once all are there; garbage before it is dropped."""
+        """Length of the packet at the front once it is complete; garbage before it is dropped."""
         while True:
             start = self.held.find(HEADER)
             if start < 0:  # the last bytes may be the beginning of a header

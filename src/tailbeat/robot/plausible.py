@@ -1,6 +1,6 @@
-"""Which readings are believed: a spike, a jump, a shaft that does not follow, a clock that stepped.
+"""Which readings are accepted: tests for spikes, jumps, a stuck shaft, a clock that jumped.
 
-No device and no clock, as in `safety`; the loop keeps the readings, these functions judge them.
+No device and no clock, as in `safety`: the loop keeps the readings, these functions test them.
 """
 
 import math
@@ -10,32 +10,34 @@ from dataclasses import dataclass
 from tailbeat.link.clock import DRIFT, SECOND
 from tailbeat.link.datagrams import Frame
 
-Echo = tuple[int, int, int]  # when, offset, round trip [ns], as `link.Clock` keeps them
+Echo = tuple[int, int, int]  # received at, offset, round trip [ns], as in `link.Clock`
 
 
-GRACE = 8  # periods, 0.16 s: the servo's delay, and a standing tail's start (chosen)
+GRACE = 8  # periods, 0.16 s: the servo's delay and the start of a tail at rest (chosen)
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a fish can do; chosen, against swims of the emulated one (its yaw rate stays below 2
-    rad/s and changes by at most 1.2 rad/s within two periods)."""
+    """Bounds on the fish's motion. Chosen with swims of the emulated fish: its yaw rate stays below
+    2 rad/s and changes by at most 1.2 rad/s within two periods."""
 
     rate_most: float = 12.0  # rad/s
     rate_jump: float = 3.0  # rad/s from one reading to the next
-    pose_room: float = 0.05  # m that a pose may be off the last one, and so much per second:
+    pose_room: float = (
+        0.05  # m that a pose may differ from the last one, plus pose_speed per second
+    )
     pose_speed: float = 1.0  # m/s
     yaw_room: float = 0.35  # rad
     yaw_speed: float = 8.0  # rad/s
-    travel_asked: float = 0.3  # rad that the setpoint travelled, while the shaft did not
-    travel_seen: float = 0.02  # rad
-    clock_step: float = 0.005  # s beyond what two echoes may differ by
+    travel_asked: float = 0.3  # rad, travel of the setpoint from which the shaft must follow
+    travel_seen: float = 0.02  # rad, travel of a shaft that follows
+    clock_step: float = 0.005  # s, added to the allowed difference of two echoes
 
 
 @dataclass(frozen=True)
 class Gate:
-    """Of the yaw rate: the last one believed, the one refused just before, how many were refused
-    in all."""
+    """State of the yaw rate test: the last rate accepted, the rate rejected just before, and how
+    many were rejected in all."""
 
     believed: float | None = None
     refused: float | None = None
@@ -43,8 +45,12 @@ class Gate:
 
 
 def gated(gate: Gate, rate: float, bounds: Bounds) -> tuple[Gate, bool]:
-    """Whether a yaw rate [rad/s] is believed: near the last one, or the second in a row to say the
-    same. A single spike is left out; a real change is accepted one reading late."""
+    """Test a yaw rate [rad/s]: accepted if it is near the last accepted one or near the one just
+    rejected.
+
+    A single spike is rejected; a real change is accepted one reading late. Returns the new state,
+    and whether the rate is accepted.
+    """
     if abs(rate) <= bounds.rate_most:
         known = [one for one in (gate.believed, gate.refused) if one is not None]
         if gate.believed is None or any(abs(rate - one) <= bounds.rate_jump for one in known):
@@ -53,7 +59,7 @@ def gated(gate: Gate, rate: float, bounds: Bounds) -> tuple[Gate, bool]:
 
 
 def pose_follows(last: Frame, new: Frame, bounds: Bounds) -> bool:
-    """Whether the fish can have come from one frame's pose to the other's."""
+    """Whether the fish can have moved from the pose of frame `last` to that of `new`."""
     if last.fish is None or new.fish is None:
         return True
     dt = (new.captured - last.captured) / SECOND
@@ -66,8 +72,8 @@ def pose_follows(last: Frame, new: Frame, bounds: Bounds) -> bool:
 
 
 def shaft_follows(asked: Sequence[float], seen: Sequence[float], bounds: Bounds) -> bool:
-    """Whether a shaft moves when it is asked to: setpoints and angles [rad] of the same periods.
-    The last `GRACE` setpoints are left out: there was no time to follow them."""
+    """Whether the shaft follows its setpoints; setpoints and angles [rad] of the same periods. The
+    last `GRACE` setpoints are left out: the shaft has not had time to follow them."""
     settled = asked[:-GRACE]
     if not settled or not seen:
         return True
@@ -76,8 +82,8 @@ def shaft_follows(asked: Sequence[float], seen: Sequence[float], bounds: Bounds)
 
 
 def clock_step(echoes: Sequence[Echo], bounds: Bounds) -> int:
-    """By how much [ns] the newest echo's offset lies off the best of those before, 0 where their
-    round trips and the drift of two clocks explain it."""
+    """Jump of the sender's clock [ns]: the newest echo's offset minus the best earlier one; 0 if
+    round trips and clock drift explain the difference."""
     if len(echoes) < 2:
         return 0
     when, offset, trip = echoes[-1]

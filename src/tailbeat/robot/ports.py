@@ -1,11 +1,11 @@
-"""Where a fish's devices are."""
+"""Addresses of a fish's devices."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Ports:
-    """Where the devices are: serial ports, our own address, the station's."""
+    """Addresses: serial ports of servo and IMU, our own address, the station's address."""
 
     servo: str
     imu: str

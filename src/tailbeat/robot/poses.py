@@ -1,4 +1,4 @@
-"""The camera's frames as the loop believes them: poses, their age, and the station's clock."""
+"""The camera's frames that the loop accepts: poses, their age, and the station's clock."""
 
 import math
 import time
@@ -17,14 +17,16 @@ from tailbeat.robot.plausible import Bounds
 from tailbeat.robot.safety import SafetyLimits
 
 FRAMES = 3
-ASK_EVERY = 0.25  # s between two questions for the station's clock
+ASK_EVERY = 0.25  # s between two requests for the station's clock
 
 
 @dataclass(eq=False)
 class Poses:
-    """Frames with the fish in them, `seen`, newest last; `jumps` counts implausible ones in a row.
-    `target` [m], if set, stands in for the target's tag. `clock_step` [s] is by how much the
-    station's clock jumped since arming."""
+    """Accepted frames that show the fish, `seen`, newest last.
+
+    `jumps` counts implausible frames in a row. `target` [m], if set, replaces the target's tag.
+    `clock_step` [s] is the jump of the station's clock since arming.
+    """
 
     receiver: Receiver
     bounds: Bounds
@@ -33,12 +35,12 @@ class Poses:
     jumps: int = 0
     jumped_at: int = 0  # ns, capture of the newest implausible frame
     clock_step: float = 0.0
-    compared: int = -1  # sequence of the last echo looked at
-    asked: float = -math.inf  # s, when the station was asked for its clock
+    compared: int = -1  # sequence number of the last echo that was tested
+    asked: float = -math.inf  # s, time of the last clock request
     questions: int = 0
 
     def update(self, limits: SafetyLimits) -> None:
-        """Take what the receiver has: compare the clocks, then keep the newer frames."""
+        """Test the clocks for a jump, then keep the receiver's newer frames."""
         self._compare_clocks(limits)
         for frame in reversed(self.receiver.frames):
             newer = not self.seen or frame.captured > self.seen[-1].captured
@@ -55,8 +57,8 @@ class Poses:
         self.seen.append(frame)
 
     def _compare_clocks(self, limits: SafetyLimits) -> None:
-        """After a jump of the station's clock only the echoes since count, and the stamps of the
-        frames are put on the new clock unless they are on it already."""
+        """After a jump of the station's clock, use only the echoes since, and correct the frames'
+        times unless they are on the new clock already."""
         receiver = self.receiver
         if receiver.told == self.compared:
             return
@@ -68,11 +70,11 @@ class Poses:
         newest = receiver.clock.echoes[-1]
         receiver.clock.echoes.clear()
         receiver.clock.echoes.append(newest)
-        receiver.frames.clear()  # else frames of a clock set back would be refused as old
+        receiver.frames.clear()  # else frames of a clock that was set back would be rejected as old
         self._shift(step, limits)
 
     def _shift(self, step: int, limits: SafetyLimits) -> None:
-        """Put frames on a clock that jumped by `step` [ns]."""
+        """Correct the frames' times for a clock jump of `step` [ns]."""
         now = time.monotonic_ns()
         for _ in range(len(self.seen)):
             frame = self.seen.popleft()
@@ -82,7 +84,7 @@ class Poses:
             self.seen.append(frame if on_it else shifted)
 
     def question(self, now: float) -> bytes | None:
-        """A datagram that asks for the station's clock, where one is due at `now` [s]."""
+        """A clock request to the station if one is due at `now` [s], else None."""
         if now - self.asked < ASK_EVERY:
             return None
         self.asked, self.questions = now, self.questions + 1
@@ -91,7 +93,7 @@ class Poses:
         return link.ask_datagram(receiver.key, receiver.nonce, self.questions, stamp)
 
     def age(self, now_ns: int) -> float | None:
-        """Seconds since the newest pose was captured; None where there is none."""
+        """Age of the newest pose [s]; None if there is none."""
         return self.receiver.age(self.seen[-1], now_ns) if self.seen else None
 
     def pose(self) -> tuple[float, float, float]:
@@ -100,16 +102,17 @@ class Poses:
         return newest or (math.nan, math.nan, math.nan)
 
     def has_target(self) -> bool:
-        """Whether the newest pose comes with a target."""
+        """Whether the newest pose has a target."""
         return bool(self.seen) and self.target_of(self.seen[-1]) is not None
 
     def outside(self) -> str:
-        """Where the pool ends, if the set target lies beyond; "" while the size is not known."""
+        """The size of the pool if the set target is outside it; "" if not, or while the size is not
+        known."""
         known = self.receiver.told >= 0
         return places.outside(self.target, self.receiver.room) if self.target and known else ""
 
     def newest_target(self) -> tuple[float, float] | None:
-        """Where the robot swims to [m], as far as it is known."""
+        """The target that the robot swims to [m], or None if it is not known."""
         return self.target_of(self.seen[-1]) if self.seen else self.target
 
     def target_of(self, frame: Frame) -> tuple[float, float] | None:

@@ -1,4 +1,4 @@
-"""The robot's status for the station, made of the loop's rows."""
+"""Makes the robot's status for the station from the loop's rows."""
 
 import math
 from collections.abc import Mapping
@@ -11,12 +11,12 @@ from tailbeat.link.reasons import Reason
 from tailbeat.link.status import Numbers, State, Status, status_datagram
 from tailbeat.robot.safety import SafetyLimits
 
-EVERY = 0.095  # s: ten a second; a little short of five periods, so that rounding skips none
+EVERY = 0.095  # s: ten a second; a little less than five periods, so that rounding skips none
 
 
 @dataclass(eq=False)
 class Reporter:
-    """Makes a status of the loop's rows, ten a second."""
+    """Makes a status from the loop's rows, ten a second."""
 
     due: float = -math.inf
     sequence: int = 0
@@ -31,10 +31,11 @@ class Reporter:
         limits: SafetyLimits,
         target: tuple[float, float] | None,
     ) -> bytes | None:
-        """A datagram where one is due; `late` [s] is how late the row's period began."""
+        """A status datagram if one is due, else None; `late` [s] is how late the row's period
+        began."""
         self.late, self.busy = max(self.late, late), max(self.busy, row["busy_s"])
         if row["time_s"] < self.due or not receiver.run:
-            return None  # without a sender heard there is none to answer
+            return None  # no sender was heard yet
         status = _status(row, receiver, self._numbers(row, receiver, limits, target))
         self.due, self.late, self.busy = row["time_s"] + EVERY, 0.0, 0.0
         self.sequence += 1

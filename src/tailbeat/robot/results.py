@@ -1,4 +1,4 @@
-"""What a drive comes to, read from its log and from the loop."""
+"""Summary of a drive, from its log and its loop."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ from tailbeat.link.reasons import Reason
 
 @dataclass(frozen=True)
 class SwimSummary:
-    """What a log says: its length `seconds`, time under the policy `swum` [s], rows per second
-    `rate` [Hz], median age of the newest pose [s], and the smallest distance to the target [m];
-    None where the robot never swam."""
+    """Summary of a log: its length `seconds`, time under the policy `swum` [s], rows per second
+    `rate` [Hz], median age of the newest pose [s], and smallest distance to the target [m]. The
+    last two are None if the robot never swam."""
 
     seconds: float
     swum: float
@@ -25,9 +25,12 @@ class SwimSummary:
 
 @dataclass(frozen=True)
 class DriveResult:
-    """How a drive ended: the `reason` and its text, datagrams `rejected` by cause, quantiles of
-    the loop's `punctuality` [ms] by quantity (late, busy, compute, latency), periods done and
-    skipped; `swim` is None for a drive that waits for orders, whose log may hold days."""
+    """How a drive ended.
+
+    The `reason` and its text; datagrams `rejected` by cause; quantiles of the loop's `punctuality`
+    [ms] by quantity (late, busy, compute, latency); periods done and skipped. `swim` is None for a
+    drive that waits for orders, because its log may contain days.
+    """
 
     reason: Reason
     ended: str
@@ -39,13 +42,14 @@ class DriveResult:
 
     @property
     def by_hand(self) -> bool:
-        """Whether a person ended it, after it swam or without arming it."""
+        """Whether a person ended it, with an order or a signal, after it swam or while it waited
+        for orders."""
         swum = self.swim is None or self.swim.swum > 0
         return swum and self.reason in (Reason.NOT_ARMED, Reason.STOP_ASKED)
 
 
 def summarise(rows: Sequence[Mapping[str, Any]]) -> SwimSummary:
-    """Of a log's rows."""
+    """Summarise a log's rows."""
     swum = [row for row in rows if row["state"] == "run"]
     time = np.array([row["time_s"] for row in rows])
     away = [_away(row) for row in swum if row["decided_on"]]
@@ -67,7 +71,7 @@ def _away(row: Mapping[str, Any]) -> float:
 
 
 def drive_json(result: DriveResult) -> dict[str, Any]:
-    """A result as `drive --json` writes it, flat, with units in the names."""
+    """The result that `drive --json` writes: flat, with units in the names."""
     swum = {} if result.swim is None else _swim_json(result.swim)
     paces = {
         f"{quantity}_{name}": value

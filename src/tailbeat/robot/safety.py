@@ -1,7 +1,7 @@
-"""When the robot may swim, when it holds, when it stops: rules, limits, and what may be sent.
+"""When the robot swims, holds and stops: rules, limits, and the setpoints that are allowed.
 
-No device and no clock: the loop gives what it knows (`Health`), the rules here give the state. HOLD
-and STOP latch with their first reason. Arm again to leave HOLD; disarm to leave STOP.
+No device and no clock: the loop passes what it knows (`Health`), the rules here give the state.
+HOLD and STOP latch with their first reason. Arm again to leave HOLD; disarm to leave STOP.
 """
 
 import math
@@ -14,14 +14,14 @@ from tailbeat.link.status import State
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """Limits beyond which the loop holds or stops; chosen where no source is named."""
+    """Limits beyond which the robot holds or stops; chosen where no source is named."""
 
     pose_hold: float = 0.3  # s: age of the newest pose
     pose_stop: float = 2.0  # s
     imu_hold: float = 0.2  # s without a yaw rate
     servo_hold: float = 0.06  # s without a reading: three periods
     servo_stop: float = 0.5  # s
-    clock_doubt: float = 0.05  # s that a pose's age may be off
+    clock_doubt: float = 0.05  # s, largest error of a pose's age
     temperature_hold: float = 65.0  # deg C; the servo shuts down at 80
     temperature_stop: float = 75.0
     voltage_low: float = 9.5  # V: the servo's own limit
@@ -29,23 +29,25 @@ class SafetyLimits:
     current_stop: float = 4.0  # A, for longer than a beat
     overruns_hold: int = 10  # periods missed within a second
     jumps_hold: int = 6  # frames in a row whose pose is implausible
-    slew: float = 20.0  # rad/s of the setpoint: above what the generator asks
-    ramp: float = 1.0  # rad/s on the way to straight
+    slew: float = 20.0  # rad/s of the setpoint: above the generator's fastest
+    ramp: float = 1.0  # rad/s of the return to straight
 
 
 @dataclass(frozen=True)
 class Health:
-    """What the loop knows in one period: ages [s] of the newest readings (infinite: never),
-    `clock_doubt` [s] (infinite: clocks not compared), whether the fish and a target were seen,
-    servo temperature [deg C], voltage [V], mean current [A], hardware alert, whether it holds the
-    torque it was told to, whether its own watchdog stopped it; periods missed within a second;
-    whether the policy gave a number; whether the log still writes; who asked to stop, or "".
+    """What the loop knows in one period.
 
-    `hardware` names the servo's errors and `imu_frozen` says that the IMU's numbers do not change;
-    `follows`: whether the shaft moves when asked; `jumps`: frames in a row with an impossible pose;
-    `clock_step` [s] of the station's clock since arming; `guarded`: whether the watchdog process
-    would turn torque off if the loop died; `outside` says where the pool ends, if the set target
-    lies beyond."""
+    Ages [s] of the newest readings (infinite: none yet) and `clock_doubt` [s], the largest error of
+    the clock offset (infinite: not compared). `target`: the newest pose has a target. Servo
+    temperature [deg C], voltage [V], mean absolute current [A] and hardware `alert`; `hardware`
+    names its errors. `torque_lost`: the servo has no torque although it was turned on. `watchdog`:
+    the servo's own watchdog stopped it. `overruns`: periods missed within a second. `finite`: the
+    policy gave a number. `logging`: the log is written. `stop_asked`: who requested a stop, or "".
+    `imu_frozen`: the IMU's numbers do not change. `follows`: the shaft follows its setpoints.
+    `jumps`: implausible poses in a row. `clock_step` [s]: jump of the station's clock since arming.
+    `guarded`: the watchdog process would turn torque off if the loop failed. `outside` says
+    where the pool ends if the set target lies outside it, else "".
+    """
 
     pose_age: float = math.inf
     imu_age: float = math.inf
@@ -73,8 +75,8 @@ class Health:
 
 @dataclass(frozen=True)
 class SafetyStatus:
-    """The state and why: `reason`, the `value` that was measured (unit of the reason's text) and a
-    `note` from outside: who asked, which error. `refused`: arming was tried in STOP."""
+    """The state and its reason, the `value` that was measured (unit of the reason's text), and a
+    `note`: who requested it, or which error. `refused`: arming was requested in STOP."""
 
     state: State = State.DISARMED
     reason: Reason = Reason.NOT_ARMED
@@ -91,7 +93,8 @@ class SafetyStatus:
 
 @dataclass(frozen=True)
 class Rule:
-    """A condition that must not be: `broken`, and what the operator reads with its `reason`."""
+    """A condition for HOLD or STOP: `broken` tests it; `value` and `note` fill in the reason's
+    text."""
 
     reason: Reason
     broken: Callable[[Health, SafetyLimits], bool]
@@ -99,7 +102,7 @@ class Rule:
     note: Callable[[Health], str] = lambda health: ""
 
 
-# In order: the first that is broken gives the reason. Holds are written so that NaN holds.
+# In order: the first broken rule gives the reason. In HOLDS, a NaN breaks the rule.
 STOPS = (
     Rule(Reason.STOP_ASKED, lambda h, _: bool(h.stop_asked), note=lambda h: h.stop_asked),
     Rule(Reason.HARDWARE_ERROR, lambda h, _: h.alert or bool(h.hardware),
@@ -138,12 +141,12 @@ HOLDS = (
 
 
 def first_broken(rules: Sequence[Rule], health: Health, limits: SafetyLimits) -> Rule | None:
-    """The rule that gives the reason, or None where all are kept."""
+    """The first rule that is broken, or None."""
     return next((rule for rule in rules if rule.broken(health, limits)), None)
 
 
 def judge(before: SafetyStatus, health: Health, limits: SafetyLimits) -> SafetyStatus:
-    """The status after one period of an armed or running robot; DISARMED and STOP stay."""
+    """The status after one period of an armed or running robot; DISARMED and STOP do not change."""
     if before.state in (State.DISARMED, State.STOP):
         return before
     if rule := first_broken(STOPS, health, limits):
@@ -154,8 +157,8 @@ def judge(before: SafetyStatus, health: Health, limits: SafetyLimits) -> SafetyS
 
 
 def arm(before: SafetyStatus, health: Health, limits: SafetyLimits) -> SafetyStatus:
-    """ARMED if no rule is broken, else as before with the reason; never out of STOP. Arming clears
-    the servo's own watchdog, so that one is no reason."""
+    """ARMED if no rule is broken, else the state as before with the reason. STOP stays STOP. The
+    servo's own watchdog is not tested, because arming resets it."""
     if before.state is State.STOP:
         return replace(before, refused=True)
     rule = first_broken((*STOPS, *HOLDS), replace(health, watchdog=False), limits)
@@ -165,7 +168,7 @@ def arm(before: SafetyStatus, health: Health, limits: SafetyLimits) -> SafetySta
 
 
 def arming_failed(why: str) -> SafetyStatus:
-    """DISARMED, because a device refused to arm."""
+    """DISARMED, because a device failed during arming."""
     return SafetyStatus(State.DISARMED, Reason.ARMING_FAILED, note=why)
 
 
@@ -174,20 +177,20 @@ def _status(state: State, rule: Rule, health: Health) -> SafetyStatus:
 
 
 def run(before: SafetyStatus) -> SafetyStatus:
-    """RUN out of ARMED, from nowhere else."""
+    """RUN if the state is ARMED, else no change."""
     return SafetyStatus(State.RUN, Reason.SWIMMING) if before.state is State.ARMED else before
 
 
 def disarm(before: SafetyStatus) -> SafetyStatus:
-    """Back to the beginning."""
+    """DISARMED, whatever the state was."""
     return SafetyStatus()
 
 
 def shaped(
     wanted: float, last: float, low: float, high: float, speed: float, period: float
 ) -> float:
-    """A setpoint [rad] that is finite, inside the range, and at most `speed` [rad/s] from the last
-    one; the last one where nothing finite is wanted."""
+    """Limit a setpoint [rad]: inside `low` to `high`, and at most `speed` [rad/s] from the last
+    one. A setpoint that is not finite is replaced by the last one."""
     if not math.isfinite(wanted):
         wanted = last
     near = min(max(wanted, last - speed * period), last + speed * period)

@@ -1,4 +1,4 @@
-"""What servo and IMU said last, and how much of it is believed."""
+"""The newest readings of servo and IMU, and which are accepted."""
 
 import math
 from collections import deque
@@ -13,16 +13,17 @@ from tailbeat.robot.plausible import Bounds, Gate
 from tailbeat.robot.servo import Servo, ServoFault, ServoState
 
 CURRENT_TIME = 0.5  # s over which the servo's current is averaged
-FOLLOWING = 0.5  # s within which a shaft that is asked to move must have moved
-REOPEN_EVERY = 0.5  # s between two tries to open a port whose cable was out
+FOLLOWING = 0.5  # s within which the shaft must follow its setpoint
+REOPEN_EVERY = 0.5  # s between two tries to open an unplugged port again
 NEVER = YawRate(-math.inf, 0.0)
 UNKNOWN = Shares(math.nan, math.nan, math.nan)
 
 
 @dataclass(eq=False)
 class Sensors:
-    """The newest reading of each device, None or minus infinity before the first; `imu_fault` is
-    the kind of its last fault or "". `servo_gone` and `imu_gone`: the port is not there."""
+    """The newest reading of each device; before the first it is None, or has the time minus
+    infinity. `imu_fault` is the kind of the IMU's last fault, or "". `servo_gone`, `imu_gone`: the
+    port is missing."""
 
     period: float
     bounds: Bounds
@@ -36,14 +37,15 @@ class Sensors:
     imu_gone: bool = False
     reopened: float = -math.inf  # s, the last try
     currents: deque[float] = field(init=False)  # A, of the last half second
-    travelled: deque[tuple[float, float]] = field(init=False)  # rad: asked, seen
+    travelled: deque[tuple[float, float]] = field(init=False)  # rad: setpoint, angle
 
     def __post_init__(self) -> None:
         self.currents = deque(maxlen=round(CURRENT_TIME / self.period))
         self.travelled = deque(maxlen=round(FOLLOWING / self.period))
 
     def read(self, servo: Servo, imu: Imu, sent: float) -> None:
-        """Read both devices; `sent` [rad] is the last setpoint. Silence shows in ages."""
+        """Read both devices; `sent` [rad] is the last setpoint. A missing reply shows in a
+        reading's age."""
         try:
             self._take(servo.read(), sent)
         except ServoFault as fault:
@@ -72,17 +74,19 @@ class Sensors:
         return float(np.mean(np.abs(self.currents))) if self.currents else 0.0
 
     def follows(self) -> bool:
-        """Whether the shaft moves when it is asked to; True before half a second of readings."""
+        """Whether the shaft follows its setpoints; True until half a second of readings is
+        there."""
         whole = len(self.travelled) == self.travelled.maxlen
         asked, seen = zip(*self.travelled, strict=True) if whole else ((), ())
         return plausible.shaft_follows(asked, seen, self.bounds)
 
     def look_at_band(self) -> None:
-        """Where the tail's power lies; it takes longer than a decision."""
+        """Compute in which frequencies the tail's power is; takes longer than a decision."""
         self.shares = self.monitor.shares() or UNKNOWN
 
     def reopen(self, servo: Servo, imu: Imu, now: float) -> None:
-        """Open a port again whose cable was out, or whose IMU repeats itself, twice a second."""
+        """Open the port of an unplugged device, or of a frozen IMU, again; at most twice a
+        second."""
         broken = self.servo_gone or self.imu_gone or self.imu_fault == "frozen"
         if not broken or now - self.reopened < REOPEN_EVERY:
             return
@@ -93,4 +97,4 @@ class Sensors:
             else:
                 imu.reopen()
         except (ServoFault, ImuFault):
-            pass  # again in a moment
+            pass  # the next call tries again

@@ -1,8 +1,8 @@
 """The fish's servo: a ROBOTIS XW430-T200-R on a serial port, Protocol 2.0.
 
-Own driver: the maker's blocks 34 ms on a lost reply, reads that as the value 0, and writes without
-stuffing. Here a reply has 5 ms, a read is tried twice, a write once, and every error byte is looked
-at. Addresses, units and limits: e-manual XW430-T200 (not tried on a real one).
+Own driver. The maker's library blocks 34 ms on a lost reply, reads that as the value 0, and writes
+without stuffing. Here a reply must come within 5 ms, a read is tried twice, a write once, and every
+error byte is checked. Addresses, units and limits: e-manual XW430-T200 (not checked on a real one).
 """
 
 import contextlib
@@ -40,13 +40,14 @@ STATE_FIRST, STATE_LENGTH = 122, 25  # moving ... temperature: no gap
 POSITION_MODE = 3
 WATCHDOG_UNIT = 0.020  # s
 DEADLINE = 0.005  # s for a reply
-PATIENCE = 0.1  # s for the first one: nothing moves yet
+PATIENCE = 0.1  # s for the first reply and for arming: nothing moves yet
 HARDWARE = {0: "voltage", 2: "overheat", 3: "encoder", 4: "electrical shock", 5: "overload"}
 
 
 class ServoFault(Exception):
-    """The servo did not do as told. `kind`: "silent" (no reply), "gone" (the port is), "refused"
-    (an error in its status), "watchdog" (it stopped by itself and must be armed anew)."""
+    """The servo did not follow a command. `kind`: "silent" (no reply), "gone" (the port is
+    missing), "refused" (an error in its status), "watchdog" (it stopped itself and must be armed
+    again)."""
 
     def __init__(self, kind: str, text: str) -> None:
         super().__init__(text)
@@ -69,8 +70,8 @@ class ServoState:
 
 @dataclass(eq=False)
 class Servo:
-    """An open servo; see `connect`. `silent` counts replies that did not come, `bad` packets that
-    were damaged; `sign` is 1 where counts rise with the motor angle, else -1."""
+    """An open servo; see `connect`. `silent` counts missing replies. `sign` is 1 if counts increase
+    with the motor angle, else -1."""
 
     port: serial.Serial
     ident: int
@@ -82,7 +83,7 @@ class Servo:
     # ---- what the loop calls --------------------------------------------------------------------
 
     def read(self) -> ServoState:
-        """Where the shaft is, in one read. Raises ServoFault."""
+        """Read the servo's state in one transaction. Raises ServoFault."""
         status = self._ask(READ, _pair(STATE_FIRST, STATE_LENGTH), STATE_LENGTH, tries=2)
         data = status.data
         return ServoState(
@@ -96,8 +97,8 @@ class Servo:
         )
 
     def write(self, angle: float) -> float:
-        """Ask for an angle [rad]; the angle that was sent, in whole counts. Raises ServoFault; of
-        kind "watchdog" where the servo had stopped by itself."""
+        """Send a setpoint [rad]; returns the angle sent, rounded to whole counts. Raises
+        ServoFault, of kind "watchdog" if the servo had stopped itself."""
         counts = CENTRE + self.sign * round(angle / COUNT)
         try:
             self.set(GOAL, counts)
@@ -110,7 +111,8 @@ class Servo:
     # ---- arming ---------------------------------------------------------------------------------
 
     def prepare(self, low: float, high: float) -> None:
-        """Torque off, position mode, limits [rad] as the last defence, quick replies to all."""
+        """Turn torque off and set position mode, limits [rad] in the servo itself, and fast replies
+        to all packets. Raises ServoFault."""
         with self._patient():
             self._prepare(low, high)
 
@@ -119,13 +121,16 @@ class Servo:
         ends = sorted(CENTRE + self.sign * round(end / COUNT) for end in (low, high))
         wanted = {OPERATING_MODE: POSITION_MODE, RETURN_DELAY: 0, LOWEST: ends[0], HIGHEST: ends[1]}
         for register, value in wanted.items():
-            if self.get(register) != value:  # EEPROM wears
+            if self.get(register) != value:  # saves write cycles of the EEPROM
                 self.set(register, value)
         self.set(RETURN_LEVEL, 2)
 
     def arm(self, watchdog: float = 0.1) -> float:
-        """Hold where it is: the goal first, the servo's own watchdog [s] (at most 2.54), and
-        torque last, so that it never is on unwatched; the angle held."""
+        """Turn torque on and hold the present angle; returns that angle [rad].
+
+        The goal is set first, then the servo's own watchdog [s] (at most 2.54), then torque: it is
+        never on without the watchdog. Raises ServoFault.
+        """
         with self._patient():
             held = self.release(watchdog)
             self.set(TORQUE, 1)
@@ -133,7 +138,7 @@ class Servo:
 
     @contextlib.contextmanager
     def _patient(self) -> Iterator[None]:
-        """Longer for a reply: nothing moves yet, and EEPROM takes its time."""
+        """Wait longer for replies: nothing moves yet, and EEPROM is slow."""
         usual, self.deadline = self.deadline, max(self.deadline, PATIENCE)
         try:
             yield
@@ -141,23 +146,30 @@ class Servo:
             self.deadline = usual
 
     def release(self, watchdog: float = 0.1) -> float:
-        """After its own watchdog stopped it: goals are taken again, the first one where the shaft
-        stands, and the watchdog [s] is set anew; the angle held. Torque is as it was."""
+        """Accept goals again after the servo's own watchdog stopped it; returns the angle held
+        [rad].
+
+        The first goal is the present angle, then the watchdog [s] is set again. Torque does not
+        change. Raises ServoFault.
+        """
         self.set(BUS_WATCHDOG, 0)
         held = self.write(self.read().angle)
         self.set(BUS_WATCHDOG, _periods(watchdog))
         return held
 
     def torque_off(self) -> None:
-        """Torque off, whatever state it is in; then the watchdog off, so that it can be set up. The
-        register is read back: a late reply to another write looks like the one to this."""
+        """Turn torque off in any state, then the servo's watchdog. Raises ServoFault.
+
+        The register is read back, because a late reply to an earlier write looks like the reply to
+        this one.
+        """
         self.set(TORQUE, 0)
         if self.is_on():
-            raise ServoFault("refused", "torque is still on after it was written off")
+            raise ServoFault("refused", "torque is still on after the command to turn it off")
         self.set(BUS_WATCHDOG, 0)
 
     def stopped_itself(self) -> bool:
-        """Whether its own watchdog stopped it, and goals are refused until `release`."""
+        """Whether the servo's own watchdog stopped it; then goals are refused until `release`."""
         return self.get(BUS_WATCHDOG) == 0xFF
 
     def is_on(self) -> bool:
@@ -165,33 +177,33 @@ class Servo:
         return bool(self.get(TORQUE))
 
     def hardware_errors(self) -> list[str]:
-        """Names of the present hardware errors; after a shutdown only `reboot` helps."""
+        """Names of the present hardware errors. After a shutdown, only `reboot` clears them."""
         bits = self.get(HARDWARE_ERROR)
         return [name for bit, name in HARDWARE.items() if bits >> bit & 1]
 
     def reboot(self) -> None:
-        """Restart the servo: torque is off then, and what lies in its RAM is lost."""
+        """Restart the servo: torque is off afterwards, and its RAM is lost."""
         self._ask(REBOOT, b"", 0, tries=1)
 
     # ---- registers ------------------------------------------------------------------------------
 
     def get(self, register: tuple[int, int]) -> int:
-        """An unsigned register (address, bytes)."""
+        """Read an unsigned register (address, bytes). Raises ServoFault."""
         status = self._ask(READ, _pair(*register), register[1], tries=2)
         return int.from_bytes(status.data, "little")
 
     def set(self, register: tuple[int, int], value: int) -> None:
-        """Write a register."""
+        """Write a register (address, bytes). Raises ServoFault."""
         address, size = register
         body = address.to_bytes(2, "little") + (value % (1 << 8 * size)).to_bytes(size, "little")
         self._ask(WRITE, body, 0, tries=1)
 
     def reopen(self) -> None:
-        """Open the port anew, after the cable was out. Raises ServoFault."""
+        """Open the port again after the cable was unplugged. Raises ServoFault."""
         try:
             reopen(self.port)
         except GONE as error:
-            raise ServoFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
+            raise ServoFault("gone", f"{self.port.port}: {error}; check the cable") from None
 
     def close(self) -> None:
         """Turn torque off if the servo still answers, and close the port."""
@@ -201,7 +213,7 @@ class Servo:
             self.port.close()
 
     def _ask(self, instruction: int, body: bytes, length: int, tries: int) -> Packet:
-        """One transaction; a status with `length` bytes of data."""
+        """One transaction; returns a status with `length` bytes of data. Raises ServoFault."""
         for _ in range(tries):
             status = self._once(Packet(self.ident, instruction, body))
             if status is None:
@@ -216,7 +228,7 @@ class Servo:
     def _once(self, packet: Packet) -> Packet | None:
         try:
             self.port.reset_input_buffer()
-            self.parser.held.clear()  # a late reply to an earlier question is none to this
+            self.parser.held.clear()  # drop a late reply to an earlier request
             self.port.write(encode(packet))
             for status in self._replies():
                 if (
@@ -226,7 +238,7 @@ class Servo:
                 ):
                     return status
         except GONE as error:
-            raise ServoFault("gone", f"{self.port.port}: {error}; is the cable in?") from None
+            raise ServoFault("gone", f"{self.port.port}: {error}; check the cable") from None
         return None
 
     def _replies(self) -> Iterator[Packet]:
@@ -238,11 +250,14 @@ class Servo:
 def connect(
     path: str, ident: int = 1, baud: int = 1_000_000, sign: int = 1, deadline: float = DEADLINE
 ) -> Servo:
-    """Open a port and make sure that the right servo answers. Raises BadInput."""
+    """Open a port and check that the right servo model answers. `deadline` [s] is for a reply.
+    Raises BadInput."""
     try:
         port = serial.Serial(path, baud, timeout=deadline, write_timeout=0.1, exclusive=True)
     except (serial.SerialException, OSError, ValueError) as error:
-        raise BadInput(f"{path}: {error}; give the servo's port, not in use elsewhere.") from None
+        raise BadInput(
+            f"{path}: {error}; give the servo's port, closed in other programs."
+        ) from None
     with contextlib.suppress(ValueError, OSError, NotImplementedError):
         port.set_low_latency_mode(True)  # a pty has none
     servo = Servo(port, ident, sign, max(deadline, PATIENCE))
@@ -251,13 +266,13 @@ def connect(
     except ServoFault as fault:
         port.close()
         raise BadInput(
-            f"{path}: {fault}; nothing answers as servo {ident} at {baud} baud: check cable, power,"
+            f"{path}: no servo {ident} answers at {baud} baud ({fault}); check cable, power,"
             f" id and baud rate."
         ) from None
     servo.deadline = deadline
     if model != MODEL:
         port.close()
-        raise BadInput(f"{path}: model {model}; an XW430-T200 says {MODEL}. Give its port.")
+        raise BadInput(f"{path}: model {model} answers, an XW430-T200 has {MODEL}; give its port.")
     return servo
 
 

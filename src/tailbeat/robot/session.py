@@ -22,21 +22,25 @@ from tailbeat.robot.results import DriveResult, summarise
 
 Say = Callable[[str], None]
 Each = Callable[[Loop], None]
-OPERATOR = "the operator"  # who asked to stop, where a signal did
+OPERATOR = "the operator"  # who requested a stop by a signal
 WAIT_TO_ARM = 10.0  # s for the first poses and the station's clock
 
 
 def log_in(path: Path) -> Path:
-    """A log's path; in a folder a file named by day and time, as a service needs it."""
+    """The log's path; if `path` is a folder, a file in it named by date and time, as a service
+    needs."""
     return path / time.strftime("swim-%Y%m%d-%H%M%S.mcap") if path.is_dir() else path
 
 
 @dataclass(frozen=True)
 class DriveConfig:
-    """A drive: the policy (a file or a shipped one's name), where the devices are, the key's file
-    and the log's. `target` [m] stands in for the target's tag; outside the pool whose size the
-    station tells, the robot does not arm. It lasts `seconds`. It arms and swims `by_itself`, or
-    when ordered to; a robot that stopped ends it, unless it is to `stay`."""
+    """A drive.
+
+    The policy (a file or a shipped policy's name), the devices' ports, the key's file, the log's
+    file. `target` [m], if set, replaces the target's tag; if it is outside the pool, whose size the
+    station sends, the robot does not arm. The drive lasts `seconds`. It arms and swims `by_itself`,
+    or when ordered. A robot that stopped ends the drive, unless `stay` is set.
+    """
 
     policy: str
     ports: Ports
@@ -49,9 +53,11 @@ class DriveConfig:
 
 
 def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> DriveResult:
-    """Arm, swim, disarm; every period is logged. A watchdog process turns torque off if this
-    process dies, and systemd hears that the loop runs. `each` is given the loop every period.
-    Raises BadInput."""
+    """Arm, swim, disarm; every period is logged.
+
+    A watchdog process turns torque off if this process fails. systemd is told that the loop runs.
+    `say` gets every change of state; `each` is called every period with the loop. Raises BadInput.
+    """
     for refused in timing.claim():
         say(f"        {refused}")
     loaded, secret = load_policy(config.policy), link.read_key(config.key)
@@ -68,13 +74,13 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
 
 @contextlib.contextmanager
 def _open_devices(config: DriveConfig, key: bytes) -> Iterator[Devices]:
-    """Servo, IMU and the link's socket; closed in the end."""
+    """Open servo, IMU and the link's socket; close them at the end."""
     ports, gyro = config.ports, None
     motor = servo.connect(ports.servo)
     try:
         gyro = imu.connect(ports.imu)
         _prepare(gyro, ports.imu)
-        receiver = link.Receiver(key)  # it is told the pool's size
+        receiver = link.Receiver(key)  # the station sends the pool's size
         with link.bind(*ports.listen) as heard:
             yield Devices(motor, gyro, receiver, heard, ports.station)
     finally:
@@ -84,7 +90,7 @@ def _open_devices(config: DriveConfig, key: bytes) -> Iterator[Devices]:
 
 
 def _guarded(own: Loop, config: DriveConfig, say: Say, each: Each) -> None:
-    """Swim with a watchdog process beside; it is told farewell once the torque is off."""
+    """Swim with a watchdog process; it ends without action once the torque is off."""
     with watchdog.guard(config.ports.servo) as watcher:
         own.alive = Alive(own, watcher, systemd.from_environment())
         try:
@@ -109,32 +115,32 @@ def _result(own: Loop, config: DriveConfig) -> DriveResult:
 
 
 def _prepare(gyro: imu.Imu, path: str) -> None:
-    """Set the IMU up without haste. Raises BadInput."""
+    """Set the IMU up, with a longer deadline. Raises BadInput."""
     gyro.deadline, usual = imu.PATIENCE, gyro.deadline
     try:
         gyro.prepare()
     except imu.ImuFault as fault:
-        raise BadInput(f"{path}: {fault}; see what `tailbeat doctor` says.") from None
+        raise BadInput(f"{path}: {fault}; run `tailbeat doctor`.") from None
     gyro.deadline = usual
 
 
 @dataclass(frozen=True)
 class Alive:
-    """Called every period: the watchdog (`watcher`) and systemd hear that the loop runs."""
+    """Called every period: tells the watchdog (`watcher`) and systemd that the loop runs."""
 
     loop: Loop
     watcher: watchdog.Watchdog
     notifier: systemd.Notifier
 
     def __call__(self, torque: bool) -> bool:
-        """Whether the watchdog listens."""
+        """Whether the watchdog process still runs."""
         safety_status = self.loop.safety_status
         self.notifier.beat(time.monotonic(), f"{safety_status.state.value}: {safety_status.text}")
         return self.watcher.beat(torque)
 
 
 def _swim(own: Loop, config: DriveConfig, say: Say, each: Each) -> None:
-    """Wait until it may be armed, arm, swim, and say every change of state."""
+    """Wait until arming is possible, arm, swim, and report every change of state."""
     told, ended = [""], list[int]()
 
     def over(since: float) -> bool:
@@ -165,10 +171,10 @@ def _swim(own: Loop, config: DriveConfig, say: Say, each: Each) -> None:
 
 
 def _begin(own: Loop, since: float) -> None:
-    """Arm after a second, and swim. Raises BadInput for a target that no waiting brings inside."""
+    """Arm one second after the start, and swim. Raises BadInput for a target outside the pool."""
     if own.safety_status.state is State.DISARMED and since > 1.0:
         refused = own.arm(time.monotonic())
         if refused.reason is Reason.TARGET_OUTSIDE:
-            raise BadInput(f"--target: {refused.text}; give a place inside.")
+            raise BadInput(f"--target: {refused.text}; give a target inside.")
     if own.safety_status.state is State.ARMED:
         own.swim()

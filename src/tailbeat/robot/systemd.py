@@ -1,7 +1,7 @@
 """Messages to systemd: ready, the state, and that the loop still runs (sd_notify(3)).
 
-A plain datagram to the socket that the service manager names; without one nothing is sent. And the
-unit that makes a service of the loop.
+Each is a datagram to the socket that the service manager names; without a socket nothing is sent.
+The module also writes the unit that runs the loop as a service.
 """
 
 import os
@@ -22,7 +22,7 @@ def _datagrams() -> socket.socket:
 
 @dataclass(eq=False)
 class Notifier:
-    """Where to say it; see `from_environment`."""
+    """Sends the messages; see `from_environment`."""
 
     address: str
     line: socket.socket = field(default_factory=_datagrams)
@@ -30,8 +30,11 @@ class Notifier:
     said: str = ""
 
     def beat(self, now: float, status: str) -> None:
-        """Say that the loop ran at `now` [s], monotonic, and its status: four times a second, and
-        at once when it changes. The first message is that it is ready."""
+        """Report that the loop ran at `now` [s], monotonic, and its status.
+
+        Sends four times a second, and at once when the status changes. The first message reports
+        that the service is ready.
+        """
         if not self.address or (now < self.due and status == self.said):
             return
         first = "READY=1\n" if not self.said else ""
@@ -39,7 +42,7 @@ class Notifier:
         self._send(f"{first}WATCHDOG=1\nSTATUS={status}")
 
     def end(self) -> None:
-        """It stops on purpose."""
+        """Report that the service stops intentionally."""
         if self.address:
             self._send("STOPPING=1")
         self.line.close()
@@ -48,11 +51,12 @@ class Notifier:
         try:
             self.line.sendto(text.encode(), socket.MSG_DONTWAIT, self.address)
         except OSError:
-            pass  # a manager that does not listen must not hold up the loop
+            pass  # a manager that does not answer must not delay the loop
 
 
 def from_environment() -> Notifier:
-    """Of NOTIFY_SOCKET, a path or an abstract name; silent where it is not set."""
+    """The notifier for NOTIFY_SOCKET, a path or an abstract name; it sends nothing if this is not
+    set."""
     name = os.environ.get("NOTIFY_SOCKET", "")
     return Notifier("\0" + name[1:] if name.startswith("@") else name)
 
@@ -69,9 +73,7 @@ def unit(python: str, user: str, servo: str, words: list[str]) -> str:
     Raises BadInput where a word cannot be part of a unit."""
     for word in (python, user, servo, *words):
         if not word or "\n" in word or (word in (user, servo) and " " in word):
-            raise BadInput(
-                f"{word!r}: cannot be part of a unit; give one word without line breaks."
-            )
+            raise BadInput(f"{word!r}: not allowed in a unit; give one word without line breaks.")
     template = (resources.files("tailbeat.robot") / "fish.service").read_text("utf-8")
     line = " ".join(_quoted(word) for word in [python, "-m", "tailbeat", "drive", *words])
     last = " ".join(_quoted(word) for word in [python, "-m", "tailbeat.robot.watchdog", servo])
@@ -79,6 +81,6 @@ def unit(python: str, user: str, servo: str, words: list[str]) -> str:
 
 
 def _quoted(word: str) -> str:
-    """As systemd.syntax(7) and systemd.service(5) want it: `%` and `$` doubled, quotes escaped."""
+    """Quote for systemd.syntax(7) and systemd.service(5): `%` and `$` doubled, quotes escaped."""
     text = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{text}"' if text != word or " " in word else word

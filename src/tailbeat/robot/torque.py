@@ -1,17 +1,17 @@
-"""The servo's torque: on, off, lost, and the setpoints that are sent while it is on."""
+"""The servo's torque: turned on, turned off, lost; and the setpoints sent while it is on."""
 
 from dataclasses import dataclass
 
 from tailbeat.robot.servo import Servo, ServoFault
 
-CHECK_EVERY = 2  # periods between two looks at the servo's torque and watchdog, in turn
+CHECK_EVERY = 2  # periods between two checks of torque or watchdog, in turn
 
 
 @dataclass(eq=False)
 class Torque:
-    """`on`: it was switched on. `owing`: it must go off, and the servo has not confirmed that.
-    `lost`: the servo lost it by itself. `watchdog`: the servo's own watchdog stopped it.
-    `hardware` names the servo's errors, `sent` [rad] is the last setpoint."""
+    """`on`: it was turned on. `owing`: it must be off, but the servo has not confirmed it. `lost`:
+    the servo turned it off itself. `watchdog`: the servo's own watchdog stopped it. `hardware`
+    names the servo's errors. `sent` [rad] is the last setpoint."""
 
     on: bool = False
     owing: bool = False
@@ -22,12 +22,12 @@ class Torque:
     turn: int = 0
 
     def switch_on(self, servo: Servo) -> None:
-        """Hold where the tail is now. Raises ServoFault."""
+        """Turn torque on and hold the present angle. Raises ServoFault."""
         self.sent = servo.arm()
         self.on, self.watchdog, self.lost = True, False, False
 
     def switch_off(self, servo: Servo, tries: int) -> ServoFault | None:
-        """Torque off, `owing` until the servo confirmed it; the last fault on the way, if any."""
+        """Turn torque off; `owing` until the servo confirms it. Returns the last fault, if any."""
         self.on, self.owing, last = False, True, None
         for _ in range(tries):
             try:
@@ -39,8 +39,8 @@ class Torque:
         return last
 
     def check(self, servo: Servo, alert: bool) -> None:
-        """Whether the servo still holds torque, and whether its watchdog stopped it: one question
-        in every second period, so that the bus stays free. Silence shows in a reading's age."""
+        """Check the servo's torque and watchdog: one request every second period, so that the bus
+        stays free. A missing reply shows in a reading's age."""
         self.turn += 1
         due = self.turn % CHECK_EVERY == 0
         try:
@@ -61,7 +61,8 @@ class Torque:
             self._failed(fault)
 
     def release(self, servo: Servo) -> None:
-        """Accept setpoints again after the servo's own watchdog stopped it, from where it is."""
+        """Accept setpoints again from the present angle, after the servo's own watchdog stopped
+        it."""
         try:
             self.sent = servo.release()
             self.watchdog = False

@@ -1,9 +1,9 @@
-"""Turns torque off when the loop no longer can: a process of its own that waits for its end.
+"""The watchdog: a process that turns torque off when the loop fails.
 
-Every period of the loop is a byte in a pipe. When the pipe closes without a farewell, whatever
-killed the loop, or when it stays silent for a second while torque is on, the watchdog turns torque
-off. It ignores what ends the loop (Ctrl-C, SIGTERM) and needs neither the network nor the
-policy. Where both die, `ExecStopPost` of the systemd unit does the same.
+The loop writes a byte into a pipe every period. The watchdog turns torque off if the pipe closes
+without a farewell byte, or if no byte comes for a second while torque is on. It ignores what ends
+the loop (Ctrl-C, SIGTERM) and needs neither network nor policy. If both processes die,
+`ExecStopPost` of the systemd unit does the same.
 """
 
 import contextlib
@@ -27,8 +27,8 @@ from tailbeat.robot.wire import GONE
 
 HELD, FREE, FAREWELL = b"t", b".", b"q"
 SILENCE = 1.0  # s without a byte while torque is on: the loop hangs
-TRYING = 10.0  # s for the torque to go: a cable may come back
-START = 30.0  # s for the watchdog to be there
+TRYING = 10.0  # s that it tries to turn torque off: a cable may be plugged in again
+START = 30.0  # s for the watchdog to start
 
 
 # ---- the loop's end -----------------------------------------------------------------------------
@@ -36,16 +36,16 @@ START = 30.0  # s for the watchdog to be there
 
 @dataclass(eq=False)
 class Watchdog:
-    """A running watchdog; `beat` every period, `farewell` once the torque is off."""
+    """A running watchdog. Call `beat` every period, and `farewell` once torque is off."""
 
     process: subprocess.Popen[bytes]
 
     def beat(self, torque: bool) -> bool:
-        """Tell it that the loop runs; returns whether it still listens."""
+        """Tell the watchdog that the loop runs; returns whether it still reads."""
         return self._say(HELD if torque else FREE)
 
     def farewell(self) -> None:
-        """Nothing is left to do: the torque is off."""
+        """Tell the watchdog that torque is off and it may end."""
         self._say(FAREWELL)
 
     def _say(self, byte: bytes) -> bool:
@@ -54,14 +54,14 @@ class Watchdog:
             os.write(self.process.stdin.fileno(), byte)
             return True
         except BlockingIOError:
-            return True  # it is behind, and alive
+            return True  # it runs, but reads slowly
         except OSError:
             return False
 
 
 @contextmanager
 def guard(path: str, ident: int = 1, baud: int = 1_000_000) -> Iterator[Watchdog]:
-    """A watchdog for the servo on a port, there before anything moves. Raises BadInput."""
+    """Start a watchdog for the servo on a port, before anything moves. Raises BadInput."""
     words = ["-m", "tailbeat.robot.watchdog", path, str(ident), str(baud)]
     process = start(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdin is not None and process.stdout is not None
@@ -71,7 +71,7 @@ def guard(path: str, ident: int = 1, baud: int = 1_000_000) -> Iterator[Watchdog
         process.wait()
         raise BadInput(
             "the watchdog process did not start, so the robot will not arm; torque would stay on"
-            " if the loop died."
+            " if the loop failed. Start the drive again."
         )
     os.set_blocking(process.stdin.fileno(), False)
     try:
@@ -87,8 +87,10 @@ def guard(path: str, ident: int = 1, baud: int = 1_000_000) -> Iterator[Watchdog
 
 
 def watch(pipe: int, parent: int) -> bool:
-    """Wait for the loop's end; whether the torque may still be on. A loop that hangs while it holds
-    torque is ended."""
+    """Wait for the loop to end; returns whether torque may still be on.
+
+    Kills a loop that hangs while torque is on.
+    """
     last = b""
     while True:
         ready, _, _ = select.select([pipe], [], [], SILENCE)
@@ -103,8 +105,10 @@ def watch(pipe: int, parent: int) -> bool:
 
 
 def try_torque_off(path: str, ident: int = 1, baud: int = 1_000_000, trying: float = TRYING) -> str:
-    """Torque off, tried until it is confirmed; "" then, else what the last try said. The port need
-    not be free, and what a dead process left half written on the bus is written over."""
+    """Try to turn torque off until it is confirmed; "" on success, else the last error.
+
+    The port may be in use. Half-written packets of a dead process on the bus do no harm.
+    """
     end, said = time.monotonic() + trying, "not tried"
     while time.monotonic() < end:
         try:
@@ -117,16 +121,16 @@ def try_torque_off(path: str, ident: int = 1, baud: int = 1_000_000, trying: flo
 
 
 def torque_off(servo: str, ident: int, baud: int) -> None:
-    """Turn the torque off from outside; raises BadInput where the servo does not confirm it."""
+    """Turn the servo's torque off. Raises BadInput if the servo does not confirm it."""
     if not Path(servo).exists():
-        raise BadInput(f"--servo {servo}: no such port; give the servo's, as /dev/ttyUSB0.")
+        raise BadInput(f"--servo {servo}: no such port; give the servo's port, like /dev/ttyUSB0.")
     said = try_torque_off(servo, ident, baud, trying=3.0)
     if said:
         raise BadInput(f"{servo}: {said}; TORQUE MAY BE ON: cut the servo's power.")
 
 
 def _once(path: str, ident: int, baud: int) -> None:
-    """Three tries on one opening of the port. Raises ServoFault, or one of `GONE`."""
+    """Try three times with one opening of the port. Raises ServoFault, or one of `GONE`."""
     with serial.Serial(path, baud, timeout=DEADLINE, write_timeout=0.1) as port:
         servo = Servo(port, ident, deadline=4 * DEADLINE)
         for attempt in range(3):
@@ -140,7 +144,7 @@ def _once(path: str, ident: int, baud: int) -> None:
 
 def main() -> None:
     """`python -m tailbeat.robot.watchdog PORT ID BAUD [now]`: watch standard input, then turn
-    torque off; with `now` at once. Exit code 1 where the torque may still be on."""
+    torque off; with `now` at once. Exit code 1 if torque may still be on."""
     path, ident, baud = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
     if sys.argv[4:] != ["now"]:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -151,7 +155,7 @@ def main() -> None:
         if not watch(sys.stdin.fileno(), parent):
             return
     said = try_torque_off(path, ident, baud)
-    print(f"tailbeat: {said or 'the loop died; torque is off'}", file=sys.stderr, flush=True)
+    print(f"tailbeat: {said or 'the loop failed; torque is off'}", file=sys.stderr, flush=True)
     sys.exit(1 if said else 0)
 
 

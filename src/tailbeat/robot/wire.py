@@ -1,7 +1,7 @@
-"""What both serial drivers do with a port: wait for bytes until a moment, without set-up each time.
+"""Reading bytes until a deadline, for both serial drivers.
 
-pyserial sets the whole line up anew whenever a time-out changes, eight calls of the system for one
-reply; here it is one `select` and one `read`.
+pyserial configures the whole line again whenever a time-out changes, eight system calls for one
+reply. Here it is one `select` and one `read`.
 """
 
 import contextlib
@@ -12,23 +12,23 @@ import time
 
 import serial
 
-GONE = (serial.SerialException, OSError, termios.error)  # what a pulled cable raises
+GONE = (serial.SerialException, OSError, termios.error)  # raised when the cable is unplugged
 
 
 def reopen(port: serial.Serial) -> None:
-    """Open a port anew, after its cable was out. Raises one of `GONE`."""
+    """Open a port again after its cable was unplugged. Raises one of `GONE`."""
     with contextlib.suppress(*GONE):
         port.close()
     port.open()
 
 
 def heard(port: serial.Serial, end: float, most: int = 4096) -> bytes:
-    """What arrives before `end` [s], monotonic; nothing if nothing does. Raises one of `GONE`."""
+    """Read what arrives before `end` [s], monotonic; b"" if nothing does. Raises one of `GONE`."""
     left = end - time.monotonic()
     ready, _, _ = select.select([port.fileno()], [], [], max(left, 0.0))
     if not ready:
         return b""
     data = os.read(port.fileno(), most)
     if not data:
-        raise serial.SerialException("the port is ready and gives nothing")
+        raise serial.SerialException("the port reports data but gives none")
     return data
