@@ -11,14 +11,7 @@ LONG = " ".join(["word"] * 31)
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_plain(name):
     found = prose.faults(PAGES[name])
-    if name in prose.OPEN:
-        assert found, f"{name} is clean: take it off the list OPEN in tools/prose.py"
-        pytest.xfail(f"{len(found)} faults that are known")
     assert not found, "\n".join(found)
-
-
-def test_the_list_of_open_pages_names_pages():
-    assert set(prose.OPEN) <= set(PAGES), "take pages that are gone off the list"
 
 
 def test_long_lines_are_found_and_links_tables_and_code_are_not():
