@@ -7,9 +7,9 @@ call. Skipped is what cannot change a result: annotations, decorators, messages,
 for type checkers, and `strict=` of `zip`, which only guards against our own mistakes.
 
 It needs no other copy of the code: each mutant is compiled in a forked process, which runs the
-room's tests, the quickest first, up to the first failure. The limit is one of CPU time, so that a
-busy machine meets it no sooner. After every 25 mutants the unchanged code runs too: a test that
-fails there fails by chance, and the numbers of that room are worth nothing.
+room's tests, the quickest first, up to the first failure. The limit is one of CPU time, or of sleep
+without a break, so that a busy machine meets neither sooner. After every 25 mutants the unchanged
+code runs too: a test that fails there fails by chance, and that room's numbers are worth nothing.
 
 Why not a tool? `mutmut` 3.8 changes functions only, so neither the limits of `robot/safety.py` nor
 its rules. `cosmic-ray` 8.7 starts Python anew for each mutant (5 s of CPU for a room of 0.1 s) and
@@ -34,12 +34,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import CodeType
 
+import psutil
 import pytest
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "tailbeat"
 PATIENCE = 4.0  # times the CPU time of the unchanged code
-WALL = 300.0  # s: for what waits without computing
+HUNG = 60.0  # s of sleep without an end: a mutant that waits for ever computes nothing
 QUICK_START = ("-p", "no:cacheprovider", "-p", "xdist", "--assert=plain")
 CHECK = 25  # mutants between two runs of the unchanged code
 
@@ -200,15 +201,25 @@ def tried(room: Room, mutant: Mutant | None, seconds: float, times: Path) -> End
     child = os.fork()
     if child == 0:
         _test(room, mutant, seconds, times)
-    end = time.monotonic() + WALL
-    while (done := os.wait4(child, os.WNOHANG))[0] == 0 and time.monotonic() < end:
-        time.sleep(0.01)
+    worked = time.monotonic()
+    while (done := os.wait4(child, os.WNOHANG))[0] == 0 and time.monotonic() - worked < HUNG:
+        worked = time.monotonic() if _works(child) else worked
+        time.sleep(0.02)
     _end_group(child)
-    late = done[0] == 0
-    _, status, used = os.wait4(child, 0) if late else done
-    if late or os.waitstatus_to_exitcode(status) in (-signal.SIGXCPU, -signal.SIGKILL):
-        return End("limit", used.ru_utime + used.ru_stime)
-    return End("failed" if status else "passed", used.ru_utime + used.ru_stime)
+    hung = done[0] == 0
+    _, status, used = os.wait4(child, 0) if hung else done
+    seconds = used.ru_utime + used.ru_stime
+    if hung or os.waitstatus_to_exitcode(status) in (-signal.SIGXCPU, -signal.SIGKILL):
+        return End("limit", seconds)
+    return End("failed" if status else "passed", seconds)
+
+
+def _works(child: int) -> bool:
+    """Whether a process computes, or waits for a core: a busy machine may keep it waiting long."""
+    try:
+        return psutil.Process(child).status() == psutil.STATUS_RUNNING
+    except psutil.NoSuchProcess:
+        return False
 
 
 def _end_group(child: int) -> None:
