@@ -198,5 +198,5 @@ def test_the_verbs_print_write_and_refuse(tmp_path: Path):
     done = tailbeat("track", "--camera", "no.avi", "--calibration", tmp_path / "camera.json")
     assert done.returncode == 2, done.stdout
     assert "no such camera" in done.stderr and "Traceback" not in done.stderr
-    with pytest.raises(BadInput, match="give --socket or --pictures"):
+    with pytest.raises(BadInput, match="give either --socket or --pictures"):
         develop.camera()

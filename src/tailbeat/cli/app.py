@@ -8,14 +8,14 @@ from tailbeat.files import EXTRA_OF, BadInput, missing
 
 INTERRUPTED = 130  # exit code of a verb that Ctrl-C ended
 
-# options that take any number of values; a servo's port, elsewhere, is one
+# Options that take several values, with their verb. Of other verbs, `--servo` is one port.
 LISTS = {"--fit": "identify", "--validate": "identify", "--commands": "record"}
 LISTS |= {"--servo": "speed-map", "--tasks": "evaluate", "--only": "faults"}
 LISTS |= {"--against": "coverage", "--fitted-on": "predict"}
 
 
 def spread_lists(arguments: list[str]) -> list[str]:
-    """`--fit A B` as `--fit A --fit B`, the only way the parser takes lists."""
+    """`--fit A B` as `--fit A --fit B`: the parser takes lists only in this form."""
     spread: list[str] = []
     option = None
     for word in arguments:
@@ -46,7 +46,7 @@ def run(words: list[str]) -> int:
 
 
 def _refusal(error: Any) -> BadInput:
-    """What the parser does not take, in one sentence."""
+    """The parser's error as one sentence."""
     verb = error.ctx.command_path if getattr(error, "ctx", None) else "tailbeat"
     text = " ".join(error.format_message().split()).rstrip(".?")
     return BadInput(f"{text[:1].lower()}{text[1:]}; see {verb} --help.")

@@ -1,4 +1,4 @@
-"""Print tags, calibrate a camera, track with it."""
+"""Print tags, calibrate a camera, track a fish with it."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -55,9 +55,11 @@ def calibrate(
     target_height: Annotated[
         float, typer.Option(help="Height of the target's tag above the water [m].")
     ] = 0.0,
-    fish_side: Annotated[float, typer.Option(help="Side of the fish's black square [m].")] = 0.08,
+    fish_side: Annotated[
+        float, typer.Option(help="Side of the black square of the fish's tag [m].")
+    ] = 0.08,
     target_side: Annotated[
-        float, typer.Option(help="Side of the target's black square [m].")
+        float, typer.Option(help="Side of the black square of the target's tag [m].")
     ] = 0.08,
     square: SquareOption = 0.026,
     pool: Annotated[
@@ -90,15 +92,15 @@ def track(
     calibration: Annotated[Path, typer.Option(help="Calibration made by `tailbeat calibrate`.")],
     fish_tag: FishTag = 0,
     target_tag: TargetTag = 1,
-    seconds: Annotated[float, typer.Option(help="How long [s]; 0: until Ctrl-C.")] = 0.0,
+    seconds: Annotated[float, typer.Option(help="Duration [s]; 0: until Ctrl-C.")] = 0.0,
     oldest: Annotated[
-        float, typer.Option(help="Age up to which a calibration is accepted [days].")
+        float, typer.Option(help="Largest accepted age of the calibration [days].")
     ] = 30.0,
     exposure: Annotated[
-        float, typer.Option(help="Exposure time [s]; half of it is subtracted from the stamp.")
+        float, typer.Option(help="Exposure time [s]; half of it is subtracted from the time stamp.")
     ] = 0.002,
     latency: Annotated[
-        float, typer.Option(help="Time from the end of the exposure to the stamp [s].")
+        float, typer.Option(help="Time from the end of the exposure to the time stamp [s].")
     ] = 0.0,
     json: JsonOption = None,
 ) -> None:

@@ -14,7 +14,7 @@ def new_fish(path: Annotated[Path, typer.Argument(help="TOML file to write.")]) 
     from tailbeat.fish import store
 
     store.new_fish(path)
-    output.say(f"wrote {path}; see what it makes with: tailbeat show {path}")
+    output.say(f"wrote {path}; look at it with: tailbeat show {path}")
 
 
 def show(

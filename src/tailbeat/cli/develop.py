@@ -18,7 +18,8 @@ def emulate(
         str, typer.Option("--robot", help="host:port on which the loop listens.")
     ] = "",
     camera: Annotated[
-        Path | None, typer.Option("--camera", help="Socket to make: pictures instead of poses.")
+        Path | None,
+        typer.Option("--camera", help="Socket to create: send pictures instead of poses."),
     ] = None,
     fish: PoolFish = "pulley-fish",
     target: TargetOption = TARGET,
@@ -40,21 +41,21 @@ def emulate(
 
 
 def camera(
-    socket: Annotated[Path | None, typer.Option(help="Socket to make: frames of a swim.")] = None,
+    socket: Annotated[Path | None, typer.Option(help="Socket to create: frames of a swim.")] = None,
     pictures: Annotated[
         Path | None,
-        typer.Option(help="Folder to make: the pictures that `tailbeat calibrate` needs."),
+        typer.Option(help="Folder to create: the pictures that `tailbeat calibrate` needs."),
     ] = None,
     fish: Annotated[
         str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")
     ] = "pulley-fish",
-    seconds: Annotated[float, typer.Option(help="How long [s]; 0: until Ctrl-C.")] = 0.0,
+    seconds: Annotated[float, typer.Option(help="Duration [s]; 0: until Ctrl-C.")] = 0.0,
     count: Annotated[int, typer.Option(help="Number of views of the board.")] = 20,
     seed: SeedOption = 0,
 ) -> None:
     """Emulate a camera above the pool: frames at a socket, or pictures to calibrate with."""
     if (socket is None) == (pictures is None):
-        raise BadInput("camera: give --socket or --pictures, one of them.")
+        raise BadInput("camera: give either --socket or --pictures.")
     need_camera()
     from tailbeat.emulators import lab, scripted
 
@@ -67,12 +68,12 @@ def camera(
 
 def benchmark(
     env: Annotated[
-        bool, typer.Option(help="Also measure environment and updates, beside SB3's.")
+        bool, typer.Option(help="Also measure environment and updates, and compare with SB3.")
     ] = True,
     json: JsonOption = None,
 ) -> None:
-    """Measure speed and accuracy on this machine. The step is compared with a bare engine loop.
-    Pool, environment, updates and camera follow."""
+    """Measure speed and accuracy on this machine: step, pool, environment, updates and camera. The
+    step is compared with a bare engine loop."""
     from tailbeat.benchmarks import suite
 
     result = suite.benchmark(env)

@@ -40,7 +40,7 @@ def evaluate(
         int, typer.Option(help="Number of swims under each condition of a task.")
     ] = 250,
     walls: Annotated[
-        str, typer.Option(help="Pool of the trials with walls, length x width [m].")
+        str, typer.Option(help="Size of the pool in trials with walls: length x width [m].")
     ] = "5.5x2.7",
     seed: SeedOption = 0,
     json: JsonOption = None,
@@ -81,11 +81,15 @@ def _share(text: str) -> tuple[int, int]:
 def compare(
     policies: Annotated[list[str], typer.Argument(help="Policies of several kinds and seeds.")],
     out: Annotated[
-        Path, typer.Option("--out", help="Folder of the cells; an existing one is continued.")
+        Path,
+        typer.Option(
+            "--out",
+            help="Folder of the cells (a policy in one water each); an existing one is continued.",
+        ),
     ],
     fish: PoolFish = "pulley-fish",
     twin: TwinOption = None,
-    targets: Annotated[int, typer.Option(help="Number of targets of each cell.")] = 100,
+    targets: Annotated[int, typer.Option(help="Number of targets in each cell.")] = 100,
     share: Annotated[
         str,
         typer.Option(help="i/n: swim every n-th cell, from the i-th; n processes share the work."),
@@ -149,7 +153,7 @@ def report(
 def _page(
     out: Path, fish: str, twin: str | None, done: "Evaluation | Comparison", json: Path | None
 ) -> None:
-    """The page of numbers just made, and the numbers where they are asked for."""
+    """Write the page of these numbers, and the numbers to `json` if it is given."""
     from tailbeat.report.page import of_folder
 
     path, _ = of_folder(out, fish, twin, done)

@@ -4,15 +4,15 @@ from tailbeat.files import need
 
 
 def need_robot() -> None:
-    """Raises BadInput where the robot's packages are missing."""
+    """Raises BadInput if a package for the robot is missing."""
     need("the robot", "serial", "mcap")
 
 
 def need_camera() -> None:
-    """Raises BadInput where the camera's packages are missing."""
+    """Raises BadInput if a package for the camera is missing."""
     need("the camera", "cv2", "pyapriltags")
 
 
 def need_training() -> None:
-    """Raises BadInput where the packages of training are missing."""
+    """Raises BadInput if a package for training is missing."""
     need("training", "stable_baselines3", "onnx", "tensorboard")

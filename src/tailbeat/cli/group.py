@@ -9,11 +9,11 @@ from typer.core import TyperCommand, TyperGroup
 
 from tailbeat.cli.verbs import HEADS, PANELS, Verb
 
-PLAIN = None  # no markup in help: it would eat units like [m], and takes 0.2 s to import
+PLAIN = None  # no markup in help: it would remove units like [m], and takes 0.2 s to import
 
 
 class Listed(TyperCommand):
-    """A verb as a list of verbs shows it, not imported yet."""
+    """A verb in a list of verbs, whose module is not imported yet."""
 
     def __init__(self, verb: Verb, panel: str) -> None:
         super().__init__(verb.name.split()[-1], help=verb.sentence, rich_help_panel=panel)
@@ -97,4 +97,4 @@ def _options_of_all(
         typer.Option("--version", callback=say_version, is_eager=True, help="Print the version."),
     ] = False,
 ) -> None:
-    """Hold the options that stand before a verb."""
+    """The options that come before a verb."""

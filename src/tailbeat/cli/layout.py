@@ -1,4 +1,4 @@
-"""How a table fits the terminal: as it is, turned, or split. Nothing is printed here."""
+"""Fit a table to the terminal: as it is, transposed, or split. Nothing is printed here."""
 
 from typing import Any
 
@@ -10,8 +10,8 @@ PROSE = 24  # characters at which a column of text may wrap; a number never wrap
 
 def fitted(rows: list[Row], width: int) -> list[list[Row]]:
     """The tables that show `rows` in `width` characters without cutting a cell. A single row is
-    turned, since it reads better downwards; a table too wide is turned if that fits, else split
-    into tables that all begin with the first column."""
+    transposed: it is easier to read downwards. A table that is too wide is transposed if it then
+    fits, else it is split into tables that all begin with the first column."""
     if len(rows) == 1 and len(rows[0]) > 1:
         rows = [{"": name, "value": value} for name, value in rows[0].items()]
     if needed(rows) <= width:
@@ -22,18 +22,18 @@ def fitted(rows: list[Row], width: int) -> list[list[Row]]:
 
 
 def needed(rows: list[Row]) -> int:
-    """Characters that a table of `rows` needs at least, with its frame."""
+    """Smallest width of a table of `rows`, with its frame [characters]."""
     return 1 + sum(3 + least_width(rows, name) for name in rows[0])
 
 
 def least_width(rows: list[Row], name: str) -> int:
-    """Characters that a column needs: all of a number, a few words of text."""
+    """Smallest width of a column [characters]: numbers never wrap, text wraps at `PROSE`."""
     widest = max(len(name), *(len(as_cell(row.get(name))) for row in rows))
     return widest if is_numeric(rows, name) else min(widest, PROSE)
 
 
 def is_numeric(rows: list[Row], name: str) -> bool:
-    """Whether a column holds numbers alone."""
+    """Whether a column holds only numbers."""
     return all(isinstance(row.get(name), int | float | None) for row in rows)
 
 

@@ -1,4 +1,4 @@
-"""Train policies, look at them, compare and try them."""
+"""Train, inspect, compare and try policies."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -22,7 +22,7 @@ def train(
     recipe: Annotated[str, typer.Option(help="Recipe: quick, paper or smoke.")] = "quick",
     seed: SeedOption = 0,
     hours: Annotated[
-        float, typer.Option(help="Longest training time [h]; --resume continues it.")
+        float, typer.Option(help="Longest training time [h]; continue later with --resume.")
     ] = 12.0,
     resume: Annotated[bool, typer.Option(help="Continue from the checkpoint in --out.")] = False,
     device: Annotated[str, typer.Option(help="Device of the updates: cpu or cuda.")] = "cpu",
@@ -31,12 +31,16 @@ def train(
     ] = None,
     binds: Annotated[
         str | None,
-        typer.Option(help="The ceiling limits: fundamental or signal; default: the recipe's."),
+        typer.Option(
+            help="What the frequency ceiling limits: fundamental or signal; default: the recipe's."
+        ),
     ] = None,
     floor: Annotated[
         float, typer.Option(help="Lowest fundamental of the generator [Hz]; with 0 it can stop.")
     ] = 0.0,
-    stage: Annotated[str | None, typer.Option(help="Stage to continue in, chosen by hand.")] = None,
+    stage: Annotated[
+        str | None, typer.Option(help="Stage to continue in; default: the checkpoint's.")
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Train a policy through the stages of a recipe. Exit code 1 if it did not pass them all."""
@@ -55,7 +59,7 @@ def train(
         space = action_space(actions, described, binds or chosen.binds, floor)
         run = RunConfig(described, out, chosen, space, seed, hours, device)
         room = run.recipe.buffer_bytes / 1e6
-        output.say(f"replay buffer: {room:.0f} MB of memory and of every checkpoint")
+        output.say(f"replay buffer: {room:.0f} MB in memory and in every checkpoint")
         course = learn(run, resume, report, stage)
         courses({f"{actions}, seed {seed}": course.history}, out / "curve.png")
     done = result(run, course)
@@ -67,7 +71,7 @@ def train(
 
 
 def show(file: PolicyFile, json: JsonOption = None) -> None:
-    """Print a policy's contract. Its golden pairs are checked on the way."""
+    """Print a policy's contract. Its golden pairs are checked first."""
     from tailbeat.control.policy import load_policy
 
     contract = asdict(load_policy(file).contract)
@@ -104,7 +108,8 @@ def try_(
     pools: Annotated[
         int,
         typer.Option(
-            help="Number of waters of the virtual pool to swim in; --fish is then the pool's."
+            help="Number of variants of the virtual pool to swim in; 0: swim in the twin. Above 0,"
+            " --fish is the fish in the pool."
         ),
     ] = 0,
     seed: SeedOption = 0,

@@ -10,7 +10,7 @@ from tailbeat.cli.options import FishOption, JsonOption, SeedOption
 from tailbeat.files import refuse_existing, write_json
 
 SourceOption = Annotated[
-    str, typer.Option(help="Who recorded it and where it is from; written to the metadata.")
+    str, typer.Option(help="Who recorded it, and where; written to the metadata.")
 ]
 
 
@@ -73,7 +73,7 @@ def import_fishsim(
 
 
 def import_xl330(
-    log: Annotated[Path, typer.Argument(help="A pendulum log as Rhoban/bam writes them, JSON.")],
+    log: Annotated[Path, typer.Argument(help="A pendulum log of Rhoban/bam, .json.")],
     out: Annotated[Path, typer.Option("--out", help="Recording to write, .csv or .parquet.")],
     source: SourceOption = "",
     json: JsonOption = None,
@@ -97,7 +97,7 @@ def import_table(
         str,
         typer.Option(
             "--map",
-            help="Which column is what: time=NAME,angle=NAME; also command, motor_angle, torque, x,"
+            help="Columns of the table: time=NAME,angle=NAME; also command, motor_angle, torque, x,"
             " y, yaw, enabled, condition, marker0_x.",
         ),
     ],
@@ -111,11 +111,13 @@ def import_table(
     meta: Annotated[
         str,
         typer.Option(
-            help="Metadata: gain=400,load_mass_kg=mass; a number, or a JSON header field."
+            help="Metadata: gain=400,load_mass_kg=mass; a number, or the name of a JSON header"
+            " field."
         ),
     ] = "",
     rows: Annotated[
-        str | None, typer.Option(help="JSON field with the list of entries; default: the only one.")
+        str | None,
+        typer.Option(help="JSON field with the list of entries; default: the only list."),
     ] = None,
     source: SourceOption = "",
     counts_per_turn: Annotated[

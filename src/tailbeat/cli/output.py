@@ -1,4 +1,4 @@
-"""What the terminal shows: lines, tables, one-line complaints."""
+"""Print lines, tables and one-line errors to the terminal."""
 
 import sys
 from shutil import get_terminal_size
@@ -7,7 +7,7 @@ from typing import Any
 from tailbeat.cli.layout import Row, fitted, is_numeric, least_width
 from tailbeat.report.tables import as_cell
 
-PIPE_WIDTH = 140  # characters; a pipe has no width: wide enough for most tables
+PIPE_WIDTH = 140  # characters, where output goes to a pipe: wide enough for most tables
 
 
 def say(text: str) -> None:
@@ -22,8 +22,8 @@ def complain(text: str) -> None:
 
 
 def tables(rows_by_title: dict[str, list[Row]]) -> None:
-    """Print one table per title, turned or split where the terminal is too narrow for it; a title
-    without rows is left out. No cell is cut, and units in brackets are shown."""
+    """Print one table per title, transposed or split if the terminal is too narrow. A title without
+    rows is left out. No cell is cut, and units in brackets are shown."""
     from rich.console import Console
     from rich.text import Text
 

@@ -1,4 +1,4 @@
-"""Progress with an ETA: bars on a terminal, a line now and then in a pipe."""
+"""Progress with an ETA: bars on a terminal, a line every 30 s in a pipe."""
 
 import math
 import sys
@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tailbeat.train.progress import Report, TrainingRow
 
-SHARE_OF_SEARCH = 0.6  # of a seed's time; the polish takes the rest
+SHARE_OF_SEARCH = 0.6  # fraction of a seed's time; the polish takes the rest
 EVERY = 30.0  # s between two lines in a pipe
 
 
 def now_and_then(
     every: float = EVERY, clock: Callable[[], float] = time.monotonic
 ) -> Callable[..., None]:
-    """Print `text`, the fraction done and an ETA to standard error: at once, then every so many
-    seconds, and when all is done. NaN stands for a fraction that is not known."""
+    """Print `text`, the fraction done and an ETA to standard error: at once, then `every` so many
+    seconds, and when all is done. NaN means that the fraction is not known."""
     began, due = clock(), [-math.inf]
 
     def report(text: str, done: float = math.nan) -> None:
@@ -65,14 +65,14 @@ def search_progress() -> Iterator[Callable[[int, str, float, float], None]]:
 
 
 def _of_seed(stage: str, share: float) -> float:
-    """Fraction of a seed's time after this share of a stage."""
+    """Fraction of a seed's time that is over after the fraction `share` of a stage."""
     first = stage == "search"
     return SHARE_OF_SEARCH * share if first else SHARE_OF_SEARCH + (1 - SHARE_OF_SEARCH) * share
 
 
 @contextmanager
 def counting() -> Iterator[Callable[[str, int, int], None]]:
-    """Progress over counted things: the part at hand, how many are done, of how many."""
+    """Progress by counting: name of the current part, number done, total number."""
     if not sys.stderr.isatty():
         lines = now_and_then()
         yield lambda name, done, total: lines(f"{name} {done}/{total}", done / max(total, 1))
@@ -102,7 +102,7 @@ def _bars(before: str, after: str) -> Any:
 
 @contextmanager
 def training() -> Iterator["Report"]:
-    """A table that follows a training on a terminal; in a pipe a line now and then."""
+    """Progress of a training: a live table on a terminal, a line every 30 s in a pipe."""
     if not sys.stdout.isatty():
         lines = now_and_then()
         yield lambda row: lines(", ".join(f"{n} {v}" for n, v in _cells(row).items()), math.nan)

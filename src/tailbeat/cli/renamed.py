@@ -26,7 +26,7 @@ OPTIONS = {
 
 
 def refuse_old_names(words: list[str]) -> None:
-    """Raises BadInput where the command line names a verb or an option as it was called before."""
+    """Raises BadInput if the command line has an old name of a verb or an option."""
     for count in (1, 2):
         if new := VERBS.get(tuple(words[:count])):
             old = " ".join(words[:count])

@@ -34,7 +34,7 @@ Devices = AbstractContextManager[tuple[Ports, Path]]  # where the devices are, a
 
 def swim(
     fish: Annotated[
-        str | None, typer.Option("--fish", help="Beat this fish open-loop, without a policy.")
+        str | None, typer.Option("--fish", help="Swim this fish open-loop, without a policy.")
     ] = None,
     policy: PolicyOption = SHIPPED,
     pool_fish: Annotated[
@@ -42,19 +42,19 @@ def swim(
     ] = "pulley-fish",
     twin: TwinOption = None,
     headless: Annotated[
-        bool, typer.Option("--headless", help="Swim to drawn targets, then end with a report.")
+        bool, typer.Option("--headless", help="Swim to random targets, then write a report.")
     ] = False,
     direct: Annotated[
         bool,
         typer.Option(
             "--direct",
-            help="As --headless, but simulated in process, without emulated devices: faster.",
+            help="As --headless, but faster: simulate in process, without emulated devices.",
         ),
     ] = False,
     page: Annotated[
         str, typer.Option("--page", help="host:port of the operator page; not used by a tour.")
     ] = "127.0.0.1:8080",
-    targets: Annotated[int, typer.Option(help="Number of drawn targets of a tour.")] = 8,
+    targets: Annotated[int, typer.Option(help="Number of random targets of a tour.")] = 8,
     seed: SeedOption = 0,
     out: Annotated[Path, typer.Option(help="Folder of the report, film, log and summary.")] = Path(
         "runs"
@@ -63,7 +63,7 @@ def swim(
 ) -> None:
     """Swim to targets in the virtual pool, in real time. Fish, camera and station run as on a
     robot. Drag the target on the operator page. With --headless, or without a terminal: a tour of
-    drawn targets, then a report; exit code 1 if a target was missed by more than 20 cm."""
+    random targets, then a report; exit code 1 if a target was missed by more than 20 cm."""
     if json is not None:
         refuse_existing(json)
     if fish is not None:
@@ -74,11 +74,11 @@ def swim(
     elif json is None:
         _attend(policy, pool_fish, twin, seed, page, out)
     else:
-        raise BadInput("--json: a swim that you attend has no result; add --headless.")
+        raise BadInput("--json: without --headless a swim has no result; add --headless.")
 
 
 def _open_loop(fish: str, out: Path, json: Path | None) -> None:
-    """Beat a fish open-loop; picture, film and summary in `out`."""
+    """Swim a fish open-loop; picture, film and summary in `out`."""
     from tailbeat.fish.store import load_fish
     from tailbeat.report.open_loop import open_loop
 
@@ -89,7 +89,7 @@ def _open_loop(fish: str, out: Path, json: Path | None) -> None:
 
 
 def _attend(policy: str, fish: str, twin: str | None, seed: int, page: str, out: Path) -> None:
-    """Swim after the target that the operator drags, until Ctrl-C. The log is all that is left."""
+    """Follow the target that the operator drags, until Ctrl-C. Only a log is written."""
     need_robot()
     need_camera()
     from tailbeat.evaluate.swim import SwimConfig, attended
@@ -99,14 +99,14 @@ def _attend(policy: str, fish: str, twin: str | None, seed: int, page: str, out:
 
 
 def _direct(asked: Asked, out: Path) -> "Swum":
-    """Swim to drawn targets in process, faster than real time; nothing lies in `out` yet."""
+    """Swim to random targets in process, faster than real time; writes nothing to `out`."""
     from tailbeat.evaluate import swim as swims
 
     return swims.direct(swims.SwimConfig(*asked), progress.counting)
 
 
 def _live(asked: Asked, out: Path) -> "Swum":
-    """Swim to drawn targets in real time, through emulated devices; the logs are in `out`."""
+    """Swim to random targets in real time, through emulated devices; the logs are in `out`."""
     need_robot()
     need_camera()
     from tailbeat.evaluate import swim as swims
@@ -115,7 +115,7 @@ def _live(asked: Asked, out: Path) -> "Swum":
 
 
 def _tour(swum: "Swum", out: Path, json: Path | None) -> None:
-    """Write a tour's report, say what came of it; exit code 1 where a target was missed."""
+    """Write a tour's report and print its result; exit code 1 if a target was missed."""
     from tailbeat.report import tour
 
     done = tour.write(swum, out, progress.counting)
@@ -132,7 +132,7 @@ def drive(
     policy: PolicyFile,
     log: Annotated[Path, typer.Option("--log", help="Log to write: .mcap, or an existing folder.")],
     emulated: Annotated[
-        bool, typer.Option("--emulated", help="Drive emulated devices, started for this.")
+        bool, typer.Option("--emulated", help="Start emulated devices and drive them.")
     ] = False,
     servo: Annotated[str, typer.Option(help="Serial port of the servo.")] = "",
     imu: Annotated[str, typer.Option(help="Serial port of the IMU.")] = "",
@@ -145,10 +145,10 @@ def drive(
     ] = None,
     seconds: Annotated[
         float | None,
-        typer.Option(help="How long [s]; default: 30, or until Ctrl-C with --wait or --page."),
+        typer.Option(help="Duration [s]; default: 30, or until Ctrl-C with --wait or --page."),
     ] = None,
     wait: Annotated[
-        bool, typer.Option("--wait", help="Stay disarmed until the operator page orders otherwise.")
+        bool, typer.Option("--wait", help="Stay disarmed until the operator page arms the fish.")
     ] = False,
     page: PageOption = "",
     seed: SeedOption = 0,
@@ -183,7 +183,7 @@ def drive(
 
 
 def _duration(seconds: float | None, stay: bool) -> float:
-    """How long a drive lasts [s]: as given, without end if it waits for orders, else 30."""
+    """Duration of a drive [s]: as given, else infinite if it waits for orders, else 30."""
     if seconds is None:
         return math.inf if stay else 30.0
     if not seconds > 0:
@@ -212,7 +212,7 @@ def station(
     robot: Annotated[str, typer.Option("--robot", help="host:port where the fish listens.")],
     key: Annotated[Path, typer.Option("--key", help="File of the shared key.")],
     listen: Annotated[
-        str, typer.Option("--listen", help="host:port of this machine for the fish.")
+        str, typer.Option("--listen", help="host:port on which to listen to the fish.")
     ],
     page: PageOption = "127.0.0.1:8080",
     camera: Annotated[
@@ -225,14 +225,14 @@ def station(
     target_tag: Annotated[int, typer.Option(help="Id of the target's tag.")] = 1,
     exposure: Annotated[float, typer.Option(help="Exposure time of the camera [s].")] = 0.002,
     latency: Annotated[
-        float, typer.Option(help="Time from the end of the exposure to the stamp [s].")
+        float, typer.Option(help="Time from the end of the exposure to the time stamp [s].")
     ] = 0.0,
     fish: Annotated[
         str, typer.Option("--fish", help="Fish to draw: a TOML file or a shipped fish's name.")
     ] = "pulley-fish",
     targets: Annotated[
         int,
-        typer.Option("--tour", help="Number of drawn targets to lead the fish to."),
+        typer.Option("--tour", help="Number of random targets to lead the fish to."),
     ] = 0,
     begin: Annotated[
         str | None,
@@ -240,7 +240,7 @@ def station(
             "--begin", help="Arm the fish once, with the target at x,y [m]; drag it from there."
         ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the drawn targets.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the random targets.")] = 0,
     json: Annotated[
         Path | None, typer.Option("--json", help="Write the tour's result here as JSON.")
     ] = None,
