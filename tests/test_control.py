@@ -165,8 +165,8 @@ def test_a_batch_equals_its_members(space):
 @pytest.mark.parametrize(
     ("space", "complaint"),
     [
-        (replace(GENERATOR, low=2.0), "must rise"),
-        (Direct(1.4, 1.4), "must rise"),
+        (replace(GENERATOR, low=2.0), "a low below the high"),
+        (Direct(1.4, 1.4), "a low below the high"),
         (Filtered(-1.4, 1.4, tau=0.0), "tau = 0"),
         (replace(GENERATOR, ceiling=0.0), "ceiling = 0"),
         (replace(GENERATOR, tau=0.0), "tau = 0"),

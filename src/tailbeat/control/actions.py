@@ -1,8 +1,8 @@
 """From a policy's action to the servo's setpoint: generator, direct, or direct behind a filter.
 
-Three frozen records say what an action means and go into the policy's contract; `reset` and `step`
-are all there is to an action space, for one fish or a thousand, and the state between two steps is
-plain arrays. Actions are in [-1, 1]; beyond, they are clipped.
+Three frozen records say what an action means and go into the policy's contract. `reset` and `step`
+work on any number of fish; the state between two steps is plain arrays. Actions are in [-1, 1];
+others are clipped to it.
 
 Trajectory generator (paper): theta = theta_c + sum_{k=1,2} [a_k cos k phi + b_k sin k phi],
 phi' = omega, u = (omega, theta_c, a_1, b_1, a_2, b_2), u' = (u* - u) / tau.
@@ -47,8 +47,8 @@ class Generator:
     tau: float = 0.1
     """Time constant with which the generator follows the action [s]."""
     floor: float = 0.0
-    """Lowest fundamental that an action can ask for [Hz]. With 0 the generator can stop. A contract
-    without this field means 0."""
+    """Fundamental of the action -1 [Hz]. With 0 the generator can stop. A contract without this
+    field means 0."""
     kind: Literal["generator"] = "generator"
     """Name of the action space."""
 
@@ -89,8 +89,8 @@ ActionSpace = Generator | Direct | Filtered
 
 @dataclass(frozen=True)
 class ActionState:
-    """What lies between two steps: `u` (n, 6) of a generator or (n, 1) setpoints [rad], and the
-    generator's `phase` (n,) in [0, 2 pi)."""
+    """State between two steps: `u` (n, 6) of a generator (frequency [rad/s], the rest [rad]), else
+    setpoints (n, 1) [rad]; and the generator's `phase` (n,) in [0, 2 pi) [rad]."""
 
     u: Array
     phase: Array
@@ -102,9 +102,11 @@ def size(space: ActionSpace) -> int:
 
 
 def check_space(space: ActionSpace) -> None:
-    """Raises BadInput for limits that cannot be."""
+    """Raises BadInput for limits that contradict each other or are out of range."""
     if not space.low < space.high:
-        raise BadInput(f"actions: range {space.low:g} to {space.high:g} rad must rise.")
+        raise BadInput(
+            f"actions: range {space.low:g} to {space.high:g} rad; give a low below the high."
+        )
     if not isinstance(space, Direct) and not space.tau > 0:
         raise BadInput(f"actions: tau = {space.tau:g} s; give a time above 0.")
     if isinstance(space, Generator):
@@ -120,18 +122,19 @@ def check_space(space: ActionSpace) -> None:
 
 
 def check_band(space: ActionSpace, edge: float) -> None:
-    """Refuse a generator whose ceiling lies above a band's upper edge [Hz]. Its floor may lie
-    below the lower edge."""
+    """Raises BadInput for a generator whose fundamental can exceed a band's upper edge [Hz]. Its
+    floor may be below the lower edge."""
     if isinstance(space, Generator) and space.fundamental > edge * (1 + 1e-9):
         raise BadInput(
             f"actions: the generator's fundamental reaches {space.fundamental:g} Hz and the"
-            f" identified band ends at {edge:g} Hz; lower the ceiling, or identify further."
+            f" identified band ends at {edge:g} Hz; lower the ceiling, or identify the fish up to"
+            f" a higher frequency."
         )
 
 
 def reset(space: ActionSpace, count: int) -> ActionState:
-    """Straight tail, still: the setpoint is 0, or the range's nearest angle. A generator starts
-    at 0 Hz and rises to its floor within a few `tau`."""
+    """State of `count` fish with a straight tail at rest: the setpoint is 0, or the range's nearest
+    angle. A generator starts at 0 Hz and rises to its floor within a few `tau`."""
     if isinstance(space, Generator):
         return ActionState(np.zeros((count, 6)), np.zeros(count))
     rest = np.clip(0.0, space.low, space.high)
@@ -139,7 +142,8 @@ def reset(space: ActionSpace, count: int) -> ActionState:
 
 
 def step(space: ActionSpace, state: ActionState, action: Array, dt: float) -> ActionState:
-    """The state `dt` [s] later under an action (n, size) held meanwhile; `setpoint` reads it."""
+    """The state after `dt` [s] of a constant action (n, size); `setpoint` reads the motor angle.
+    Raises BadInput for another shape or a number that is not finite."""
     if action.shape != (len(state.phase), size(space)):
         raise BadInput(
             f"action of shape {action.shape}; {space.kind} takes {(len(state.phase), size(space))}."
@@ -156,12 +160,13 @@ def step(space: ActionSpace, state: ActionState, action: Array, dt: float) -> Ac
 
 
 def bound(values: Array, low: float, high: float) -> Array:
-    """`np.clip` without its checks: a third of its time for few values."""
+    """`np.clip` without its checks, in a third of its time for few values."""
     return np.minimum(np.maximum(values, low), high)
 
 
 def targets(space: Generator, action: Array) -> Array:
-    """u* (n, 6) of actions: frequency from floor to ceiling [rad/s], the rest [rad]."""
+    """u* (n, 6) of actions (n, 6) in [-1, 1]: frequency, from the floor to the highest fundamental
+    [rad/s]; the rest [rad]."""
     half = np.pi * (space.fundamental - space.floor)
     wanted = action * [half, space.offset, space.first, space.first, space.second, space.second]
     wanted[:, 0] += np.pi * (space.fundamental + space.floor)
@@ -169,7 +174,7 @@ def targets(space: Generator, action: Array) -> Array:
 
 
 def _generate(space: Generator, state: ActionState, action: Array, dt: float) -> ActionState:
-    """The lag and the phase, both exactly: omega relaxes within the step, phi is its integral."""
+    """The exact solution of u' = (u* - u) / tau and phi' = omega over `dt`."""
     goal = targets(space, action)
     keep = np.exp(-dt / space.tau)
     turned = goal[:, 0] * dt + (state.u[:, 0] - goal[:, 0]) * space.tau * (1 - keep)
@@ -177,7 +182,8 @@ def _generate(space: Generator, state: ActionState, action: Array, dt: float) ->
 
 
 def setpoint(space: ActionSpace, state: ActionState) -> Array:
-    """Motor angle (n,) [rad] that a state asks for, inside the servo's range."""
+    """Motor setpoint (n,) [rad] of a state, clipped to the servo's range. A positive angle bends
+    the tail tip to the left."""
     if not isinstance(space, Generator):
         return bound(state.u[:, 0], space.low, space.high)
     _, centre, a1, b1, a2, b2 = state.u.T
@@ -187,8 +193,8 @@ def setpoint(space: ActionSpace, state: ActionState) -> Array:
 
 
 def command(space: ActionSpace, state: ActionState) -> Array:
-    """What the observation remembers of an action (n, 2): frequency [rad/s] and centre [rad]; of
-    direct actions 0 and the setpoint."""
+    """The command that the observation holds (n, 2): frequency [rad/s] and centre [rad]. Of direct
+    and filtered actions it is 0 and the setpoint."""
     if isinstance(space, Generator):
         return state.u[:, :2].copy()
     return np.concatenate([np.zeros_like(state.u), state.u], axis=1)

@@ -1,8 +1,8 @@
-"""How much of the tail's motion lies inside the identified band, and how much on either side?
+"""How much of the tail's motion lies below, inside and above the identified band?
 
-The twin is known to hold where it was identified and nowhere else. The certificate is the share of
-the tail's velocity power below, inside and above the band. The band is `band` [Hz] of the fish's
-description, set by its author.
+The twin is identified inside the band only. The measure is the fraction of the tail's velocity
+power below, inside and above the band. The band is `band` [Hz] of the fish's description, set by
+its author.
 """
 
 from collections import deque
@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from tailbeat.files import BadInput
 
 Array = NDArray[np.float64]
-HIGHEST = 12.0  # Hz: beyond three times the paper's edge a servo does not get
+HIGHEST = 12.0  # Hz: three times the paper's edge; no servo here moves faster
 SECONDS = 4.0  # of the robot's running estimate
-PERIODS = 3  # of the lower edge that a piece must last; in less, slow motion passes for fast
-QUIET = 0.05  # rad/s rms: below, there is no beat to judge
+PERIODS = 3  # of the lower edge that a piece must last; in a shorter one slow motion looks fast
+QUIET = 0.05  # rad/s rms: below it the tail counts as at rest
 
 
 @dataclass(frozen=True)
 class Shares:
     """Fractions of the velocity power below, inside and above a band; both edges count as inside.
-    They add up to 1. All are NaN where nothing moves; `below` and `inside` are NaN where the piece
-    is too short to tell them apart."""
+    They add up to 1. All are NaN if nothing moves. `below` and `inside` are NaN if the piece is too
+    short to separate them."""
 
     below: float
     inside: float
@@ -39,14 +39,14 @@ class Spectrum:
     power: Array
 
     def share_below(self, edge: float) -> float:
-        """Share of the power below `edge` [Hz]; NaN where nothing moves."""
+        """Fraction of the power at or below `edge` [Hz]; NaN if nothing moves."""
         total = self.power.sum()
         return (
             float(self.power[self.frequency <= edge].sum() / total) if total > 0 else float("nan")
         )
 
     def shares(self, band: tuple[float, float]) -> Shares:
-        """Shares of the power below, inside and above a band (lower, upper edge) [Hz]."""
+        """Fractions of the power below, inside and above a band (lower, upper edge) [Hz]."""
         powers = self.powers(band)
         total, unknown = powers.sum(), float("nan")
         if not total > 0:
@@ -57,7 +57,8 @@ class Spectrum:
         return Shares(below, inside, above)
 
     def resolves(self, edge: float) -> bool:
-        """Whether the piece lasts `PERIODS` periods of `edge` [Hz], so that slower motion shows."""
+        """Whether the piece lasts `PERIODS` periods of `edge` [Hz], so that it can show slower
+        motion."""
         return edge <= 0 or bool(self.frequency[0] * PERIODS <= edge)
 
     def powers(self, band: tuple[float, float]) -> Array:
@@ -67,14 +68,15 @@ class Spectrum:
 
 
 def velocity_spectrum(time: Array, angle: Array, highest: float = HIGHEST) -> Spectrum:
-    """Spectrum of the rate of an unevenly sampled angle [rad], by windowed sums over the samples.
+    """Spectrum of the rate of an unevenly sampled angle (n,) [rad] at `time` (n,) [s].
 
-    Each sample counts for its share of the time, under a Hann window; the angle's lines are
-    multiplied by (2 pi f)^2, so counts are not differentiated. Resolution is 1 / duration; the
-    highest frequency is what the samples' mean rate allows, or `highest`.
+    It is a sum over the samples, each weighted by its time step and a Hann window. The angle's
+    spectrum is multiplied by (2 pi f)^2, so encoder counts are not differentiated. Resolution is
+    1 / duration. The highest frequency is 0.45 times the mean sampling rate, or `highest` [Hz] if
+    that is lower. Raises BadInput for fewer than 8 samples or times that do not rise.
     """
     if time.size < 8 or np.any(np.diff(time) <= 0):
-        raise BadInput(f"{time.size} samples; a spectrum needs 8 whose times rise.")
+        raise BadInput(f"{time.size} samples; a spectrum needs 8 or more, with rising times.")
     clock = time - time[0]
     span = clock[-1]
     top = min(highest, 0.45 * (time.size - 1) / span)
@@ -84,22 +86,22 @@ def velocity_spectrum(time: Array, angle: Array, highest: float = HIGHEST) -> Sp
     trend = np.polynomial.polynomial.polyfit(clock, angle, 1, w=np.sqrt(window + 1e-12))
     still = angle - np.polynomial.polynomial.polyval(clock, trend)
     waves = np.exp(-2j * np.pi * np.outer(frequency, clock))
-    # Not `@`: the robot's loop asks for this, and a library's threads wait 100 ms for each other
-    # where another process has a core.
+    # Not `@`: the robot's loop calls this, and the threads of a linear algebra library wait up to
+    # 100 ms for each other if another process uses a core.
     lines = (waves * (window * still)).sum(axis=1)
     power = 2 * np.square(np.abs(lines) * 2 * np.pi * frequency) / np.square(window).sum()
     return Spectrum(frequency, power * np.median(np.gradient(time)))
 
 
 def share_below(time: Array, angle: Array, edge: float) -> float:
-    """Share of an angle's velocity power below `edge` [Hz]."""
+    """Fraction of an angle's velocity power at or below `edge` [Hz]; see `velocity_spectrum`."""
     return velocity_spectrum(time, angle).share_below(edge)
 
 
 @dataclass(eq=False)
 class Monitor:
-    """The running shares over the last four seconds, for the robot; `edge` and `floor` [Hz] are the
-    band's upper and lower edge."""
+    """Fractions of the velocity power over the last `seconds`, for the robot. `edge` and `floor`
+    [Hz] are the band's upper and lower edge."""
 
     edge: float
     seconds: float = SECONDS
@@ -107,23 +109,24 @@ class Monitor:
     samples: deque[tuple[float, float]] = field(default_factory=deque)
 
     def add(self, time: float, angle: float) -> None:
-        """Take one sample; what is older than `seconds` is forgotten."""
+        """Add a sample, `angle` [rad] at `time` [s], and drop samples older than `seconds`."""
         self.samples.append((time, angle))
         while self.samples[-1][0] - self.samples[0][0] > self.seconds:
             self.samples.popleft()
 
     def share(self) -> float | None:
-        """Share of velocity power below the edge; None before half the time is full, or at rest."""
+        """Fraction of the velocity power at or below the upper edge; None at rest, or before half
+        of `seconds` is recorded."""
         found = self.spectrum()
         return None if found is None else found.share_below(self.edge)
 
     def shares(self) -> Shares | None:
-        """Shares below, inside and above the band; None where `share` is."""
+        """Fractions below, inside and above the band; None where `share` is."""
         found = self.spectrum()
         return None if found is None else found.shares((self.floor, self.edge))
 
     def spectrum(self) -> Spectrum | None:
-        """Of the last seconds; None before half the time is full, or at rest."""
+        """Spectrum of the last `seconds`; None at rest, or before half of them is recorded."""
         time, angle = np.array(self.samples).reshape(-1, 2).T
         if time.size < 8 or time[-1] - time[0] < self.seconds / 2:
             return None

@@ -1,8 +1,8 @@
 """What the policy sees: 24 numbers from raw sensor samples, one table for training and robot.
 
-The paper's observation; the scales, which it does not print, are chosen so that a number is of
-order one. The table is the definition: `observe` fills it in its order, a test checks each row
-against the sample it names, and the policy's contract carries it.
+The observation is the paper's. The paper does not print the scales; they are chosen so that each
+number is of order one. The table is the definition: `observe` fills it in its order, a test checks
+each row against its sample, and the policy's contract holds it.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ COMMANDS = 3  # last commands
 
 @dataclass(frozen=True)
 class Entry:
-    """One number: what is observed is raw / scale."""
+    """One number of the observation: the raw number divided by `scale`."""
 
     name: str
     """What is observed."""
@@ -36,7 +36,7 @@ class Samples:
 
     `motor_angle` [rad], `motor_velocity` [rad/s], `yaw_rate` [rad/s], `phase` [rad] (n,);
     `commands` (n, 3, 2) frequency [rad/s] and centre [rad]; `frames` (n, 3, 6) fish x, y [m], yaw
-    [rad], target x, y [m] in the pool, staleness [s]: now less the time the frame was taken.
+    [rad], target x, y [m] in the pool, staleness [s]: the time since the frame was taken.
     """
 
     motor_angle: Array
@@ -78,7 +78,8 @@ SCALES = np.array([entry.scale for entry in TABLE])
 
 
 def observe(samples: Samples) -> NDArray[np.float32]:
-    """The observation (n, 24) of raw samples, in the table's order."""
+    """The observation (n, 24) of raw samples, in the table's order and divided by its scales.
+    Shapes and values are not checked."""
     count = len(samples.phase)
     seen = np.empty((count, len(TABLE)))
     seen[:, 0], seen[:, 1] = np.cos(samples.motor_angle), np.sin(samples.motor_angle)
@@ -90,7 +91,8 @@ def observe(samples: Samples) -> NDArray[np.float32]:
 
 
 def relative(frames: Array) -> Array:
-    """Distance, way ahead and way to the left of the target [m], staleness [s]: (n, k, 4)."""
+    """Of frames (n, k, 6), see `Samples`: distance of the target, its distance ahead and to the
+    left [m], staleness [s]: (n, k, 4)."""
     x, y = frames[..., 3] - frames[..., 0], frames[..., 4] - frames[..., 1]
     cos, sin = np.cos(frames[..., 2]), np.sin(frames[..., 2])
     seen = np.empty((*x.shape, 4))
@@ -107,8 +109,8 @@ def wrapped(angle: Any) -> Any:
 
 
 def bearing(pose: Any, place: Any) -> Any:
-    """Of places (n, 2) [m] seen from poses (n, 3) x, y, yaw [m, rad]: angles (n,) from straight
-    ahead, positive to the left [rad], from -pi up to pi."""
+    """Bearings (n,) [rad] of places (n, 2) [m] seen from poses (n, 3) x, y, yaw [m, rad]. 0 is
+    straight ahead, positive is to the left, from -pi up to pi."""
     offset = place - pose[:, :2]
     return wrapped(np.arctan2(offset[:, 1], offset[:, 0]) - pose[:, 2])
 

@@ -1,9 +1,9 @@
 """A policy is one ONNX file: a network, and the contract that says what its numbers mean.
 
-The contract holds all that stands between sensors and a motor angle: observation table, action
-space with every scale, period, fish, band, versions, how it was trained, and golden pairs of
-observation and action. A file whose contract does not hold is refused, field by field. Needs
-numpy and onnxruntime alone.
+The contract holds all that is between sensors and a motor angle: observation table, action space
+with every scale, period, fish, band, versions, how the policy was trained, and golden pairs of
+observation and action. A file that does not match its contract is refused, and the error names
+the field. Needs only numpy and onnxruntime.
 """
 
 import hashlib
@@ -61,7 +61,8 @@ class Policy:
 
 
 def decide(policy: Policy, observation: Single) -> Single:
-    """Actions (n, size) in [-1, 1] for observations (n, 24); the deterministic ones."""
+    """Deterministic actions (n, size), within [-1, 1], for observations (n, 24). Values are not
+    checked: an observation that is not finite gives an action that is not."""
     answer: Single = policy.session.run(None, {"observation": observation})[0]
     return answer
 
@@ -83,7 +84,7 @@ def _digests(content: dict[str, Any]) -> dict[str, str]:
 
 
 def shipped() -> dict[str, Path]:
-    """The policies that come with the package, by name."""
+    """Paths of the policies that come with the package, by name."""
     folder = Path(str(resources.files("tailbeat.control") / "policies"))
     return {path.stem: path for path in sorted(folder.glob("*.onnx"))}
 
@@ -95,7 +96,7 @@ def policy_path(name_or_path: str | Path) -> Path:
         return path
     others = ""
     if path.name == str(name_or_path) and path.suffix != ".onnx":  # a name, not a file
-        others = f" Policies in examples/policies are not shipped: give {path}.onnx by its path."
+        others = f" Policies in examples/policies are not shipped: give the path of {path}.onnx."
     raise BadInput(
         f"{path}: no such file; give a policy, an .onnx file or one of {', '.join(shipped())}."
         f"{others}"
@@ -103,12 +104,13 @@ def policy_path(name_or_path: str | Path) -> Path:
 
 
 def load_policy(name_or_path: str | Path) -> Policy:
-    """Read a policy, shipped or from a file, and hold it to its contract; raises BadInput that
-    names what is wrong."""
+    """Read a policy, by a shipped name or from a file, and check it against its contract: every
+    field's digest, the observation table, and the golden pairs. Raises BadInput that names what is
+    wrong."""
     path = policy_path(name_or_path)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # what goes wrong is said below
+    options.log_severity_level = 4  # errors are reported below
     try:
         session = onnxruntime.InferenceSession(
             str(path), options, providers=["CPUExecutionProvider"]
@@ -118,7 +120,7 @@ def load_policy(name_or_path: str | Path) -> Policy:
     text = session.get_modelmeta().custom_metadata_map.get(KEY)
     if text is None:
         raise BadInput(
-            f"{path}: an ONNX file without a contract; only tailbeat's own policies run."
+            f"{path}: an ONNX file without a contract; give a policy that tailbeat exported."
         )
     policy = Policy(_contract(path, text), session)
     _check_golden(path, policy)
@@ -133,7 +135,10 @@ def _contract(path: Path, text: str) -> Contract:
     except (ValueError, KeyError, TypeError) as error:
         raise BadInput(f"{path}: its contract cannot be read; export the policy again.") from error
     if version != VERSION:
-        raise BadInput(f"{path}: contract version {version}; this tailbeat reads {VERSION}.")
+        raise BadInput(
+            f"{path}: contract version {version}; this tailbeat reads {VERSION}. Use the tailbeat"
+            f" that exported it."
+        )
     names = [field.name for field in fields(Contract)]
     if sorted(content) != sorted(names):
         odd = sorted(set(content) ^ set(names))
@@ -154,14 +159,18 @@ def _contract(path: Path, text: str) -> Contract:
 
 
 def _check_observation(path: Path, contract: Contract) -> None:
-    """The table in the file must be the one this package fills."""
+    """Refuse a table of observations that is not the one of this package."""
     if len(contract.observation) != len(TABLE):
         raise BadInput(
             f"{path}: {len(contract.observation)} observations; this tailbeat makes {len(TABLE)}."
+            f" Use the tailbeat that exported it."
         )
     for row, (theirs, ours) in enumerate(zip(contract.observation, TABLE, strict=True)):
         if theirs != ours:
-            raise BadInput(f"{path}: observation {row} is {theirs}; this tailbeat makes {ours}.")
+            raise BadInput(
+                f"{path}: observation {row} is {theirs}; this tailbeat makes {ours}. Use the"
+                f" tailbeat that exported it."
+            )
 
 
 def _check_golden(path: Path, policy: Policy) -> None:
@@ -169,29 +178,30 @@ def _check_golden(path: Path, policy: Policy) -> None:
     inputs = policy.session.get_inputs()
     if [one.name for one in inputs] != ["observation"] or inputs[0].shape[-1] != len(TABLE):
         raise BadInput(
-            f"{path}: the network does not take {len(TABLE)} observations; export again."
+            f"{path}: the network does not take {len(TABLE)} observations; export it again."
         )
     answer = decide(policy, seen)
     if answer.shape != (len(seen), size(policy.contract.actions)):
         raise BadInput(
             f"{path}: the network gives {answer.shape[-1]} numbers; its action space takes"
-            f" {size(policy.contract.actions)}."
+            f" {size(policy.contract.actions)}; export it again."
         )
     worst = float(np.abs(answer - wanted).max())
     if not worst <= CLOSE:
         raise BadInput(
             f"{path}: golden actions are off by {worst:.2g}, allowed is {CLOSE:g}: the network is"
-            f" not the one that was exported."
+            f" not the one that was exported; export it again."
         )
 
 
-# ---- who it may run on --------------------------------------------------------------------------
+# ---- which fish it may run on -------------------------------------------------------------------
 
 
 def check_fits(
     contract: Contract, fish: str, digest: str, band: tuple[float, float], period: float
 ) -> None:
-    """Refuse a policy for another fish, band [Hz] or period [s]; each difference is named."""
+    """Raises BadInput, which names each difference, if a policy was trained for another fish,
+    another description of it (`digest`), another band [Hz] or another control period [s]."""
     wrong = []
     if contract.fish != fish:
         wrong.append(f"fish is {contract.fish}, here {fish}")
@@ -202,7 +212,10 @@ def check_fits(
     if contract.period != period:
         wrong.append(f"period is {1e3 * contract.period:g} ms, here {1e3 * period:g} ms")
     if wrong:
-        raise BadInput(f"policy: {'; '.join(wrong)}. Train it for this fish, or give that one.")
+        raise BadInput(
+            f"policy: {'; '.join(wrong)}. Train one for this fish, or pass the fish it was trained"
+            f" on."
+        )
 
 
 def _range(band: tuple[float, float]) -> str:
@@ -211,7 +224,7 @@ def _range(band: tuple[float, float]) -> str:
 
 @dataclass(frozen=True)
 class Difference:
-    """A leaf in which two contracts differ: its name and its two values."""
+    """A field in which two contracts differ: its dotted name and its two values."""
 
     field: str
     a: Any
@@ -219,7 +232,8 @@ class Difference:
 
 
 def differences(a: Contract, b: Contract) -> list[Difference]:
-    """Every leaf in which two contracts differ."""
+    """Every field in which two contracts differ, nested fields by dotted name. A field that one
+    contract lacks is None there."""
     left, right = (leaves("", asdict(contract)) for contract in (a, b))
     names = sorted(set(left) | set(right))
     return [

@@ -1,7 +1,7 @@
-"""From one fish's readings to its next setpoint: what the robot's loop asks fifty times a second.
+"""From one fish's readings to its next setpoint; the robot's loop calls it at 50 Hz.
 
-The same observation, network and action space as in training, with the state that lies between two
-decisions; no device, no clock. Needs numpy and onnxruntime alone.
+It uses the same observation, network and action space as training, and keeps the state between two
+decisions. It uses no device and no clock. Needs only numpy and onnxruntime.
 """
 
 from dataclasses import dataclass
@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Readings:
-    """What is at hand for a decision: motor angle [rad] and velocity [rad/s], yaw rate [rad/s], and
-    the three newest `frames` (3, 6) as `observation.Samples` has them."""
+    """Input of one decision: motor angle [rad] and velocity [rad/s], yaw rate [rad/s], and the
+    three newest `frames` (3, 6) as in `observation.Samples`, newest first."""
 
     motor_angle: float
     motor_velocity: float
@@ -30,7 +30,8 @@ class Readings:
 
 @dataclass(frozen=True, eq=False)
 class RunnerState:
-    """Between two decisions: the action space's state and the last commands (1, 3, 2)."""
+    """State between two decisions: the action space's state, and the last commands (1, 3, 2),
+    newest first, each a frequency [rad/s] and a centre [rad]."""
 
     state: ActionState
     commands: Array
@@ -46,7 +47,7 @@ class Decision:
 
 
 def begin(policy: Policy) -> RunnerState:
-    """A straight tail, still."""
+    """The state at the start: a straight tail at rest."""
     space = policy.contract.actions
     state = act.reset(space, 1)
     return RunnerState(state, np.repeat(act.command(space, state)[:, None], COMMANDS, axis=1))
@@ -55,8 +56,8 @@ def begin(policy: Policy) -> RunnerState:
 def steer(
     policy: Policy, runner_state: RunnerState, readings: Readings
 ) -> tuple[RunnerState, Decision]:
-    """The next setpoint, and the state to go on from. A number of the network that is not finite is
-    passed on: the loop must see it and hold."""
+    """The next state and the decision. If an output of the network is not finite, the setpoint is
+    NaN and the state does not change: the caller must check for NaN."""
     space = policy.contract.actions
     samples = Samples(
         np.array([readings.motor_angle]),
