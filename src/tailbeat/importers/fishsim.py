@@ -1,4 +1,4 @@
-"""Marker files of srl-ethz/fishsim as recordings."""
+"""Read marker files of srl-ethz/fishsim as recordings."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -18,29 +18,30 @@ FISHSIM_MARKERS = 9
 HEAD_DISTANCE = 0.142  # m between head markers 0 and 1
 TAIL_MARKERS = (3, 4, 5, 6, 7)
 TAIL_SPACING = np.array([0.030, 0.032, 0.029, 0.021])  # m along the body, markers 3-4 … 6-7
-# Share by which two tail markers may miss their spacing; chosen on the clean f0_75, f1_00.
+# Relative error allowed in two tail markers' spacing; chosen on the clean files f0_75 and f1_00.
 SLIP = 0.4
 JUMP = 0.05  # m from its running median that no marker moves within a frame at 60 fps (3 m/s)
 
 
 def convert(csv: Path, out: Path, frame_rate: float) -> Recording:
-    """Read a fishsim marker file, write a recording."""
+    """Read a fishsim marker file and write a recording to `out`, .csv or .parquet; `frame_rate`
+    [Hz]. Raises BadInput as `import_fishsim` and `write_recording` do."""
     refuse_existing(out)
     if not frame_rate > 0:
-        raise BadInput(f"--frame-rate {frame_rate:g}: give the film's frames per second, above 0.")
+        raise BadInput(f"--frame-rate {frame_rate:g}: give the video's frames per second, above 0.")
     recording = import_fishsim(csv, frame_rate)
     write_recording(recording, out)
     return recording
 
 
 def import_fishsim(path: str | Path, frame_rate: float = 60.0) -> Recording:
-    """Marker tracks of a fishsim CSV as a recording in metres, slipped markers unseen.
+    """Marker tracks of a fishsim CSV as a recording in metres and radians.
 
-    Scale is 0.142 m over the mean distance of markers 0 and 1. The world frame starts at the first
-    head pose and points along the mean heading of the first second, y to the left. Pose columns
-    are of the midpoint of head markers 0 and 1. The frequency in a file's name is not used: it is
-    not the tail's. Slipped samples are bridged over at most 0.1 s and are NaN beyond. Raises
-    BadInput naming file, row and what is wrong.
+    Scale is 0.142 m over the mean distance [pixels] of markers 0 and 1. The world frame has its
+    origin at the first head pose, x along the mean heading of the first second and y to the left.
+    The pose columns are of the midpoint of head markers 0 and 1. The frequency in a file's name is
+    not used: it is not the tail's. A slipped marker counts as unseen: gaps of up to 0.1 s are
+    interpolated, longer ones are NaN. Raises BadInput that names file and row.
     """
     file = Path(path)
     if not 0 < frame_rate < np.inf:
@@ -81,7 +82,7 @@ def _read_pixels(file: Path) -> Array:
         row, column = bad[0]
         raise BadInput(
             f"{file}: row {row + 1}, column {column + 1}: {table[int(row), int(column)]!r} is not a"
-            f" finite number; remove or mend the row."
+            f" finite number; correct or remove the row."
         )
     return values.reshape(-1, FISHSIM_MARKERS, 2)
 
@@ -96,7 +97,7 @@ def _to_metres(file: Path, pixels: Array) -> tuple[Array, float]:
 
 
 def _slips(tracks: Array) -> NDArray[np.bool_]:
-    """Where a marker is not where it can be: jumps of any, tail markers out of their order."""
+    """Where a marker's track is wrong: jumps of any marker, tail markers out of their spacing."""
     wild = _jumps(tracks)
     tail = list(TAIL_MARKERS)
     wild[:, tail] |= ~_consistent(tracks[:, tail])
@@ -104,16 +105,17 @@ def _slips(tracks: Array) -> NDArray[np.bool_]:
 
 
 def _jumps(tracks: Array) -> NDArray[np.bool_]:
-    """Samples further than `JUMP` from the median of five frames around them."""
+    """Samples that are further than `JUMP` from the median of the five frames around them."""
     padded = np.pad(tracks, ((2, 2), (0, 0), (0, 0)), mode="reflect")  # finds a bad first frame
     windows = np.stack([padded[i : i + len(tracks)] for i in range(5)])
     return np.asarray(np.linalg.norm(tracks - np.median(windows, axis=0), axis=2) > JUMP)
 
 
 def _consistent(tail: Array) -> NDArray[np.bool_]:
-    """Per frame, the largest subset of tail markers whose spacings are the plates' own.
+    """Per frame, the largest subset of tail markers whose spacings match `TAIL_SPACING`.
 
-    Among subsets of one size the one with the smallest total misfit is kept; below two, none.
+    Of several subsets of one size, the one with the smallest total misfit is kept. A subset has at
+    least two markers; without one, no tail marker of the frame is kept.
     """
     place = np.concatenate([[0.0], np.cumsum(TAIL_SPACING)])
     best = np.zeros(tail.shape[:2], dtype=bool)
@@ -138,14 +140,14 @@ def _columns(tracks: Array) -> dict[str, Array]:
 
 
 def _bridged_head(file: Path, time: Array, tracks: Array) -> Array:
-    """(frames, 2, 2) head markers without gaps; without them there is no pose."""
+    """(frames, 2, 2) head markers without gaps: the pose needs both in every frame."""
     head, _ = markers(fill_gaps(Recording(file.stem, time, _columns(tracks[:, :2]))))
     lost = np.argwhere(np.isnan(head[..., 0]))
     if lost.size:
         row, marker = lost[0]
         raise BadInput(
-            f"{file}: row {row + 1}: head marker {marker} jumps and is lost for over 0.1 s or at an"
-            f" end; cut the file to where the head is tracked."
+            f"{file}: row {row + 1}: head marker {marker} jumps, and is lost for over 0.1 s or at"
+            f" an end of the file; keep only the rows where the head is tracked."
         )
     return head
 
@@ -168,7 +170,8 @@ def _to_start(pose: Array, tracks: Array, second: int) -> tuple[Array, Array]:
 
 
 def fill_gaps(recording: Recording, longest: float = 0.1) -> Recording:
-    """Bridge unseen marker samples linearly over gaps up to `longest` [s]; leave longer ones."""
+    """Interpolate unseen marker samples linearly over gaps of up to `longest` [s]. Longer gaps, and
+    gaps at the ends, stay NaN."""
     columns = {
         name: _bridge(recording.time, column, longest) if is_marker(name) else column
         for name, column in recording.columns.items()

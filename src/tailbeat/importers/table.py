@@ -1,7 +1,7 @@
-"""Any table as a recording: CSV, JSON or Parquet, columns named and units stated by the user.
+"""Read any CSV, JSON or Parquet table as a recording; the user names its columns and units.
 
 A JSON file is a list of objects, an object of lists, or an object in which one field holds the list
-of objects and the others are its header.
+of objects and the other fields are the header.
 """
 
 import csv
@@ -53,9 +53,10 @@ TEXTS = ("load", "motor", "trajectory")  # metadata that may be words
 
 @dataclass(frozen=True)
 class TableConfig:
-    """What the file's columns are: `columns` recording -> file, `units` (SI for what is left out),
-    `meta` key -> header field, number, or word; `rows`, the JSON field that holds the entries
-    (None: the only list); `source`, who recorded it, in the user's words; `counts_per_turn`."""
+    """How to read the file: `columns` maps a name in `COLUMNS`, or `marker0_x` and so on, to a
+    column of the file. `units` are the file's (SI where none is given), and `counts_per_turn` the
+    encoder's. `meta` maps a key to a header field, a number, or a word. `rows` is the JSON field
+    with the entries (None: the only list). `source` says who recorded it, in the user's words."""
 
     columns: Mapping[str, str]
     units: Sequence[str] = ()
@@ -67,7 +68,7 @@ class TableConfig:
 
 @dataclass(frozen=True)
 class Table:
-    """A file's columns as they stand there, and its header fields."""
+    """A file's columns, unconverted, and its header fields."""
 
     file: Path
     columns: Mapping[str, Sequence[Any]]
@@ -84,7 +85,7 @@ def parse_pairs(option: str, text: str) -> dict[str, str]:
 
 
 def convert(path: Path, out: Path, config: TableConfig) -> Recording:
-    """Read a table, write a recording."""
+    """`import_table`, written to `out`, .csv or .parquet. Raises BadInput, also if it exists."""
     refuse_existing(out)
     recording = import_table(path, config)
     write_recording(recording, out)
@@ -92,11 +93,12 @@ def convert(path: Path, out: Path, config: TableConfig) -> Recording:
 
 
 def import_table(path: str | Path, config: TableConfig) -> Recording:
-    """The mapped columns of a table in SI units. Raises BadInput naming file, column and row."""
+    """The mapped columns of a table in SI units. An empty cell of a marker column becomes NaN.
+    Raises BadInput that names file, column and row, or the option that is wrong."""
     table = read_table(Path(path), config.rows)
     scales = _scales(config)
     if "time" not in config.columns:
-        raise BadInput("--map has no time; say which column holds it, as time=NAME.")
+        raise BadInput("--map has no time; name the column of times, as time=NAME.")
     columns: dict[str, Array] = {}
     labels: dict[str, NDArray[np.str_]] = {}
     for name, source in config.columns.items():
@@ -122,7 +124,7 @@ def read_table(file: Path, rows: str | None = None) -> Table:
     if file.suffix == ".json":
         return _read_json(file, rows)
     if rows is not None:
-        raise BadInput(f"--rows {rows}: only a JSON file has such a field; leave it out.")
+        raise BadInput(f"--rows {rows}: {file} is not a JSON file; leave --rows out.")
     columns = _read_parquet(file) if file.suffix == ".parquet" else _read_csv(file)
     return Table(file, columns, {})
 
@@ -145,12 +147,12 @@ def _read_csv(file: Path) -> dict[str, Sequence[Any]]:
     mark = max(",;\t", key=(lines[0] if lines else "").count)
     cells = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
     if len(cells) < 3:
-        raise BadInput(f"{file}: no header and two rows; give a table with named columns.")
+        raise BadInput(f"{file}: give a table with a header and at least two rows.")
     for row, line in enumerate(cells[1:], start=1):
         if len(line) != len(cells[0]):
             raise BadInput(
-                f"{file}: row {row} has {len(line)} cells and the header {len(cells[0])}; mend or"
-                f" remove the row."
+                f"{file}: row {row} has {len(line)} cells and the header {len(cells[0])}; correct"
+                f" or remove the row."
             )
     return {name: [line[i] for line in cells[1:]] for i, name in enumerate(cells[0])}
 
@@ -177,20 +179,22 @@ def _entries(file: Path, data: dict[str, Any], rows: str | None) -> Any:
     lists = {name: value for name, value in data.items() if isinstance(value, list)}
     if rows is not None:
         if rows not in lists:
-            raise BadInput(f"{file}: field {rows!r} of --rows is no list; {_there(lists)}.")
+            raise BadInput(f"{file}: --rows {rows!r} is not a list; {_there(lists)}.")
         return lists[rows]
     nested = [name for name, value in lists.items() if value and isinstance(value[0], dict)]
     if len(nested) > 1:
         raise BadInput(f"{file}: several lists of entries ({', '.join(nested)}); name one: --rows.")
     if not lists:
-        raise BadInput(f"{file}: no list of entries in it; give a JSON file that has one.")
+        raise BadInput(f"{file}: has no list of entries; give a JSON file that has one.")
     return lists[nested[0]] if nested else lists
 
 
 def _from_objects(file: Path, data: Any) -> dict[str, Sequence[Any]]:
     objects = isinstance(data, list) and all(isinstance(entry, dict) for entry in data)
     if not objects or len(data) < 2:
-        raise BadInput(f"{file}: no list of at least two objects; give one, or lists by name.")
+        raise BadInput(
+            f"{file}: has no list of at least two objects; give one, or an object of lists."
+        )
     names = {name: None for entry in data for name in entry}  # a dict keeps their order
     return {name: [entry.get(name) for entry in data] for name in names}
 
@@ -207,7 +211,7 @@ def _scales(config: TableConfig) -> dict[str, float]:
     scales = {}
     for unit in config.units:
         if unit not in UNITS:
-            raise BadInput(f"--unit {unit}: no unit that is known; allowed are {', '.join(UNITS)}.")
+            raise BadInput(f"--unit {unit}: unknown unit; allowed are {', '.join(UNITS)}.")
         quantity, scale = UNITS[unit]
         if quantity in scales:
             raise BadInput(f"--unit: {unit} is the second unit of {quantity}; give one of each.")
@@ -247,7 +251,7 @@ def _numbers(table: Table, name: str, values: Sequence[Any], gaps: bool) -> Arra
         row = int(bad[0])
         raise BadInput(
             f"{table.file}: column {name}, row {row + 1}: {values[row]!r} is not a finite number;"
-            f" mend or remove the row."
+            f" correct or remove the row."
         )
     return found
 
@@ -269,8 +273,8 @@ def _check_rises(table: Table, name: str, time: Array, condition: NDArray[np.str
         row = int(np.argmax(back)) + 1
         raise BadInput(
             f"{table.file}: column {name}, row {row + 1}: {time[row]:.9g} s does not come after"
-            f" {time[row - 1]:.9g} s; time must rise: sort the rows, drop the double, or map"
-            f" condition to a column that changes where time starts anew."
+            f" {time[row - 1]:.9g} s; time must rise. Sort the rows, remove the repeated one, or"
+            f" map condition to a column that changes where time starts again."
         )
 
 
@@ -278,7 +282,7 @@ def _check_rises(table: Table, name: str, time: Array, condition: NDArray[np.str
 
 
 def _meta(table: Table, config: TableConfig) -> dict[str, str]:
-    """The user's word on where it is from, never ours."""
+    """The user's own words for the source, and the chosen metadata."""
     source = config.source or f"not stated; imported from {table.file.name}"
     return {"source": source} | {
         key: _meta_value(table, key, value) for key, value in config.meta.items()
@@ -290,7 +294,7 @@ def _meta_value(table: Table, key: str, value: str) -> str:
         return str(table.header[value])
     if key not in TEXTS and not np.isfinite(_number(value)):
         raise BadInput(
-            f"{table.file}: --meta {key}={value}: no number, and no header field {value!r};"
+            f"{table.file}: --meta {key}={value}: not a number and not a header field;"
             f" {_there(table.header)}."
         )
     return value

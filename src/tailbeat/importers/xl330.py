@@ -1,4 +1,4 @@
-"""Pendulum logs of a Dynamixel XL330, in the form in which Rhoban/bam writes them."""
+"""Read pendulum logs of a Dynamixel XL330, in the JSON format of Rhoban/bam, as recordings."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,8 @@ XL330_FULL_PWM = 885  # register value of a duty of 1
 
 
 def convert(log: Path, out: Path, source: str = "") -> Recording:
-    """Read a pendulum log, write a recording."""
+    """Read a pendulum log and write a recording to `out`, .csv or .parquet. Raises BadInput as
+    `import_xl330` and `write_recording` do."""
     refuse_existing(out)
     recording = import_xl330(log, source)
     write_recording(recording, out)
@@ -23,12 +24,13 @@ def convert(log: Path, out: Path, source: str = "") -> Recording:
 
 
 def import_xl330(path: str | Path, source: str = "") -> Recording:
-    """A pendulum log (JSON, as Rhoban/bam writes it) as command, angle and what the servo reported.
+    """A pendulum log (JSON of Rhoban/bam) as command, angle and what the servo reported, in SI.
 
-    Angle 0 hangs down. `enabled_ratio` is 1 with torque on. Gain (firmware P register) and load go
-    into the metadata, and `source`, who recorded it, in the user's words. An XL330's `load` is the
-    present PWM as an unsigned 16-bit count, here a duty; what it is on other servos is not known,
-    and it is left out. Raises BadInput naming file and field.
+    At angle 0 the pendulum hangs down. `enabled_ratio` is 1 with torque on. The metadata holds the
+    gain (the firmware's P register), mass [kg] and arm [m] of the load, supply [V], and `source`:
+    who recorded it, in the user's words. An XL330's `load` is its present PWM as an unsigned 16-bit
+    count; it becomes a duty, `pwm_ratio`. For other servos its meaning is not known, and it is left
+    out. Raises BadInput that names file and field.
     """
     file = Path(path)
     log = _read_log(file)
@@ -80,7 +82,9 @@ def _entries(file: Path, log: dict[str, Any], field: str) -> Array:
     try:
         values = np.array([float(entry[field]) for entry in log["entries"]])
     except (TypeError, ValueError, KeyError):
-        raise BadInput(f"{file}: field {field} is missing or no number in some entry.") from None
+        raise BadInput(
+            f"{file}: field {field} is missing or not a number in some entry; give a finite number."
+        ) from None
     if not np.isfinite(values).all():
         row = int(np.flatnonzero(~np.isfinite(values))[0])
         raise BadInput(f"{file}: entry {row + 1}: {field} = {values[row]}; give a finite number.")
@@ -103,5 +107,5 @@ def _check_log_time(file: Path, time: Array) -> None:
         row = int(back[0]) + 1
         raise BadInput(
             f"{file}: entry {row + 1}: timestamp {time[row]} does not come after {time[row - 1]};"
-            f" time must rise."
+            f" time must rise. Sort the entries or remove the repeated one."
         )
