@@ -192,7 +192,7 @@ def test_time_may_start_anew_with_each_condition(tmp_path):
     assert len(found.conditions) == len(same.conditions) == 8
     assert found.k_eff.value == pytest.approx(same.k_eff.value, rel=1e-6)
     assert found.coulomb.interval == pytest.approx(same.coulomb.interval, rel=1e-4)
-    with pytest.raises(BadInput, match="time starts anew"):
+    with pytest.raises(BadInput, match="time starts again"):
         static_loop(anew)
 
 

@@ -1,7 +1,7 @@
 """tailbeat: from bench recordings of a soft robotic fish to a learned controller that swims.
 
-`import tailbeat as tb` imports nothing else. Each public name is imported when it is first used,
-and says which extra to install where a package is missing. docs/start/python.md lists them.
+`import tailbeat as tb` imports nothing else. Each public name is imported when it is first used.
+If a package is missing, the error names the extra to install. docs/start/python.md lists the names.
 """
 
 import ctypes
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from tailbeat.train.recipes import recipe_of as recipe_of
     from tailbeat.train.train import train as train_policy  # noqa: F401  (`train` is a room)
 
-# Where each public name lives: "module:name".
+# Where each public name is defined: "module:name".
 _HOMES = {
     "BadInput": "files:BadInput",
     "Fish": "fish.description:Fish",
@@ -119,8 +119,9 @@ def _public(name: str) -> object:
 
 
 def _choose_gl() -> None:
-    """On Linux, EGL where it is: it needs no screen. The engine chooses when first imported, and
-    with EGL asked for but missing that import fails. The interactive viewer brings its own."""
+    """On Linux, choose EGL for rendering if it is installed: it needs no screen. MuJoCo reads the
+    choice when it is imported first, and fails if EGL is chosen but missing. The interactive
+    viewer makes its own context."""
     if sys.platform != "linux" or "MUJOCO_GL" in os.environ:
         return
     try:
@@ -141,12 +142,12 @@ def _register(gymnasium: ModuleType) -> None:
 
 
 class _WhenGymnasiumIsImported:
-    """Registers the environments then, without importing gymnasium for it. Gymnasium has dropped
-    its entry points for plugins, and whoever imports tailbeat first must not wait for it."""
+    """Registers the environments when gymnasium is imported. Gymnasium no longer has entry points
+    for plugins, and `import tailbeat` must not wait for an import of gymnasium."""
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        """Gymnasium's own spec, whose loader registers our environments at its end."""
+        """Gymnasium's own spec. After loading, its loader registers our environments."""
         found = PathFinder.find_spec(name) if name == "gymnasium" else None
         if found is None or found.loader is None:
             return None

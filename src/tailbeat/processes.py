@@ -1,4 +1,4 @@
-"""Start Python processes, end them, and hear when this process is asked to end."""
+"""Start and end Python processes, and catch the signals that ask this process to end."""
 
 import contextlib
 import ctypes
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 LINGER = 10.0  # s that a process may take to end
-ALONE = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # one fish needs no pool of threads
+ALONE = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # one fish needs one thread
 
 
 def start(words: Sequence[str], **more: Any) -> "subprocess.Popen[Any]":
@@ -21,7 +21,8 @@ def start(words: Sequence[str], **more: Any) -> "subprocess.Popen[Any]":
 
 
 def start_verb(words: Sequence[str], **more: Any) -> "subprocess.Popen[str]":
-    """Start a verb of tailbeat with few threads. It gets SIGTERM when this process dies."""
+    """Start `tailbeat words` with one thread. It gets SIGTERM when this process dies. `more` goes
+    to `subprocess.Popen`; its `env` is added to this process's environment."""
     more["env"] = {**os.environ, **ALONE, **more.get("env", {})}
     words = ["-m", "tailbeat", *words]
     return start(words, text=True, preexec_fn=end_with_parent, **more)
@@ -45,7 +46,8 @@ def end(process: "subprocess.Popen[Any]") -> None:
 
 
 def told_to_end(*numbers: signal.Signals) -> list[int]:
-    """A list that fills with the signals that ask for the end: these, or Ctrl-C and SIGTERM."""
+    """Catch the signals `numbers`, by default SIGINT (Ctrl-C) and SIGTERM. Returns a list; each
+    caught signal's number is appended to it."""
     ended: list[int] = []
     for number in numbers or (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda n, _: ended.append(n))
@@ -53,5 +55,5 @@ def told_to_end(*numbers: signal.Signals) -> list[int]:
 
 
 def temporary() -> "tempfile.TemporaryDirectory[str]":
-    """A folder that is removed at the end."""
+    """A temporary folder, as a context manager that removes it at the end."""
     return tempfile.TemporaryDirectory(prefix="tailbeat-")

@@ -1,7 +1,7 @@
 """One time series type for everything measured or simulated, and its readers and writers.
 
-On disk a recording is a table with unit-suffixed columns, CSV (comment lines `# key: value` hold
-metadata) or Parquet (metadata in the file's own key-value part). Time need not be uniform.
+On disk a recording is a CSV or Parquet table whose column names end in a unit. A CSV file has its
+metadata in comment lines `# key: value`. The sampling period may vary.
 """
 
 import csv
@@ -27,11 +27,11 @@ COMMENT = re.compile(r"# *(.+?):(?: (.*))?")  # `# key: value`; a value may be e
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A named time series: `time` (n,) s, rising; `columns` name -> (n,), SI by suffix.
+    """A named time series: `time` (n,) [s], rising; `columns` name -> (n,), in the suffix's unit.
 
-    NaN stands in marker columns alone, for a frame in which the marker was not seen. `labels` holds
-    the text column `condition` where there is one; `meta` is free text by key. Time may start anew
-    where the condition changes; within a condition it rises.
+    NaN is allowed only in marker columns, for a frame in which the marker was not seen. `labels`
+    holds the text column `condition`, if there is one. `meta` is text by key. Time may start again
+    where the condition changes; within a condition it rises. Only reader and writer check this.
     """
 
     name: str
@@ -45,7 +45,8 @@ class Recording:
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read CSV or Parquet by suffix. Raises BadInput naming file, column, row and value."""
+    """Read a recording: `.parquet` as Parquet, any other suffix as CSV. Empty cells of marker
+    columns become NaN. Raises BadInput that names file, column, row and value."""
     file = Path(path)
     if not file.is_file():
         raise BadInput(f"{file}: no such file; give a recording as CSV or Parquet.")
@@ -54,9 +55,10 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def _checked(file: Path, frame: pl.DataFrame, meta: Mapping[str, str]) -> Recording:
-    """The table as a recording; what is written passes here too, so that it can be read back."""
+    """The table as a recording. The writer calls this too, so that every file can be read back."""
     if "time_s" not in frame.columns:
-        raise BadInput(f"{file}: column time_s is missing; it has {', '.join(frame.columns)}.")
+        names = ", ".join(frame.columns)
+        raise BadInput(f"{file}: column time_s is missing; there are {names}. Add the times [s].")
     if frame.height < 2:
         raise BadInput(f"{file}: {frame.height} rows; a recording needs at least 2.")
     numbers = {name: _numbers(file, frame, name) for name in frame.columns if name != "condition"}
@@ -78,10 +80,10 @@ def _read_parquet(file: Path) -> tuple[pl.DataFrame, dict[str, str]]:
 
 def _read_csv(file: Path) -> tuple[pl.DataFrame, dict[str, str]]:
     try:
-        text = file.read_text(encoding="utf-8-sig")  # spreadsheets put a mark in front
+        text = file.read_text(encoding="utf-8-sig")  # spreadsheets write a byte order mark
     except UnicodeDecodeError:
         raise BadInput(f"{file}: not text; give a CSV in UTF-8 or a .parquet file.") from None
-    lines = text.split("\n")  # not splitlines: other marks of a line's end may stand in a text
+    lines = text.split("\n")  # not splitlines: a text may contain other line separators
     found = [COMMENT.fullmatch(line.rstrip()) for line in lines if line.startswith("#")]
     meta = {match[1]: (match[2] or "").strip() for match in found if match}
     body = [line for line in lines if line.strip() and not line.startswith("#")]
@@ -90,7 +92,7 @@ def _read_csv(file: Path) -> tuple[pl.DataFrame, dict[str, str]]:
 
 
 def _check_cells(file: Path, body: Sequence[str]) -> None:
-    """Refuse doubled names and rows of another length: a cell cut off is not an unseen marker."""
+    """Refuse repeated names and rows of another length: a missing cell is not an unseen marker."""
     cells = csv.reader(body)
     header = [name.strip() for name in next(cells, [])]
     for name in header:
@@ -100,7 +102,7 @@ def _check_cells(file: Path, body: Sequence[str]) -> None:
         if len(line) != len(header):
             raise BadInput(
                 f"{file}: not a table: row {row} has {len(line)} cells and the header"
-                f" {len(header)}; mend or remove the row."
+                f" {len(header)}; correct or remove the row."
             )
 
 
@@ -108,7 +110,7 @@ def _parse(file: Path, body: str) -> pl.DataFrame:
     try:
         frame = pl.read_csv(io.StringIO(body), infer_schema=False)
     except pl.exceptions.PolarsError as error:
-        raise BadInput(f"{file}: not a table ({_first_line(error)}); mend the CSV.") from None
+        raise BadInput(f"{file}: not a table ({_first_line(error)}); correct the CSV.") from None
     return frame.select(pl.all().str.strip_chars().replace("", None).name.map(str.strip))
 
 
@@ -117,7 +119,7 @@ def _first_line(error: Exception) -> str:
 
 
 def _numbers(file: Path, frame: pl.DataFrame, name: str) -> Array:
-    """A column as floats; every row that is not a finite number is refused by name."""
+    """A column as floats. Raises BadInput at the first row that is not a finite number."""
     if not name.endswith(tuple(SUFFIXES)):
         raise BadInput(
             f"{file}: column {name!r} does not end in a unit; allowed are {' '.join(SUFFIXES)}."
@@ -146,7 +148,7 @@ def _refuse(file: Path, text: pl.Series, bad: pl.Series, complaint: str) -> None
         value = "the cell" if text[row] in (None, "") else repr(text[row])
         raise BadInput(
             f"{file}: column {text.name}, row {row + 1}: {value} {complaint};"
-            f" remove or mend the row."
+            f" correct or remove the row."
         )
 
 
@@ -166,7 +168,7 @@ def _check_time(file: Path, time: Array, condition: NDArray[np.str_] | None) -> 
         row = int(np.argmax(back)) + 1
         raise BadInput(
             f"{file}: column time_s, row {row + 1}: {time[row]} does not come after"
-            f" {time[row - 1]}{within}; time must rise, so sort the rows or drop the double."
+            f" {time[row - 1]}{within}; time must rise. Sort the rows or remove the repeated one."
         )
 
 
@@ -174,10 +176,10 @@ def _check_time(file: Path, time: Array, condition: NDArray[np.str_] | None) -> 
 
 
 def write_recording(recording: Recording, path: str | Path, overwrite: bool = False) -> None:
-    """Write CSV or Parquet by suffix; numbers come back bit for bit.
+    """Write CSV or Parquet by suffix. Reading the file gives bit-identical numbers.
 
-    Raises BadInput if the file exists, or if the recording could not be read back: NaN outside
-    marker columns, a name without a unit, metadata of several lines.
+    Raises BadInput for another suffix, if the file exists, or if the recording could not be read
+    back: NaN outside marker columns, a name without a unit, metadata of several lines.
     """
     if Path(path).suffix not in (".csv", ".parquet"):
         raise BadInput(f"{path}: a recording is written as .csv or .parquet; rename it.")
@@ -194,7 +196,7 @@ def write_recording(recording: Recording, path: str | Path, overwrite: bool = Fa
 
 
 def _check_meta(file: Path, meta: Mapping[str, str]) -> None:
-    """What a comment line cannot hold is refused in Parquet too: the two forms are equal."""
+    """Refuse metadata that a comment line cannot hold, in Parquet too: both formats are equal."""
     for key, text in meta.items():
         match = COMMENT.fullmatch(f"# {key}: {text}")  # a dot does not match a line's end
         if match is None or match[1] != key or "\r" in text:
@@ -208,31 +210,31 @@ def _check_meta(file: Path, meta: Mapping[str, str]) -> None:
 
 
 def require(recording: Recording, names: Sequence[str]) -> tuple[Array, ...]:
-    """The named columns of one stretch of time. Raises BadInput naming the missing ones and those
-    there are, and where time starts anew."""
+    """The named columns, each (n,). Raises BadInput if one is missing or time starts again."""
     missing = [name for name in names if name not in recording.columns]
     if missing:
         raise BadInput(
-            f"{recording.name}: column {', '.join(missing)} is missing; it has"
-            f" {', '.join(['time_s', *recording.columns])}."
+            f"{recording.name}: column {', '.join(missing)} is missing; the recording"
+            f" has {', '.join(['time_s', *recording.columns])}."
         )
     check_continuous(recording)
     return tuple(recording.columns[name] for name in names)
 
 
 def check_continuous(recording: Recording) -> None:
-    """Raises BadInput where time starts anew."""
+    """Raises BadInput if time starts again within the recording."""
     back = np.flatnonzero(np.diff(recording.time) <= 0)
     if back.size:
         row = int(back[0]) + 1
         raise BadInput(
-            f"{recording.name}: column time_s, row {row + 1}: time starts anew, which only a tail"
-            f" sweep's may; give one file per condition."
+            f"{recording.name}: column time_s, row {row + 1}: time starts again, which is allowed"
+            f" only in tail sweeps; give one file per condition."
         )
 
 
 def stretches(recording: Recording) -> list[Recording]:
-    """The parts in which time rises, each named by its condition where time starts anew."""
+    """Split a recording where time starts again. With several parts, each is named by its
+    condition; they need the label `condition`."""
     edges = [0, *(np.flatnonzero(np.diff(recording.time) <= 0) + 1), recording.time.size]
     parts = [rows(recording, slice(*pair)) for pair in pairwise(edges)]
     if len(parts) == 1:
@@ -241,14 +243,15 @@ def stretches(recording: Recording) -> list[Recording]:
 
 
 def rows(recording: Recording, which: slice | NDArray[np.bool_]) -> Recording:
-    """The chosen samples."""
+    """The samples that `which`, a slice or a mask (n,), chooses."""
     columns = {name: column[which] for name, column in recording.columns.items()}
     labels = {name: column[which] for name, column in recording.labels.items()}
     return replace(recording, time=recording.time[which], columns=columns, labels=labels)
 
 
 def markers(recording: Recording) -> tuple[Array, list[int]]:
-    """Marker tracks (n, m, 2) [m], NaN where unseen, and their numbers, rising."""
+    """Marker tracks (n, m, 2) [m], NaN where unseen, and the m markers' numbers in rising order.
+    Raises BadInput if a marker has x and no y."""
     ends = [name[6:-4] for name in recording.columns if is_marker(name) and name.endswith("_x_m")]
     indices = sorted(int(end) for end in ends if end.isdigit())
     pairs = [
@@ -265,22 +268,20 @@ def crop(recording: Recording, start: float, end: float) -> Recording:
     kept = (recording.time >= start) & (recording.time <= end)
     if kept.sum() < 2:
         raise BadInput(
-            f"{recording.name}: {start:g}-{end:g} s holds {kept.sum()} samples of a recording of"
-            f" {recording.time[0]:g}-{recording.time[-1]:g} s; ask for at least 2."
+            f"{recording.name}: {start:g}-{end:g} s has {kept.sum()} samples; choose a range with"
+            f" at least 2 samples within {recording.time[0]:g}-{recording.time[-1]:g} s."
         )
     return rows(recording, kept)
 
 
 def resample(recording: Recording, time: Array) -> Recording:
-    """Linear interpolation at `time` (k,) [s], angles unwrapped first; text columns are dropped.
-
-    Raises BadInput outside the recording: nothing is extrapolated.
-    """
+    """Linear interpolation at rising times `time` (k,) [s] (not checked). Columns in rad are
+    unwrapped first; text columns are dropped. Raises BadInput outside the recording."""
     check_continuous(recording)
     if not np.all((time >= recording.time[0]) & (time <= recording.time[-1])):
         raise BadInput(
-            f"{recording.name}: {time.min():g}-{time.max():g} s asked of a recording of"
-            f" {recording.time[0]:g}-{recording.time[-1]:g} s; ask within it."
+            f"{recording.name}: {time.min():g}-{time.max():g} s is not within the recording;"
+            f" choose times within {recording.time[0]:g}-{recording.time[-1]:g} s."
         )
     columns = {
         name: np.interp(time, recording.time, np.unwrap(c) if name.endswith("_rad") else c)
@@ -290,10 +291,10 @@ def resample(recording: Recording, time: Array) -> Recording:
 
 
 def uniform(recording: Recording, period: float) -> Recording:
-    """The recording resampled every `period` [s], above 0, from its first sample."""
+    """Resample every `period` [s] from the first sample. Raises BadInput if it is not above 0."""
     if not period > 0:
         raise BadInput(f"{recording.name}: period {period:g} s; give one above 0.")
     first, last = recording.time[0], recording.time[-1]
     count = int((last - first) / period + 1e-9) + 1
-    # The last sample may come out past the end by rounding, and is no extrapolation.
+    # Rounding may put the last sample past the end; `minimum` moves it back to the end.
     return resample(recording, np.minimum(first + period * np.arange(count), last))
