@@ -271,7 +271,7 @@ def test_show_warns_of_what_a_user_should_know():
     fish = load_fish("pulley-fish")
     assert any("added inertia" in row["warning"] for row in tables(fish)["warnings"])
     wrong = with_values(fish, {"tail.k_eff": 1.1})
-    assert any("k_eff reads" in row["warning"] for row in tables(wrong)["warnings"])
+    assert any("compiled k_eff" in row["warning"] for row in tables(wrong)["warnings"])
 
 
 def test_a_diverging_twin_says_so_and_does_not_disturb_its_neighbour(tmp_path, monkeypatch):

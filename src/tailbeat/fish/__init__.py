@@ -1,1 +1,1 @@
-"""What is it? A fish as numbers, as an engine model, and the water on it."""
+"""Describe a fish: its numbers, its engine model, and the forces of the water on it."""

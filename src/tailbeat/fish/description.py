@@ -1,8 +1,8 @@
-"""A fish, as numbers: TOML read into frozen, validated models.
+"""A fish as numbers: TOML read into frozen, validated models.
 
-Frame of every position: the fish frame at the straight pose, x towards the nose, y left, z up, one
-common origin of the author's choice. Everything is SI inside; a file may use any unit of
-`units.UNITS`. What the engine makes of it is in `twin.py`.
+Every position is in the fish frame at the straight pose: x towards the nose, y left, z up, with one
+common origin that the author chooses. Everything is SI inside; a file may use any unit of
+`units.UNITS`. `twin.py` compiles it for the engine.
 """
 
 from itertools import pairwise
@@ -46,7 +46,7 @@ class Zone(_Model):
     slender: u.Ratio = Field(ge=0)
     """Drag of what lies along the flow. It enters angular drag too."""
     angular: u.Ratio = Field(ge=0)
-    """Drag against turning."""
+    """Drag that opposes rotation."""
     kutta: u.Ratio = Field(ge=0)
     """Lift of a plate at incidence, at right angles to the flow."""
     magnus: u.Ratio = Field(ge=0)
@@ -104,7 +104,7 @@ class Inertial(_Model):
 
 
 class Mesh(_Model):
-    """The user's own STL or OBJ, for the looks of a body."""
+    """The user's own STL or OBJ, for pictures of a body."""
 
     file: str
     """Path of the STL or OBJ, absolute or from the working folder."""
@@ -122,7 +122,7 @@ class Body(_Model):
     inertial: Inertial | None = None
     """Mass, centre and inertias, where they are known better than from the parts."""
     mesh: Mesh | None = None
-    """Mesh for the looks."""
+    """Mesh for pictures. It has no effect on the physics."""
 
 
 class Link(Body):
@@ -241,7 +241,7 @@ class Uncertain(_Model):
 
 
 class Fish(_Model):
-    """The whole fish. Everything is SI inside."""
+    """The whole fish. Everything is SI."""
 
     name: str
     """Name of the fish."""
@@ -276,10 +276,11 @@ class Fish(_Model):
     added_inertia: u.Ratio = Field(default=0.0, ge=0)
     """Factor on the parts' `added_mass`. 0 turns it off."""
     added_along: u.Ratio = Field(default=1.0, ge=0, le=1)
-    """Fraction of the added mass that acts along the parts too. 1 is alike in all directions."""
+    """Fraction of the added mass that acts along the parts too. With 1 it is the same in all
+    directions."""
     trailing_edge: TrailingEdge | None = None
-    """How lift depends on the direction of the flow. Without it the rear and the front end of each
-    part count alike, as in the bare engine and the paper."""
+    """How lift depends on the direction of the flow. Without it, front and rear end of each part
+    are equivalent, as in the bare engine and the paper."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "Fish":
@@ -289,7 +290,7 @@ class Fish(_Model):
 
 
 def _name_errors(fish: Fish) -> list[str]:
-    """Names that point to nothing."""
+    """Names of zones, servos and links that do not exist."""
     zones, links = ", ".join(fish.zones), len(fish.tail.links)
     found = []
     if fish.servo not in fish.servos:
@@ -301,16 +302,18 @@ def _name_errors(fish: Fish) -> list[str]:
             )
     for marker in fish.markers:
         if marker.body != "head" and not 0 <= marker.body < links:
-            found.append(f"marker {marker.name!r} sits on link {marker.body} of {links}")
+            found.append(
+                f"marker {marker.name!r} is on link {marker.body}; links are 0 to {links - 1}"
+            )
     return found
 
 
 def _geometry_errors(fish: Fish) -> list[str]:
-    """Shapes that cannot be: hinges out of order, an empty band, a pulley that unwinds."""
+    """Impossible shapes: hinges out of order, an empty band, a pulley that unwinds."""
     hinges = [link.hinge for link in fish.tail.links]
     found = []
     if any(b >= a for a, b in pairwise(hinges)):
-        found.append("hinges must run from the head to the fin, x falling from link to link")
+        found.append("hinges must run from the head to the fin: each hinge's x below the last")
     if not 0 <= fish.band[0] < fish.band[1]:
         found.append(f"band {list(fish.band)} must rise from a frequency of 0 or more [Hz]")
     if fish.motor.kind == "pulley" and fish.motor.range is None:
@@ -327,7 +330,7 @@ def _geometry_errors(fish: Fish) -> list[str]:
 
 
 def _chord_errors(fish: Fish) -> list[str]:
-    """Wet parts that are discs across the flow: they have no rear end."""
+    """Wet parts that are too short along x to have a rear end."""
     wet = [p for body in (fish.head, *fish.tail.links) for p in body.parts if p.zone is not None]
     return [
         f"part {part.name!r} is {1e3 * part.size[0]:g} mm long and trailing_edge needs a length of"

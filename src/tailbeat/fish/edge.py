@@ -1,19 +1,19 @@
-"""Trailing edge: lift by the direction of the flow along each part.
+"""Trailing edge: lift that depends on the direction of the flow along each part.
 
 The engine's Kutta lift is even in the flow along the chord, as if both ends of a plate were
-trailing edges: a plate that is launched backward finds as much thrust backward. The Kutta condition
-holds at the trailing edge only. With u [m/s] the velocity of a part's centre through the water
-along its own nose-ward axis, every wet part's Kutta coefficient is multiplied by
+trailing edges. A plate that is launched backward then gets the same thrust backward. The Kutta
+condition holds at the trailing edge only. Let u [m/s] be the velocity of a part's centre through
+the water along its own nose-ward axis. Every wet part's Kutta coefficient is multiplied by
 
     w = (1 + r) / 2 + (1 - r) / 2 tanh(u / u_0),
 
 1 ahead and r astern. Thin-aerofoil theory has r = -1: the circulation that keeps the flow smooth
 at the rear end follows from the flow across the chord alone. The force rho v x circulation then
-keeps its part along the chord when u changes sign: thrust stays thrust. A rear end that leads has
-lost some of it; r is identified from launched swims.
+keeps its component along the chord when u changes sign, so thrust stays forward. When the rear end
+leads, a part of the circulation is lost; r is identified from launched swims.
 
-`u` follows from positions and velocities alone: the law has no memory. One fish or thousands weigh
-their own coefficients with `weigh` once every `HOLD`. What that interval errs is in
+`u` follows from positions and velocities alone: the law has no memory. `weigh` updates the
+coefficients of all fish of a batch once every `HOLD`. The error of this interval is in
 docs/experiments/2026-11-steps-and-integrators.md.
 """
 
@@ -28,16 +28,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 NAME = "trailing_edge"  # of the number that a compiled model carries
 KUTTA = 4  # column of `geom_fluid`
-HOLD = 0.02  # s between two weighings: the control period
+HOLD = 0.02  # s between two updates of the coefficients: the control period
 
 
 @dataclass(frozen=True, eq=False)
 class Chords:
-    """Where the wet parts of a compiled fish are, to know how each moves.
+    """Where the wet parts of a compiled fish are, to compute how each moves.
 
-    `geom` (g,) are geom indices, `link` (g,) how many hinges lie before each (0: head), `place`
-    (g, 3) its centre in the frame of its body, `origin` (links,) x of each hinge in the frame of
-    the body before it [m]. `root` is the number of the root's velocities (3, 6 or 0).
+    `geom` (g,) are geom indices, `link` (g,) the number of hinges ahead of each (0: head), `place`
+    (g, 3) its centre in the frame of its body [m], `origin` (links,) x of each hinge in the frame
+    of the body ahead of it [m]. `root` is the number of the root's velocities (3, 6 or 0).
     """
 
     geom: NDArray[np.int64]
@@ -48,7 +48,7 @@ class Chords:
 
 
 def chords(model: mujoco.MjModel) -> Chords:
-    """Read a compiled fish's wet parts; specks are left out."""
+    """Read a compiled fish's wet parts: the geoms that have fluid coefficients."""
     wet = [g for g in range(model.ngeom) if model.geom_fluid[g, 1:6].any()]
     names = [model.body(int(model.geom_bodyid[g])).name for g in wet]
     links = np.array([int(n.removeprefix("link")) + 1 if n != "head" else 0 for n in names])
@@ -67,8 +67,8 @@ def _has(model: mujoco.MjModel, body: str) -> bool:
 
 
 def blend_of(model: mujoco.MjModel) -> Array | None:
-    """Speed u_0 [m/s] and reverse lift r (2,) that a model was compiled with, None for the
-    engine's law."""
+    """Speed u_0 [m/s] and reverse lift r, as (2,), that a model was compiled with. None if it has
+    the engine's law."""
     found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, NAME)
     if found < 0:
         return None
@@ -79,7 +79,7 @@ def blend_of(model: mujoco.MjModel) -> Array | None:
 def chord_speeds(where: Chords, qpos: Array, qvel: Array, wind: Array) -> Array:
     """Velocity (n, g) [m/s] of each part's centre through the water along its nose-ward axis.
 
-    `qpos` (n, nq), `qvel` (n, nv) as the engine has them, `wind` (n, 3) [m/s] of the water.
+    `qpos` (n, nq) and `qvel` (n, nv) are the engine's, `wind` (n, 3) [m/s] is the water's velocity.
     """
     root = root_motion(where.root, qpos, qvel, wind)
     first = qpos.shape[1] - len(where.origin)
@@ -90,15 +90,16 @@ def chord_speeds(where: Chords, qpos: Array, qvel: Array, wind: Array) -> Array:
 
 
 def weights(speed: Array, blend: Array) -> Array:
-    """w (…, g) of chord speeds (…, g) [m/s]; `blend` (…, 2) as `blend_of` gives it."""
+    """Factors w (…, g) for chord speeds (…, g) [m/s]; `blend` (…, 2) as from `blend_of`."""
     blending, reverse = blend[..., :1], blend[..., 1:]
     return np.asarray(0.5 * (1 + reverse + (1 - reverse) * np.tanh(speed / blending)))
 
 
 @dataclass(frozen=True, eq=False)
 class Lift:
-    """A batch's lift: its live positions, velocities, `wind` (n, 3) and `geom_fluid` (n, ngeom,
-    12), the unweighed coefficients `nominal` (n, g), `blend` (n, 2)."""
+    """A batch's lift. `qpos`, `qvel` and `fluid` (`geom_fluid`, (n, ngeom, 12)) are the batch's own
+    arrays. `wind` (n, 3) [m/s], the unscaled Kutta coefficients `nominal` (n, g), `blend` (n, 2).
+    """
 
     where: Chords
     qpos: Array
@@ -110,8 +111,8 @@ class Lift:
 
 
 def lift(model: mujoco.MjModel, pool: batch.Batch, wind: Array, blend: Array) -> Lift:
-    """The lift of a batch whose coefficients are still those of its models, all laid out as
-    `model`."""
+    """The lift of a batch at its start. Its coefficients must still be those of its models, and all
+    models have the layout of `model` (not checked)."""
     where, fluid = chords(model), pool.expand("geom_fluid")
     return Lift(
         where,
@@ -125,7 +126,7 @@ def lift(model: mujoco.MjModel, pool: batch.Batch, wind: Array, blend: Array) ->
 
 
 def weigh(lift: Lift) -> None:
-    """Write the weighed Kutta coefficients into the batch's own field."""
+    """Multiply the Kutta coefficients by w for the present motion, in the batch's own field."""
     speed = chord_speeds(lift.where, lift.qpos, lift.qvel, lift.wind)
     lift.fluid[:, lift.where.geom, KUTTA] = lift.nominal * weights(speed, lift.blend)
 
@@ -146,7 +147,7 @@ def root_motion(root: int, qpos: Array, qvel: Array, wind: Array) -> Array:
             mujoco.mju_rotVecQuat(found[i, :3], through[i], back)
         found[:, 3:] = qvel[:, 3:6]
     else:
-        found[:, :3] = -wind  # a head that is held looks along x
+        found[:, :3] = -wind  # a fixed head points along x
     return found
 
 

@@ -26,8 +26,8 @@ def outline(fish: Fish, qpos: Array) -> Array:
 
 
 def guessed_shape(fish: Fish, pose: Any, motor: float) -> Array:
-    """Generalised coordinates (nv,) where only the tag's x, y, yaw and the motor's angle are known:
-    the hinges share the pulley's pull alike. A picture, no estimate."""
+    """Generalised coordinates (nv,) for a picture, from the tag's `pose` x, y [m], yaw [rad] and
+    the `motor` angle [rad]. The pull of the pulley bends all hinges alike. Not an estimate."""
     x, y, yaw = pose
     c, s, (ahead, left) = np.cos(yaw), np.sin(yaw), fish.tracked[:2]
     root = [x - ahead * c + left * s, y - ahead * s - left * c, yaw, motor]
@@ -35,7 +35,7 @@ def guessed_shape(fish: Fish, pose: Any, motor: float) -> Array:
 
 
 def _bend(fish: Fish, motor: float) -> float:
-    """Of each hinge [rad]."""
+    """Angle of each hinge [rad]."""
     links = fish.tail.links
     arms = sum(np.mean([abs(guide[1]) for guide in one.guides] or [0.0]) for one in links)
     return float(fish.motor.radius * motor / arms) if arms else motor / len(links)

@@ -1,4 +1,4 @@
-"""Pictures and films of a twin: MuJoCo's renderer through EGL, or a drawn top view without GL."""
+"""Pictures and films of a twin, by MuJoCo's renderer; without GL, a top view by matplotlib."""
 
 import os
 import sys
@@ -20,7 +20,7 @@ from tailbeat.fish.twin import Twin
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 WIDTH, HEIGHT = 960, 540
-FILM_WIDTH, FILM_HEIGHT = 640, 360  # software rendering takes its time
+FILM_WIDTH, FILM_HEIGHT = 640, 360  # software rendering is slow
 FILM_RATE = 25
 
 matplotlib.use("Agg")
@@ -29,9 +29,9 @@ matplotlib.use("Agg")
 def frames(
     twin: Twin, qpos: Array, size: tuple[int, int] = (WIDTH, HEIGHT), camera: str = "beside"
 ) -> tuple[Iterator[Image], str]:
-    """One image per row of qpos (k, nq), and how they were made: "mujoco" or "drawn".
+    """One image (height, width, 3) per row of qpos (k, nq), and how: "mujoco" or "drawn".
 
-    Falls back to a drawn top view when no GL library works; never raises for its lack.
+    Without a working GL library the images are a drawn top view; this raises no error.
     """
     if _needs_missing_screen():
         return _drawn(twin, qpos, size), "drawn"
@@ -43,7 +43,7 @@ def frames(
 
 
 def _needs_missing_screen() -> bool:
-    """Whether the engine, imported before tailbeat, chose GLFW without a screen: it would abort."""
+    """Whether MuJoCo, imported before tailbeat, chose GLFW without a screen: GLFW would abort."""
     context = getattr(mujoco.gl_context, "GLContext", None)
     screen = "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
     glfw = context is None or context.__module__.startswith("mujoco.glfw")
@@ -92,7 +92,8 @@ def _draw_top(axes: matplotlib.axes.Axes, model: mujoco.MjModel, data: mujoco.Mj
 
 
 def save_picture(twin: Twin, qpos: Array, path: Path, overwrite: bool = False) -> str:
-    """One PNG of one state (nq,); returns how it was made."""
+    """Write one PNG of one state (nq,). Returns how it was made, "mujoco" or "drawn". Raises
+    BadInput if `path` exists and `overwrite` is false."""
     images, how = frames(twin, qpos[None])
     with new_file(path, overwrite) as beside:
         imageio.imwrite(beside, next(images))
@@ -100,7 +101,8 @@ def save_picture(twin: Twin, qpos: Array, path: Path, overwrite: bool = False) -
 
 
 def save_film(twin: Twin, time: Array, qpos: Array, path: Path, overwrite: bool = False) -> str:
-    """An MP4 at real speed of states qpos (k, nq) at `time` (k,) s; returns how it was made."""
+    """Write an MP4 at real speed of states qpos (k, nq) at `time` (k,) [s]. Returns how it was
+    made, "mujoco" or "drawn". Raises BadInput if `path` exists and `overwrite` is false."""
     wanted = np.arange(time[0], time[-1], 1 / FILM_RATE)
     images, how = frames(twin, qpos[np.searchsorted(time, wanted)], (FILM_WIDTH, FILM_HEIGHT))
     with (

@@ -1,4 +1,4 @@
-"""The one step: any number of twins, each on its own commands, in batched engine calls."""
+"""Step any number of twins, each with its own commands, in batched engine calls."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -22,7 +22,8 @@ CHUNK = 256  # samples per engine call: bounds the memory of a thousand fish
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where a swim begins: pose (x [m], y [m], yaw [rad]), its rates, motor angle and rate."""
+    """Where a swim begins: pose (x [m], y [m], yaw [rad]) of the fish frame, its rates (3,) in
+    world axes [m/s, rad/s], motor angle [rad] and rate [rad/s]."""
 
     pose: Array
     velocity: Array
@@ -31,15 +32,15 @@ class Start:
 
     @staticmethod
     def at_rest() -> "Start":
-        """Still water, straight tail, at the origin."""
+        """Straight tail, at rest at the origin."""
         return Start(np.zeros(3), np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
 class Swim:
-    """What one twin did: `time` (k,) s and `qpos` (k, nq).
+    """What one twin did: `time` (k,) [s] and `qpos` (k, nq).
 
-    `diverged` marks a twin that the engine warned about; its samples are all zero.
+    `diverged` is true for a twin that the engine warned about; its samples are all zero.
     """
 
     twin: Twin
@@ -49,7 +50,7 @@ class Swim:
 
     @cached_property
     def markers(self) -> Array:
-        """The description's markers in the world (k, m, 3) [m], computed when asked for."""
+        """The description's markers in the world (k, m, 3) [m], computed at first use."""
         pool = batch.Batch(self.twin.model, self.time.size)
         pool.bind("qpos")[:] = self.qpos
         sites = pool.bind("site_xpos")
@@ -67,8 +68,8 @@ def swim(
     """Step n twins of one layout, each through its own commands (steps,) [rad].
 
     Sample j is the state after j * every steps, the start included. A twin stops when its
-    commands end. `threads` 0 means every core; one twin or a thousand run the same code and give
-    the same bits at any number of threads.
+    commands end. `threads` 0 means every core. Results are bit-identical alone or in a batch, at
+    any number of threads. That the twins have one layout is not checked.
     """
     pool = _batch_of(twins, threads)
     _place(pool, twins, starts)
@@ -89,8 +90,8 @@ def swim(
 
 @contextmanager
 def quiet_engine() -> Iterator[None]:
-    """Keep the engine from printing and logging a divergence: `diverged` tells of it, and in a
-    search it is an ordinary answer."""
+    """Keep the engine from printing and logging a divergence: `diverged` reports it, and in a
+    search it is normal."""
     mujoco.set_mju_user_warning(lambda message: None)
     try:
         yield
@@ -123,7 +124,7 @@ def _field(model: mujoco.MjModel, name: str) -> Array:
 
 
 def _water_of(pool: batch.Batch, twins: Sequence[Twin]) -> Water | None:
-    """What corrects the engine's law for these fish."""
+    """The corrections of the engine's fluid law for these fish, None without any."""
     models = [twin.model for twin in twins]
     return water(models, pool, np.stack([model.opt.wind for model in models]))
 
@@ -155,12 +156,13 @@ def _advance(
 
 
 def replay_command(twin: Twin, angle: Array) -> Array:
-    """Commands (..., steps) that lead a replayed twin's motor through `angle` (..., steps + 1).
+    """Commands (..., steps) [rad] that move a replayed twin's motor through `angle` (..., steps +
+    1).
 
-    `angle` [rad] is sampled at every step, the start included; begin with `motor_speed` equal to
-    its first difference over the step. Inverts the step that the engine makes of the heavy rotor,
-    v' = v + h (kp (u - q) - kv v) / (A + h kv), q' = q + h v'; what is left is the tail's pull on
-    the rotor, torque / kp, about 10 microradians.
+    `angle` [rad] is sampled at every step, the start included. Begin with `motor_speed` equal to
+    its first difference over the step. This inverts the engine's step of the heavy rotor,
+    v' = v + h (kp (u - q) - kv v) / (A + h kv), q' = q + h v'. The remaining error is due to the
+    tail's pull on the rotor: torque / kp, about 10 microradians.
     """
     h = twin.model.opt.timestep
     implicit = twin.fish.simulation.integrator.startswith("implicit")

@@ -1,4 +1,4 @@
-"""What was compiled: a fish as a table of numbers read back from the engine's model."""
+"""Show what a fish compiles to: numbers read back from the engine's model, and a picture."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,9 +21,11 @@ TOLERANCE = 0.01  # relative difference between stated and compiled k_eff that d
 
 @dataclass(frozen=True, eq=False)
 class Compiled:
-    """Numbers read back from a compiled fish; lengths [m], masses [kg], stiffness [N m/rad].
+    """Numbers read back from a compiled fish: lengths [m], masses [kg], inertia [kg m^2],
+    stiffness [N m/rad].
 
-    `mass` is all that the engine moves, `water` the added mass in it.
+    `mass` is the total mass in the engine, `water` the added mass in it. `k_formula` is the
+    stiffness at the shaft from arms and hinges, `k_read` from pushing the compiled shaft.
     """
 
     mass: float
@@ -40,7 +42,7 @@ class Compiled:
 
 
 def read_back(fish: Fish) -> Compiled:
-    """Compile a fish and read back what matters."""
+    """Compile a fish and read its numbers back."""
     twin = compile_twin(fish)
     data = mujoco.MjData(twin.model)
     mujoco.mj_forward(twin.model, data)
@@ -89,10 +91,10 @@ def yaw_inertia(twin: Twin, data: mujoco.MjData) -> float:
 
 
 def shaft_stiffness(fish: Fish, angle: float = 0.02) -> float:
-    """Push the shaft by `angle` [rad] with the head held in a vacuum, read the torque: k_eff.
+    """Stiffness at the shaft k_eff [N m/rad]: turn the shaft by `angle` [rad] and read the torque.
 
-    The straight pose is used with a taut tendon, so slack is taken out first. For a crank this is
-    the tail as its arm feels it at the neutral angle.
+    The head is fixed, in a vacuum. The slack of the tendons is set to 0. For a crank this is the
+    stiffness at its arm at the neutral angle.
     """
     taut = fish.tendons.model_copy(update={"slack": 0.0})
     dry = fish.medium.model_copy(update={"density": 1e-9, "viscosity": 0.0})
@@ -102,7 +104,7 @@ def shaft_stiffness(fish: Fish, angle: float = 0.02) -> float:
 
 
 def _settle(model: mujoco.MjModel, angle: float) -> float:
-    """Torque over angle once the tail has come to rest on a stiff, undelayed servo."""
+    """Torque over angle [N m/rad] when the tail has come to rest on a stiff, undelayed servo."""
     model.opt.timestep = 5e-4
     model.dof_damping[1:] += 0.02 * model.jnt_stiffness[1:].clip(0.1)
     model.dof_frictionloss[:] = 0.0
@@ -121,7 +123,7 @@ def _parts(fish: Fish) -> list[Part]:
 
 
 def length_of(fish: Fish) -> float:
-    """From the foremost to the rearmost part [m]."""
+    """Length from the front of the foremost part to the rear of the rearmost part [m]."""
     parts = [p for body in (fish.head, *fish.tail.links) for p in body.parts]
     ends = np.array([[p.position[0] + p.size[0] / 2, p.position[0] - p.size[0] / 2] for p in parts])
     return float(ends[:, 0].max() - ends[:, 1].min())
@@ -131,7 +133,9 @@ def _warnings(fish: Fish, k_read: float) -> list[str]:
     found = []
     stated = fish.tail.k_eff
     if stated is not None and abs(k_read / stated - 1) > TOLERANCE:
-        found.append(f"k_eff reads {k_read:.4g} N m/rad, the description states {stated:.4g}")
+        found.append(
+            f"the compiled k_eff is {k_read:.4g} N m/rad, the description states {stated:.4g}"
+        )
     if fish.added_inertia == 0:
         found.append(
             "added inertia is off: the engine applies only the velocity half of added mass, which"
@@ -139,12 +143,14 @@ def _warnings(fish: Fish, k_read: float) -> list[str]:
         )
     if fish.trailing_edge is None:
         found.append(
-            "lift has no trailing edge: a twin that is launched backward may swim backward for good"
+            "lift has no trailing edge: a twin that is launched backward may keep swimming backward"
             " (docs/explain/fluid-law.md)"
         )
     for name, zone in fish.zones.items():
         if zone.kutta > 6.3:
-            found.append(f"zone {name}: Kutta {zone.kutta:g} is above what any ellipsoid can lift")
+            found.append(
+                f"zone {name}: Kutta {zone.kutta:g} is more lift than any ellipsoid has (6.3)"
+            )
     return found
 
 
@@ -219,7 +225,7 @@ def _hinges(fish: Fish, compiled: Compiled) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Shown:
-    """What `show` found: tables of rows, and the picture with how it was made."""
+    """The result of `show`: tables of rows, the picture, and how it was made."""
 
     tables: dict[str, list[dict[str, Any]]]
     picture: Path
@@ -227,7 +233,8 @@ class Shown:
 
 
 def show(fish: str, picture: Path | None, viewer: bool, json: Path | None) -> Shown:
-    """Compile a fish, read it back, draw it."""
+    """Compile a fish, read its numbers back, and write a picture (default: runs/NAME.png, which is
+    overwritten). `json` takes the tables. Raises BadInput if `picture` or `json` exists."""
     described = load_fish(fish)
     target = picture or Path("runs") / f"{described.name}.png"
     for path in filter(None, (picture, json)):

@@ -11,11 +11,11 @@ SAMPLE = 0.02  # s between the samples of a swim
 
 
 def simulate(fish: Fish, command: Recording) -> Swim:
-    """Swim from rest in still water, a sample every 20 ms.
+    """Swim from rest in still water, with a sample every 20 ms.
 
-    `command` has the column `command_rad`, which the servo follows; a crank, which has no servo,
-    turns by `motor_angle_rad`. Between the rows the angle changes linearly. Raises BadInput where
-    the column is missing.
+    `command` has the column `command_rad`, which the servo follows. A crank has no servo; it turns
+    by `motor_angle_rad`. Between the rows the angle changes linearly. Raises BadInput if the column
+    is missing or time does not rise.
     """
     crank = fish.motor.kind == "crank"
     (given,) = require(command, ["motor_angle_rad" if crank else "command_rad"])

@@ -1,4 +1,4 @@
-"""Fish on disk: find, read, change and write descriptions, with every complaint one sentence."""
+"""Find, read, change and write descriptions of fish. Every error is one sentence."""
 
 import hashlib
 import json
@@ -33,18 +33,18 @@ def fish_path(name_or_path: str | Path) -> Path:
 
 
 def load_fish(name_or_path: str | Path) -> Fish:
-    """Read a fish by a shipped name or by file. Raises BadInput, naming file and field."""
+    """Read a fish by a shipped name or from a file. Raises BadInput that names file and field."""
     path = fish_path(name_or_path)
     try:
         return Fish.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: not valid TOML ({error}); mend the file at that line.") from None
+        raise BadInput(f"{path}: not valid TOML ({error}); correct that line.") from None
     except ValidationError as error:
         raise BadInput(f"{path}: {_sentence(error)}") from None
 
 
 def _sentence(error: ValidationError) -> str:
-    """The first complaint of pydantic as: field, value, what is allowed."""
+    """The first error of pydantic as: field, value, what is allowed."""
     first = error.errors()[0]
     field = ".".join(map(str, first["loc"])) or "the fish"
     message = first["msg"].removeprefix("Value error, ").rstrip(".")
@@ -57,16 +57,19 @@ def _sentence(error: ValidationError) -> str:
 
 
 def with_servo(fish: Fish, servo: str | None) -> Fish:
-    """The fish with another of its servos, or as described."""
+    """The fish with another of its servos; None leaves it as described. Raises BadInput if it has
+    no servo of this name."""
     if servo is not None and servo not in fish.servos:
-        raise BadInput(f"--servo {servo!r}: {fish.name} has {', '.join(fish.servos)}.")
+        raise BadInput(
+            f"--servo {servo!r}: not a servo of {fish.name}; give one of {', '.join(fish.servos)}."
+        )
     return fish.model_copy(update={"servo": servo or fish.servo})
 
 
 def with_values(fish: Fish, values: dict[str, float]) -> Fish:
-    """A copy of the fish with fields set by dotted path, in SI, e.g. `zones.fin.kutta`.
+    """A copy of the fish with fields set by dotted path, such as `zones.fin.kutta`, in SI.
 
-    Raises BadInput for a path the description does not have or a value it does not allow.
+    Raises BadInput for a path that the description does not have or a value that it does not allow.
     """
     tree = fish.model_dump()
     for path, value in values.items():
@@ -84,7 +87,8 @@ def with_values(fish: Fish, values: dict[str, float]) -> Fish:
 
 
 def value_at(fish: Fish, path: str) -> float:
-    """The number at a dotted path, in SI."""
+    """The number at a dotted path, in SI. The path is not checked: a wrong one raises KeyError,
+    IndexError or TypeError."""
     node: Any = fish.model_dump()
     for key in path.split("."):
         node = node[int(key)] if isinstance(node, tuple | list) else node[key]
@@ -92,7 +96,7 @@ def value_at(fish: Fish, path: str) -> float:
 
 
 def new_fish(path: Path) -> None:
-    """Write the commented template. Raises BadInput if `path` exists."""
+    """Write the commented template. Raises BadInput if `path` exists or does not end in .toml."""
     check_fish_name(path)
     text = (resources.files("tailbeat.fish") / "models" / "template.txt").read_text("utf-8")
     with new_file(path) as beside:
@@ -100,7 +104,7 @@ def new_fish(path: Path) -> None:
 
 
 def check_fish_name(path: Path) -> None:
-    """Refuse a fish that would not be a TOML file."""
+    """Raises BadInput for a path that does not end in .toml."""
     if path.suffix != ".toml":
         raise BadInput(f"{path}: a fish is a TOML file; give a name that ends in .toml.")
 
@@ -114,8 +118,9 @@ def write_identified(
 ) -> None:
     """Copy the description at `source` to `target` with fields replaced and all comments kept.
 
-    `values` maps a dotted path to {value, unit, interval, source}, in SI, or to a word. `note` is
-    put on top, line by line, as comments. Raises BadInput if `target` exists.
+    `values` maps a dotted path to {value, unit, interval, source}, in SI, or to text. `note` is
+    written first, line by line, as comments. Raises BadInput if `target` exists and `overwrite` is
+    false.
     """
     document = tomlkit.parse(fish_path(source).read_text(encoding="utf-8"))
     for path, entry in values.items():
@@ -125,7 +130,7 @@ def write_identified(
             node = node[int(key)] if isinstance(node, list) else _child(node, key)
         node[leaf] = entry if isinstance(entry, str) else _inline(entry)
         if stem and all(".".join([*stem, key]) in values for key in node):
-            node.trivia.comment = ""  # it spoke of numbers that are gone
+            node.trivia.comment = ""  # it described the numbers that were replaced
     heading = "".join(f"# {line}\n" for line in note.splitlines())
     with new_file(target, overwrite) as beside:
         beside.write_text(heading + tomlkit.dumps(document), encoding="utf-8")
@@ -145,6 +150,7 @@ def _inline(entry: Mapping[str, Any]) -> tomlkit.items.InlineTable:
 
 
 def digest(fish: Fish) -> str:
-    """What a policy's contract knows a fish by: all that the twin is made of, not its words."""
+    """Digest of all numbers and names of a fish, without its summary. A policy's contract has it,
+    to recognise the fish."""
     content = fish.model_dump(mode="json", exclude={"summary"})
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

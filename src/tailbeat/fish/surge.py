@@ -1,17 +1,17 @@
 """Added mass that acts across a part and not along it.
 
 The engine's body mass is one number, so a part's added mass m_A in its inertia resists motion along
-the chord as much as across it. Water does not: of m_A only `added_along` (s) is felt along. With
-e = (1 - s) m_A the excess, u, v the part's velocity along and across and w its spin, Kirchhoff's
-equations of a body with m_A across and s m_A along are those of the blind body and
+the chord as much as across it. Water does not: along the chord only s m_A acts, with s the fish's
+`added_along`. Let e = (1 - s) m_A be the excess, u, v the part's velocity along and across, and w
+its spin. Kirchhoff's equations of a body with m_A across and s m_A along are the engine's, plus
 
     along  + e du/dt        across  + e u w        moment  - e u v (Munk).
 
-The last two depend on velocities alone: they are the engine's own velocity half with the virtual
-mass -e / density along the chord (`virtual_mass`), exact at every step. The first cannot be a
-coefficient: it is a force on the head along its heading, the excess of all parts times the head's
-surge acceleration over the last `HOLD`, under-relaxed so that it converges (`relieve`). Parts are
-taken to surge as the head does.
+The last two terms depend on velocities alone. They are the engine's own velocity half with the
+virtual mass -e / density along the chord (`virtual_mass`), exact at every step. The first term
+cannot be a coefficient. It is a force on the head along its heading: the excess of all parts times
+the head's surge acceleration over the last `HOLD`, under-relaxed so that it converges (`relieve`).
+All parts are assumed to surge like the head.
 """
 
 from dataclasses import dataclass
@@ -26,11 +26,11 @@ from tailbeat.fish.description import Fish
 
 Array = NDArray[np.float64]
 NAME = "surge_excess"  # of the number that a compiled model carries [kg]
-GAIN = 0.5  # of the step that would meet a rigid fish's acceleration at once: damps the tail's
+GAIN = 0.5  # of the step that is exact for a rigid fish; below 1, to damp the tail's oscillation
 
 
 def excess(fish: Fish) -> float:
-    """Mass [kg] by which all parts together are too heavy along the fish."""
+    """Mass [kg] by which the added mass of all parts is too large along the fish."""
     parts = [part for body in (fish.head, *fish.tail.links) for part in body.parts]
     return fish.added_inertia * (1 - fish.added_along) * sum(part.added_mass for part in parts)
 
@@ -48,8 +48,9 @@ def excess_of(model: mujoco.MjModel) -> float:
 
 @dataclass(eq=False)
 class Relief:
-    """The force (n,) [N] that gives each head its surge back, and its speed (n,) [m/s] one `HOLD`
-    before, NaN where a swim has just begun; `excess` and `gain` (n,). `qpos`, `qvel` are live."""
+    """State of the correction: the `force` (n,) [N] on each head along its heading, and `before`,
+    its speed (n,) [m/s] one `HOLD` ago, NaN if a swim has just begun. `excess` (n,) [kg] and `gain`
+    (n,) are constants; `qpos` and `qvel` are the batch's own arrays."""
 
     root: int
     qpos: Array
@@ -61,19 +62,20 @@ class Relief:
 
 
 def relief(root: int, pool: batch.Batch, excess: Array, mass: Array) -> Relief:
-    """Of a batch at its start; `mass` (n,) [kg] is that of each model, added mass included."""
+    """State of a batch at its start. `excess` and `mass` (n,) [kg] are of each model; `mass`
+    includes the added mass."""
     gain = np.maximum(GAIN * mass / (mass - excess), 1.0)
     still, unknown = np.zeros(len(mass)), np.full(len(mass), np.nan)
     return Relief(root, pool.bind("qpos"), pool.bind("qvel"), excess, gain, still, unknown)
 
 
 def begin(state: Relief, chosen: NDArray[np.int64]) -> None:
-    """Some fish begin a new swim."""
+    """Reset the fish `chosen` (indices), which begin a new swim."""
     state.force[chosen], state.before[chosen] = 0.0, np.nan
 
 
 def relieve(state: Relief) -> Array:
-    """Move the force on by one `HOLD`; returns it in world axes (n, 3) [N]."""
+    """Update the force after one `HOLD`; returns it in world axes (n, 3) [N]."""
     speed = edge.root_motion(state.root, state.qpos, state.qvel, np.zeros((len(state.force), 3)))[
         :, 0
     ]

@@ -1,8 +1,8 @@
-"""Description to engine: Fish -> MjSpec -> MjModel, and the same spec for one fish or a thousand.
+"""Compile a description for the engine: Fish -> MjSpec -> MjModel.
 
-Joints, in order: root x, y, yaw (planar; or a free joint), motor, one hinge per tail link. The
-motor's sign makes a positive angle bend the tail tip to the left. Fluid acts through massless
-ellipsoids alone; masses and inertias are explicit.
+Joints, in order: root x, y, yaw (planar; or a free joint), motor, one hinge per tail link. A
+positive motor angle bends the tail tip to the left. Fluid forces act only on massless ellipsoids;
+masses and inertias are explicit.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ HEAVY = Servo(  # undelayed, unlimited, without friction
     force_limit=1e9,
     delay=0.0,
 )
-# Massless speck that keeps a body without wetted parts out of the engine's inertia-box drag model.
+# Size of a massless ellipsoid; with it the engine's inertia-box drag does not act on a dry body.
 SPECK = 1e-6
 # Constraint that stands for inextensible tendons: time constant [s] and damping ratio, impedance.
 # The engine softens a constraint by the inertia it sees, so a replayed twin's tail would be half a
@@ -45,7 +45,8 @@ TAUT_SHARE = 0.01
 
 @dataclass(frozen=True)
 class Options:
-    """How to compile: `root`, whether the motor is `replayed` (see `replay_command`), the looks."""
+    """How to compile: the joint of the `root`, whether the motor is `replayed`
+    (`rollout.replay_command`), and whether to add `looks` for pictures."""
 
     root: Root = "planar"
     replayed: bool = False
@@ -72,7 +73,7 @@ class Twin:
 
     @cached_property
     def zones(self) -> NDArray[np.int64]:
-        """Zone of each geom (ngeom,) as its place among the description's zones, -1 for none."""
+        """Zone of each geom (ngeom,) as an index into the description's zones, -1 for none."""
         found, names = np.full(self.model.ngeom, -1), list(self.fish.zones)
         for part in (p for body in (self.fish.head, *self.fish.tail.links) for p in body.parts):
             if part.zone is not None:
@@ -87,10 +88,10 @@ class Twin:
 
 
 def compile_twin(fish: Fish, options: Options = Options()) -> Twin:
-    """Compile a description. With `replayed`, the motor becomes a heavy rotor (see below).
+    """Compile a description. With `replayed`, the motor is a heavy rotor that follows any angle.
 
-    Some derived fields are edited after the engine's compilation. `mj_setConst` would derive them
-    anew: whoever calls it restores them (`randomize.refresh`).
+    Some derived fields are changed after the engine's compilation. `mj_setConst` overwrites them;
+    after a call of it they must be restored (`randomize.refresh`).
     """
     model = build_spec(fish, options).compile()
     _set_slack(fish, model)
@@ -146,10 +147,10 @@ def _add_root(head: mujoco.MjsBody, root: Root) -> None:
 
 
 def inertial(body: Body, added: float = 0.0) -> Inertial:
-    """Mass, centre and inertia about the centre of a body, principal axes taken as x, y, z.
+    """Mass, centre and inertia about the centre of a body; x, y, z are taken as principal axes.
 
     From `body.inertial` if given, else from its parts as uniform boxes (parallel axes). `added`
-    times each part's added mass is spread over the part's box too.
+    times each part's added mass is distributed over the part's box and included.
     """
     pieces = [_box(part.mass, part.position, part.size) for part in body.parts if part.mass]
     if body.inertial is not None:
@@ -195,7 +196,7 @@ def _fill_body(body: mujoco.MjsBody, fish: Fish, described: Body, x0: float) -> 
             mass=0,
             fluid_ellipsoid=1,
             fluid_coefs=list(fish.zones[part.zone or ""].row()),
-            group=3,  # hidden by default: the looks are drawn instead
+            group=3,  # hidden by default: the meshes of `looks` are shown instead
             rgba=[0.3, 0.6, 0.8, 0.4],
         )
     if not wet:
@@ -203,7 +204,7 @@ def _fill_body(body: mujoco.MjsBody, fish: Fish, described: Body, x0: float) -> 
 
 
 def _add_speck(body: mujoco.MjsBody) -> None:
-    """A point-like ellipsoid without coefficients: silences the inertia-box model for a body."""
+    """A point-like ellipsoid without coefficients: turns off inertia-box drag for a body."""
     body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
         size=[SPECK] * 3,
@@ -217,9 +218,9 @@ def _add_speck(body: mujoco.MjsBody) -> None:
 def _drop_velocity_half(fish: Fish, model: mujoco.MjModel) -> None:
     """Replace the virtual mass in the fluid law on every body that carries added inertia.
 
-    The engine applies the velocity half of added mass alone; beside an added mass in the inertia
-    it would be counted twice and the mean force of an oscillating plate would not vanish. What is
-    left undoes the inertia along the chord (`surge.py`), if the description asks for that.
+    The engine applies only the velocity half of added mass. With an added mass in the inertia it
+    would count twice, and the mean force on an oscillating plate would not vanish. The virtual
+    mass that remains cancels the inertia along the chord (`surge.py`) if `added_along` is below 1.
     """
     for body in (fish.head, *fish.tail.links):
         if any(part.added_mass > 0 for part in body.parts):
@@ -272,7 +273,7 @@ def _add_motor(spec: mujoco.MjSpec, head: mujoco.MjsBody, fish: Fish, replayed: 
 
 
 def _add_anchors(rotor: mujoco.MjsBody, fish: Fish) -> None:
-    """Where the tendons end on the motor: the pulley's front, or the two arms of the crank."""
+    """Add the tendons' ends on the motor: the pulley's front, or the two arms of the crank."""
     motor = fish.motor
     if motor.kind == "pulley":
         rotor.add_geom(
@@ -290,7 +291,7 @@ def _add_anchors(rotor: mujoco.MjsBody, fish: Fish) -> None:
 
 
 def _add_servo(spec: mujoco.MjSpec, fish: Fish, servo: Servo, replayed: bool) -> None:
-    """Position servo; `delay` holds the command back by any time, interpolated between steps."""
+    """Position servo. `delay` may be any time; the command is interpolated between steps."""
     actuator = spec.add_actuator(name="servo", target="motor")
     actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
     actuator.set_to_position(kp=servo.kp, kv=servo.kv)
@@ -302,7 +303,7 @@ def _add_servo(spec: mujoco.MjSpec, fish: Fish, servo: Servo, replayed: bool) ->
     if servo.delay > 0:
         actuator.delay = servo.delay
         actuator.nsample = int(np.ceil(servo.delay / spec.option.timestep)) + 2
-        actuator.interp = 1  # linear: a delay between two steps is met exactly on average
+        actuator.interp = 1  # linear: a delay between two whole steps is exact on average
 
 
 def _add_tendons(spec: mujoco.MjSpec, fish: Fish) -> None:
@@ -319,7 +320,7 @@ def _add_tendons(spec: mujoco.MjSpec, fish: Fish) -> None:
 def _wrap_pulley(
     spec: mujoco.MjSpec, tendon: mujoco.MjsTendon, fish: Fish, side: str, sign: int
 ) -> None:
-    """Lead the tendon round its own side of the pulley."""
+    """Wrap the tendon around its own side of the pulley."""
     spec.body("motor").add_site(name=f"side-{side}", pos=[0, sign * 2 * fish.motor.radius, 0])
     tendon.wrap_geom("pulley", f"side-{side}")
 
@@ -341,8 +342,8 @@ def _guide_sites(spec: mujoco.MjSpec, fish: Fish, side: str, sign: int) -> list[
 def _set_elasticity(spec: mujoco.MjSpec, fish: Fish) -> None:
     """Springs (see `_set_slack`), or one constraint that ties the pair.
 
-    The constraint is left length change = right length change: with a taut pair each would be
-    zero, and their difference keeps the tail free of the geometry's second-order stretch.
+    The constraint is: change of left length = change of right length. Two separate constraints of
+    zero change would block the second-order change of length when the tail bends.
     """
     elasticity = fish.tendons
     if elasticity.stiffness is None:
@@ -356,7 +357,8 @@ def _set_elasticity(spec: mujoco.MjSpec, fish: Fish) -> None:
 
 
 def _set_slack(fish: Fish, model: mujoco.MjModel) -> None:
-    """Free length of each tendon: the straight pose's plus the slack; below it, no force."""
+    """Set each tendon's free length: its length in the straight pose plus the slack. A shorter
+    tendon has no force, unless the tendons are `two_way`."""
     longest = model.tendon_length0 + fish.tendons.slack
     model.tendon_lengthspring[:, 0] = longest if fish.tendons.two_way else 0.0
     model.tendon_lengthspring[:, 1] = longest

@@ -1,4 +1,4 @@
-"""Quantities in a description: a number in SI, text with a unit, or a table with its source."""
+"""Read quantities of a description: a number in SI, text with a unit, or a table with a source."""
 
 from functools import partial
 from typing import Annotated, Any
@@ -71,7 +71,7 @@ def _number(word: str) -> float | None:
 
 
 def _scaled(value: Any, factor: float) -> Any:
-    """Multiply numbers at any depth of lists by `factor`; leave the rest for pydantic to refuse."""
+    """Multiply numbers in nested lists by `factor`; pydantic refuses everything else later."""
     if isinstance(value, list):
         return [_scaled(item, factor) for item in value]
     if isinstance(value, bool) or not isinstance(value, int | float):

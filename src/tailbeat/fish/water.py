@@ -1,8 +1,8 @@
-"""What the engine's fluid law lacks, put right once every `HOLD` for one fish or a thousand.
+"""Correct the engine's fluid law once every `HOLD`, for any number of fish.
 
-Two corrections, each where a description asks for it: lift that knows its trailing edge (`edge.py`)
-and added mass that acts across alone (`surge.py`). Both follow from positions and velocities; the
-second remembers one speed and one force from `HOLD` before.
+There are two corrections, and a description chooses each: lift that depends on the direction of the
+flow (`edge.py`), and added mass that acts less along the parts (`surge.py`). Both follow from
+positions and velocities; the second also keeps one speed and one force from `HOLD` before.
 """
 
 from collections.abc import Sequence
@@ -20,8 +20,9 @@ Array = NDArray[np.float64]
 
 
 def whole(fish: Fish) -> Fish:
-    """The fish with every correction on: added mass as inertia, across the parts alone, and lift
-    with a trailing edge; explicit Euler, exact and cheap with it (docs/explain/twin.md)."""
+    """The fish with every correction on: added mass as inertia, only across the parts, and lift
+    with a trailing edge. The integrator is Euler: it is exact and cheap with added mass as inertia
+    (docs/explain/twin.md)."""
     changed = {
         "added_inertia": 1.0,
         "added_along": 0.0,
@@ -33,7 +34,7 @@ def whole(fish: Fish) -> Fish:
 
 @dataclass(frozen=True, eq=False)
 class Water:
-    """A batch's corrections; `steps` of the engine between two of them."""
+    """A batch's corrections, and the number of the engine's `steps` between two of them."""
 
     lift: edge.Lift | None
     relief: surge.Relief | None
@@ -41,8 +42,8 @@ class Water:
 
 
 def water(models: Sequence[mujoco.MjModel], pool: batch.Batch, wind: Array) -> Water | None:
-    """Of a batch whose fish `i` is `models[i]`, all of one layout, in water that moves with `wind`
-    (n, 3) [m/s]; None where the engine's law is all that is asked for."""
+    """The corrections of a batch in which fish `i` is `models[i]`, all of one layout, in water that
+    moves with `wind` (n, 3) [m/s]. None if no model has a correction."""
     root, step = int(models[0].joint("motor").dofadr[0]), models[0].opt.timestep
     blends = [blend for model in models if (blend := edge.blend_of(model)) is not None]
     lift = edge.lift(models[0], pool, wind, np.stack(blends)) if blends else None
@@ -55,8 +56,8 @@ def water(models: Sequence[mujoco.MjModel], pool: batch.Batch, wind: Array) -> W
 
 
 def correct(found: Water) -> Array | None:
-    """Weigh the lift of the steps to come; the force on each head (n, 3) [N] that goes with them,
-    None where there is none."""
+    """Update the lift for the next steps. Returns the force on each head for these steps, in world
+    axes (n, 3) [N], None if there is none."""
     if found.lift is not None:
         edge.weigh(found.lift)
     return None if found.relief is None else surge.relieve(found.relief)
