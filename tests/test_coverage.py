@@ -67,7 +67,7 @@ def test_a_slow_large_stroke_is_uncovered_and_its_band_named(protocol, slow):
     assert not quantity(found, "motor angle").covered  # 1.2 rad where 0.7 were recorded
     assert quantity(found, "motor rate").covered  # slow as it is, the shaft turns no faster
     assert not found.covered
-    share = f"{100 * power.below:.0f} % of the motor's power lies there"
+    share = f"{100 * power.below:.0f} % of the motor's power is there"
     assert f"record swims below {power.low:.2g} Hz: {share}" in found.advice[0]
     assert any("record larger motor angles to the left" in line for line in found.advice)
 
@@ -128,14 +128,14 @@ def test_bad_input_is_one_sentence(protocol):
     blind = replace(protocol[0], columns={"x_m": protocol[0].time})
     with pytest.raises(BadInput, match="motor_angle_rad is missing"):
         coverage([blind], protocol, FISH)
-    with pytest.raises(BadInput, match=r"0\.50 s; coverage needs swims of 1 s or more"):
+    with pytest.raises(BadInput, match=r"0\.50 s; coverage needs 1 s or more"):
         coverage([crop(protocol[0], 0.0, 0.5)], protocol, FISH)
     columns = {**protocol[0].columns}
     columns["motor_angle_rad"] = 57.3 * columns["motor_angle_rad"]
     with pytest.raises(BadInput, match=r"outside motor\.range"):
         coverage(protocol, [replace(protocol[0], columns=columns)], FISH)
     still = filmed(FISH, "still", np.zeros(clock_of(FISH, 3.0).size), seconds=3.0)
-    with pytest.raises(BadInput, match="stands still in every recording"):
+    with pytest.raises(BadInput, match="never moves in any recording"):
         coverage(protocol, [still], FISH)
 
 

@@ -1,1 +1,1 @@
-"""What did we measure? Recordings in, parameters with intervals out."""
+"""Identify a fish from recordings: parameters with their intervals."""

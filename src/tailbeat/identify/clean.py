@@ -1,7 +1,7 @@
-"""Recordings of tails and swims without their glitches: which column is held to which limits.
+"""Remove glitches from recordings of tails and swims: the limits of each column.
 
-Rows are left out where a column that is read sample by sample is wrong. A marker that is wrong
-becomes unseen in that frame. Nothing is put in their place.
+A row is left out if its angle, torque or pose is a glitch. A marker that is a glitch becomes unseen
+(NaN) in that frame. Nothing is replaced.
 """
 
 from dataclasses import replace
@@ -21,15 +21,16 @@ from tailbeat.identify.glitches import (
 )
 from tailbeat.recording import Array, Recording, is_marker, rows
 
-BANDWIDTH = 12.0  # Hz beyond which a driven tail's torque has no part, chosen
-NOISY = 0.1  # share of the torque's span by which a sample may be off, chosen
+BANDWIDTH = 12.0  # Hz above which a driven tail's torque has no power, chosen
+NOISY = 0.1  # fraction of the torque's span by which a sample may be off, chosen
 SWIM = {"x_m": PLACE, "y_m": PLACE, "yaw_rad": HEADING, "motor_angle_rad": SHAFT}
 
 Cleaned = tuple[Recording, tuple[Glitch, ...]]
 
 
 def clean_tail(recording: Recording, shaft: Limits = TAIL) -> Cleaned:
-    """A tail's recording without the rows in which angle or torque is a glitch."""
+    """A tail's recording without the rows in which angle or torque is a glitch, and what was left
+    out. `shaft` are the limits of the angle."""
     limits = {"angle_rad": shaft}
     if "torque_nm" in recording.columns:
         limits["torque_nm"] = of_bandwidth(recording.columns["torque_nm"])
@@ -37,12 +38,13 @@ def clean_tail(recording: Recording, shaft: Limits = TAIL) -> Cleaned:
 
 
 def clean_pull(recording: Recording) -> Cleaned:
-    """A slow pull without its glitches."""
+    """`clean_tail` with the limits of a slow pull."""
     return clean_tail(recording, SLOW_PULL)
 
 
 def clean_swim(recording: Recording) -> Cleaned:
-    """A swim without the frames in which pose or motor angle is a glitch; wrong markers unseen."""
+    """A swim without the frames in which pose or motor angle is a glitch, and what was left out.
+    Glitches of markers become NaN."""
     limits = {name: limit for name, limit in SWIM.items() if name in recording.columns}
     marked = {name: MARKER for name in recording.columns if is_marker(name)}
     good, found = find(recording, {**limits, **marked})
@@ -60,8 +62,8 @@ def _without(recording: Recording, limits: dict[str, Limits]) -> Cleaned:
 
 
 def of_bandwidth(signal: Array) -> Limits:
-    """What a signal can do that spans what most of its samples span, without part beyond
-    `BANDWIDTH` (Bernstein's bounds on its slope and curvature)."""
+    """Limits of a signal that has no power above `BANDWIDTH`, from the span of most of its samples
+    (Bernstein's bounds on slope and curvature)."""
     span = float(np.ptp(np.quantile(signal, [0.02, 0.98])))
     omega = 2 * np.pi * BANDWIDTH
     return Limits(omega * span / 2, omega**2 * span / 2, NOISY * span + 1e-12)

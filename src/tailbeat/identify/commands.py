@@ -12,9 +12,13 @@ PROTOCOLS = ("tail", "servo", "fluid")
 
 
 def write_protocol(kind: str, fish: str, out: Path, speed: float) -> list[Path]:
-    """Write the command recordings of one bench into a folder; returns their paths."""
+    """Write the command recordings of one test bench, `kind` tail, servo or fluid, into a folder.
+
+    `speed` is the largest shaft speed [rad/s]. Returns the paths, .csv. Raises BadInput for another
+    kind, a crank, a speed that is not above 0, or a file that exists.
+    """
     if kind not in PROTOCOLS:
-        raise BadInput(f"protocol {kind!r}: allowed are {', '.join(PROTOCOLS)}.")
+        raise BadInput(f"protocol {kind!r}: unknown; give one of {', '.join(PROTOCOLS)}.")
     described = load_fish(fish)
     limit = protocol.limits(described, speed)
     if kind == "tail":

@@ -1,8 +1,8 @@
 """Do the recordings of an identification cover what a policy does?
 
-A twin is known where it was recorded. Each quantity of the swims is compared with the range that
-the recordings hold, and what lies outside is said as what to record next. What the recordings
-themselves have outside their range is taken off, so recordings always cover themselves.
+A twin is validated only where it was recorded. Each quantity of the swims is compared with the
+range of the recordings; what lies outside should be recorded next. The fraction of the recordings
+outside their own range is subtracted, so recordings always cover themselves.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -22,17 +22,17 @@ from tailbeat.recording import Recording, uniform
 
 Array = NDArray[np.float64]
 PERIOD = 0.02  # s between compared samples: the robot's own loop
-AVERAGE = 1.0  # s over which speed and yaw rate are averaged: a beat, not its sway
+AVERAGE = 1.0  # s over which speed and yaw rate are averaged, to remove the sway of a beat
 PERCENTILES = (0.5, 99.5)  # between them lies the recorded range
 BANDS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, HIGHEST)  # Hz, edges of the table
 BINS = 40  # of the histograms that are overlapped
-LIMIT = 0.05  # share outside above which a quantity is not covered
+LIMIT = 0.05  # fraction outside above which a quantity is not covered
 
 
 @dataclass(frozen=True)
 class Term:
-    """A quantity's name and unit, and what to record where swims go beyond either end of the range;
-    `edge` stands for that end, `swims` for the share beyond it."""
+    """A quantity's name and unit, and what to record if swims exceed either end of the range. In
+    these texts `edge` is that end and `swims` the fraction beyond it."""
 
     name: str
     unit: str
@@ -43,8 +43,8 @@ class Term:
 POWER = Term(
     "motor power",
     "Hz",
-    "swims below {edge:.2g} Hz: {swims} of the motor's power lies there",
-    "swims above {edge:.2g} Hz: {swims} of the motor's power lies there",
+    "swims below {edge:.2g} Hz: {swims} of the motor's power is there",
+    "swims above {edge:.2g} Hz: {swims} of the motor's power is there",
 )
 SPEED = Term(
     "speed",
@@ -74,10 +74,11 @@ RATE = Term(
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity's recorded range, and the shares of time (of power) beyond either end.
+    """One quantity's recorded range [its unit], and the fractions of time beyond either end. Of
+    the motor's power they are fractions of power.
 
-    `below` and `above` are the swims', `own_below` and `own_above` the recordings'; `overlap` is
-    the common area of the two normalised histograms, 1 where they are equal.
+    `below` and `above` are of the swims, `own_below` and `own_above` of the recordings. `overlap`
+    is the common area of the two normalised histograms, 1 if they are equal.
     """
 
     term: Term
@@ -91,7 +92,7 @@ class Quantity:
 
     @property
     def outside(self) -> float:
-        """Share of the swims outside the range, beyond what the recordings have there."""
+        """Fraction of the swims outside the range, less the recordings' own."""
         return max(self.below - self.own_below, 0.0) + max(self.above - self.own_above, 0.0)
 
     @property
@@ -102,7 +103,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Band:
-    """Shares of the motor's power between two frequencies [Hz]."""
+    """Fractions of the motor's power between two frequencies [Hz]."""
 
     low: float
     high: float
@@ -112,7 +113,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Coverage:
-    """What was compared; `missing` says which quantities could not be, and why."""
+    """The compared quantities; `missing` says which could not be compared, and why."""
 
     quantities: tuple[Quantity, ...]
     bands: tuple[Band, ...]
@@ -125,12 +126,12 @@ class Coverage:
 
     @property
     def advice(self) -> list[str]:
-        """What to record next, one plain sentence each; empty where all is covered."""
+        """What to record next, one sentence each; empty if everything is covered."""
         return [line for one in self.quantities if not one.covered for line in _advice(one)]
 
 
 def _advice(one: Quantity) -> Iterator[str]:
-    """What to record for one quantity: the end that lacks most, and the other if it lacks too."""
+    """What to record for one quantity, the less covered end first."""
     ends = (
         (one.term.below, one.low, one.below, one.own_below),
         (one.term.above, one.high, one.above, one.own_above),
@@ -146,7 +147,7 @@ def _percent(share: float) -> str:
 
 
 def as_json(found: Coverage) -> dict[str, Any]:
-    """The result of `tailbeat coverage`: SI, shares from 0 to 1."""
+    """The result of `tailbeat coverage`: SI, fractions from 0 to 1."""
     return {
         "covered": found.covered,
         "limit": LIMIT,
@@ -164,10 +165,11 @@ def _row(one: Quantity) -> dict[str, Any]:
 
 
 def coverage(swims: Sequence[Recording], recordings: Sequence[Recording], fish: Fish) -> Coverage:
-    """Compare a policy's swims with the recordings a fish was identified on.
+    """Compare a policy's swims with the recordings that a fish was identified on.
 
-    Both need `motor_angle_rad`; those with `yaw_rad` are compared by yaw rate, those with `x_m`
-    and `y_m` too by speed. Raises BadInput with the reason.
+    Both need `motor_angle_rad`. Yaw rate needs `yaw_rad`; speed also needs `x_m` and `y_m`. Raises
+    BadInput for a recording that lacks the motor's angle, is too short, or exceeds the motor's
+    range, and if the motor never moves.
     """
     for one in (*swims, *recordings):
         _check(one)
@@ -193,8 +195,8 @@ def _check(recording: Recording) -> None:
         )
     if recording.time[-1] - recording.time[0] < AVERAGE:
         raise BadInput(
-            f"{recording.name}: {recording.time[-1] - recording.time[0]:.2f} s; coverage needs"
-            f" swims of {AVERAGE:g} s or more, so leave this one out."
+            f"{recording.name}: lasts {recording.time[-1] - recording.time[0]:.2f} s; coverage"
+            f" needs {AVERAGE:g} s or more. Leave this one out."
         )
 
 
@@ -202,7 +204,7 @@ def _check(recording: Recording) -> None:
 
 
 def _angle(recording: Recording, fish: Fish) -> Array:
-    """The motor's angle; a crank's, which turns for ever, as its sine."""
+    """The motor's angle [rad]; the sine of a crank's, because a crank turns without end."""
     angle = np.asarray(recording.columns["motor_angle_rad"])
     return np.sin(angle) if fish.motor.kind == "crank" else angle
 
@@ -225,7 +227,7 @@ def _speed(recording: Recording, fish: Fish) -> Array | None:
 
 
 def _averaged_rate(values: Array) -> Array:
-    """Mean rate over every stretch of `AVERAGE` seconds."""
+    """Mean rate over every interval of `AVERAGE` seconds."""
     step = min(round(AVERAGE / PERIOD), values.size - 1)
     return np.asarray((values[step:] - values[:-step]) / (step * PERIOD))
 
@@ -261,12 +263,12 @@ def _overlap(a: Array, b: Array) -> float:
 
 
 def _power(swims: Sequence[Recording], recorded: Sequence[Recording], fish: Fish) -> Quantity:
-    """The frequencies that hold the central 90 % of any recording's motor power are covered, and
-    all between them; the shares are of power."""
+    """The motor's power. The covered range goes from the lowest to the highest frequency of the
+    central 90 % of any recording's power."""
     played, known = _spectra(swims, fish), _spectra(recorded, fish)
     if not known:
         raise BadInput(
-            "The motor stands still in every recording; give those the fish was identified on."
+            "The motor never moves in any recording; give those the fish was identified on."
         )
     edges = [central(frequency, energy) for frequency, energy in known]
     low, high = min(edge[0] for edge in edges), max(edge[1] for edge in edges)

@@ -1,7 +1,7 @@
-"""Two more bench recordings of a tail: a slow pull, and a release.
+"""Two more test bench recordings of a tail: a slow pull, and a release.
 
-A slow pull shows the hysteresis loop, and what a static test would have called the stiffness. A
-release rings down at the natural frequency.
+A slow pull shows the hysteresis loop, and the stiffness of a static test. A released tail rings
+down at the natural frequency.
 """
 
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ from tailbeat.identify.response import HALF_TURN, check_angle, check_clipping
 from tailbeat.recording import Recording, check_continuous, require
 
 Array = NDArray[np.float64]
-HELD = 0.97  # share of the first deflection down to which a tail counts as still held
+HELD = 0.97  # fraction of the first deflection above which a tail counts as still held
 FEWEST_RINGS = 2.0
-QUIET = 3.0  # the ring-down ends where its envelope meets this many deviations of the noise
+QUIET = 3.0  # standard deviations of the noise; the ring-down ends when it falls below them
 
 
 # ---- slow pull ----------------------------------------------------------------------------------
@@ -27,10 +27,10 @@ QUIET = 3.0  # the ring-down ends where its envelope meets this many deviations 
 
 @dataclass(frozen=True)
 class Loop:
-    """A static test's stiffness [N m/rad]: while loading, while unloading, and over the loop.
+    """Stiffness from a static test [N m/rad]: while loading, while unloading, and over the loop.
 
-    `width` is the loop's mean height [N m], twice the friction that the tail and its tendons show
-    when pulled slowly; `energy` its area [J] per cycle.
+    `width` is the loop's mean height [N m], twice the friction of tail and tendons in a slow pull.
+    `energy` is its area [J] per cycle.
     """
 
     loading: float
@@ -41,10 +41,11 @@ class Loop:
 
 
 def static_loop(recording: Recording) -> Loop:
-    """Stiffness as a weight and a protractor would have it: torque over angle through the middle.
+    """Stiffness from a slow pull: the slope of torque over angle about the middle of both.
 
-    Friction adds to the torque while loading and subtracts while unloading, so the two differ and
-    neither is the spring's. Raises BadInput if the recording does not go both ways.
+    Needs `angle_rad` and `torque_nm`, the torque that turns the shaft. Friction adds to the torque
+    while loading and subtracts while unloading; neither slope is the spring's stiffness. Raises
+    BadInput if the angle moves in one direction only, looks like degrees, or the torque is clipped.
     """
     require(recording, ["angle_rad", "torque_nm"])
     check_angle(recording.name, "angle_rad", recording.columns["angle_rad"], HALF_TURN)
@@ -57,8 +58,8 @@ def static_loop(recording: Recording) -> Loop:
     there, back = moving & (speed > 0), moving & (speed < 0)
     if min(there.mean(), back.mean()) < 0.2:
         raise BadInput(
-            f"{recording.name}: the angle goes one way only; pull slowly out and let back at least"
-            f" once, to both sides."
+            f"{recording.name}: the angle moves in one direction only; pull the tail slowly to both"
+            f" sides and back, at least once."
         )
     whole = _slope(angle, torque)
     width = float(
@@ -80,7 +81,7 @@ def _centred(signal: Array) -> Array:
 
 
 def _smooth(signal: Array) -> Array:
-    """Mean over a 50th of the recording: an encoder's counts have no slope of their own."""
+    """Mean over a 50th of the recording, to smooth the steps of an encoder's counts."""
     width = max(signal.size // 50, 1)
     padded = np.pad(signal, (width, width), mode="edge")
     return np.convolve(padded, np.ones(width) / width, mode="same")[width:-width]
@@ -95,8 +96,8 @@ def _slope(angle: Array, torque: Array) -> float:
 
 @dataclass(frozen=True)
 class RingDown:
-    """Natural (undamped) frequency [Hz] and damping ratio, from `start` to `end` [s] of `column`,
-    with the fitted curve (k,) over its times for a figure."""
+    """Natural (undamped) frequency [Hz] and damping ratio, from `start` to `end` [s] of `column`.
+    `time` [s], `measured` and `fitted` (k,) are for a figure."""
 
     recording: str
     column: str
@@ -112,9 +113,9 @@ class RingDown:
 def ring_down(recording: Recording) -> RingDown:
     """Fit one decaying oscillation to a released tail.
 
-    Reads `angle_rad`, or the only other column there is (a tip's place will do: neither number
-    depends on the unit). The fit starts at the first pass through rest, past the hand's release.
-    Intervals allow for correlated noise. Raises BadInput if it does not ring.
+    Reads `angle_rad`, or the only column. The position of the tip will do: neither result depends
+    on the unit. The fit starts at the first pass through rest after the release. Intervals allow
+    for correlated noise. Raises BadInput if the tail does not ring.
     """
     check_continuous(recording)
     column = _moving_column(recording)
@@ -152,14 +153,14 @@ def _moving_column(recording: Recording) -> str:
         return "angle_rad"
     if len(recording.columns) != 1:
         raise BadInput(
-            f"{recording.name}: a ring-down needs angle_rad, or one column alone; it has"
+            f"{recording.name}: a ring-down needs angle_rad, or only one column; the recording has"
             f" {', '.join(recording.columns)}."
         )
     return next(iter(recording.columns))
 
 
 def _ringing(recording: Recording, signal: Array) -> tuple[int, int]:
-    """Rows from the first pass through rest after the release to where the noise takes over."""
+    """Rows from the first pass through rest after the release to the last one above the noise."""
     tail = signal[-max(signal.size // 5, 5) :]
     away = signal - np.median(tail)
     side = np.sign(np.median(away[: max(signal.size // 50, 3)]))
@@ -190,7 +191,8 @@ def _first_guess(recording: Recording, time: Array, part: Array) -> float:
 
 
 def _misfit(rates: Array, time: Array, part: Array) -> Array:
-    """What the best decaying oscillation of these rates leaves; rest may creep in a line."""
+    """Residuals (k,) of the best decaying oscillation with these rates. The rest position may drift
+    linearly."""
     since = time - time[0]
     wave = np.exp((-rates[1] + 1j * rates[0]) * since)
     basis = np.stack([wave.real, wave.imag, np.ones_like(since), since], axis=1)
@@ -199,7 +201,7 @@ def _misfit(rates: Array, time: Array, part: Array) -> Array:
 
 
 def _deviation(jacobian: Array, rest: Array) -> Array:
-    """Covariance of the rates, inflated by how long the residuals stay correlated."""
+    """Covariance (2, 2) of the rates, increased for correlated residuals."""
     lagged = np.correlate(rest, rest, mode="full")[rest.size - 1 :] / (rest @ rest)
     ends = np.flatnonzero(lagged < 0.05)
     together = 1 + 2 * lagged[1 : ends[0] if ends.size else rest.size].sum()

@@ -1,14 +1,14 @@
-"""An identified number: its value, its 95 % interval, and whether the data decide it."""
+"""An identified number: its value, its 95 % interval, and whether the data determine it."""
 
 from dataclasses import dataclass
 from typing import Any
 
-DECIDED = 0.1  # a 95 % interval within 10 % of the value counts as decided by the data
+DECIDED = 0.1  # a 95 % interval of +-10 % of the value counts as decided by the data
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number in `unit` with its 95 % interval, and the centre of its prior if it had one."""
+    """A number in `unit` with its 95 % interval (low, high), and its prior's centre, if any."""
 
     value: float
     interval: tuple[float, float]
@@ -17,7 +17,7 @@ class Estimate:
 
     @property
     def decided(self) -> bool:
-        """Whether the interval lies within 10 % of the value."""
+        """Whether the interval is narrower than 20 % of the value."""
         return (self.interval[1] - self.interval[0]) < 2 * DECIDED * abs(self.value)
 
 

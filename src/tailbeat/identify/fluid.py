@@ -1,7 +1,8 @@
 """Fluid identification: which coefficients make the twin swim as the recordings do?
 
-Residuals are in units of their own standard deviation, chosen once for every fish (`SIGMA`) and
-not tuned to a result. Speeds and shapes of a cruise, poses in time of a replayed run.
+Residuals are speed and body wave of a cruise, and poses over time of a replayed run. They are in
+units of their standard deviations. These are chosen once for every fish (`SIGMA`), and not tuned to
+a result.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,10 +26,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sigma:
-    """What counts as one standard deviation of misfit, all chosen.
+    """Standard deviations of the residuals, all chosen.
 
-    `wave` is what perspective does to markers at two heights (in the crank fish's tracks neighbours
-    at different heights stand 20 mm too far apart), the rest about what a camera resolves.
+    `wave` is the effect of perspective on markers at two heights: in the crank fish's tracks,
+    neighbours at different heights are 20 mm too far apart. The others are about a camera's
+    resolution.
     """
 
     speed: float = 0.002  # m/s, of a cruise's mean speed
@@ -40,15 +42,15 @@ class Sigma:
 
 SIGMA = Sigma()
 SAMPLES = 60  # poses compared per replayed run
-FIRST_POSITION, FIRST_YAW = 0.003, 0.01  # m, rad: how wrong the first frame may be, chosen
-HOLE = 2.5  # times the median interval: beyond, several frames are missing and nothing is compared
+FIRST_POSITION, FIRST_YAW = 0.003, 0.01  # m, rad: standard error of the first frame, chosen
+HOLE = 2.5  # times the median interval: in a longer gap nothing is compared
 START_WEIGHT = 4.0  # squared error at the start over that at the end (paper)
 
-# Prior centre, spread of ln(value), and range per coefficient. Outside the range no ellipsoid in
-# water has been seen: a blunt drag above 2 is a C_d of 4; thin-foil theory gives a Kutta factor of
-# about pi at most and unsteady motion has not doubled it. The lift of a foil that turns, 1/4 pi
-# rho a chord^2 span u w, is a Magnus factor of 3/2 a chord / thickness: 26 for a fin of 70 x 2 mm
-# with half the slope of a section. Centres are the engine's defaults but for drag of smooth bodies.
+# Prior centre, spread of ln(value), and range per coefficient. No ellipsoid in water is outside the
+# range: a blunt drag above 2 is a C_d of 4; thin-foil theory gives a Kutta factor of about pi at
+# most, and unsteady motion does not double it. The lift of a foil that turns, 1/4 pi rho a chord^2
+# span u w, is a Magnus factor of 3/2 a chord / thickness: 26 for a fin of 70 x 2 mm with half the
+# slope of a section. Centres are the engine's defaults; those of drag are for smooth bodies.
 COEFFICIENT_PRIORS: dict[str, tuple[float, float, float, float]] = {
     "blunt": (0.4, 0.6, 0.02, 2.0),
     "slender": (0.15, 1.0, 0.005, 5.0),
@@ -56,20 +58,21 @@ COEFFICIENT_PRIORS: dict[str, tuple[float, float, float, float]] = {
     "kutta": (1.5, 0.8, 0.01, 6.3),
     "magnus": (2.0, 1.2, 0.01, 60.0),
 }
-# Lift astern lies between the bare engine's and thin-aerofoil theory's; the blending speed is that
-# of a slow fin (both chosen).
+# Lift astern is between the bare engine's (1) and thin-aerofoil theory's (-1). The blending speed
+# is a slow fin's (both chosen).
 EDGE_PRIORS = (
     Parameter("trailing_edge.speed", "m/s", 0.005, 0.2, 0.03, 0.7),
     Parameter("trailing_edge.reverse", "1", -1.0, 1.0, -0.5, 0.5, log=False),
 )
-# Without added inertia the coefficients must stand in for what is missing (the paper's fin has a
-# Kutta factor of 10 and an angular one of 18): ranges reach so many times further, chosen.
+# Without added inertia the coefficients must replace it (the paper's fin has a Kutta factor of 10
+# and an angular one of 18): upper limits are higher by this factor, chosen.
 STAND_IN = 4.0
 
 
 def fluid_space(fish: Fish, zones: int) -> tuple[Parameter, ...]:
-    """The free numbers: five coefficients for all zones together (1) or for each (3), and what
-    the description calls uncertain."""
+    """The free numbers: five coefficients, one set for all zones (`zones` 1) or one for each (3),
+    the trailing edge's if the fish has one, and those that the description lists as uncertain.
+    Raises BadInput if an uncertain number is outside its range."""
     groups = ["*"] if zones == 1 else list(fish.zones)
     room = 1.0 if fish.added_inertia > 0 else STAND_IN
     found = [
@@ -94,13 +97,13 @@ def fluid_space(fish: Fish, zones: int) -> tuple[Parameter, ...]:
 def _check_uncertain(fish: Fish, field: str, low: float, prior: float, high: float) -> None:
     if not low <= prior <= high:
         raise BadInput(
-            f"{fish.name}: uncertain field {field} = {prior:g} lies outside its range"
+            f"{fish.name}: uncertain field {field} = {prior:g} is outside its range"
             f" {low:g}-{high:g} (SI); widen the range or correct the value."
         )
 
 
 def apply(fish: Fish, found: dict[str, float]) -> Fish:
-    """The fish with values set; `zones.*.kutta` sets every zone's."""
+    """The fish with values set by dotted path, in SI; `zones.*.kutta` sets every zone's."""
     single: dict[str, float] = {}
     for path, value in found.items():
         names = fish.zones if "*" in path else [""]
@@ -117,7 +120,8 @@ def residual_function(
 ) -> Callable[[Array], Array]:
     """Batched residuals for `search`: candidates (n, p) in z -> (n, r).
 
-    `start_weight` None weighs the start of a replayed run four times when it starts from rest.
+    `start_weight`: whether the start of a replayed run counts four times its end (None: only if it
+    starts from rest). Residuals are in standard deviations (`SIGMA`), infinite if a twin diverges.
     """
     return partial(
         _residuals, fish, (*runs, *forward_checks(fish, runs)), space, start_weight, cruise
@@ -126,11 +130,11 @@ def residual_function(
 
 def forward_checks(fish: Fish, runs: Sequence[Run]) -> list[Run]:
     """Cruises that were not recorded, at half the slowest recorded beat: from rest, and with a
-    trailing edge launched backward too.
+    trailing edge also launched backward.
 
-    No data, but knowledge: a beating fish does not swim backwards. The engine's lone velocity half
-    of added mass pulls a beating fin rearwards, and its even lift holds a launched fish to a
-    backward gait (docs/explain/twin.md). Replayed swims show themselves what a launched fish does.
+    They are no data: a beating fish is known not to swim backward. The engine's velocity half of
+    added mass pulls a beating fin rearwards, and its even lift keeps a launched fish in a backward
+    gait (docs/explain/twin.md). Replayed swims already show what a launched fish does.
     """
     cruises = [run for run in runs if run.motor is None]
     if not cruises:
@@ -170,7 +174,7 @@ def _residuals(
 
 
 def _compare(fish: Fish, run: Run, done: Swim, start_weight: bool | None, cruise: Cruise) -> Array:
-    """Residuals of one run, all infinite where the twin diverged."""
+    """Residuals of one run, all infinite if the twin diverged."""
     with np.errstate(all="ignore"):
         track = camera_track(fish, run, done)
         if run.motor is None:
@@ -198,15 +202,15 @@ def _compare_cruise(run: Run, track: Track, cruise: Cruise) -> Array:
 
 
 def _behind(run: Run) -> NDArray[np.bool_]:
-    """Markers that move with the tail: those whose stroke beats the head markers' by far."""
+    """Markers that move with the tail: their stroke is over 5 % of the tip's."""
     assert run.gait.wave is not None
     return np.abs(run.gait.wave) > 0.05 * abs(run.gait.wave[run.track.tip])
 
 
 def _compare_poses(run: Run, track: Track, weigh_start: bool) -> Array:
-    """Pose errors at `SAMPLES` times of a replayed run, the first pose's own error taken out.
+    """Pose errors at `SAMPLES` times of a replayed run, without the first pose's own error.
 
-    Without a recorded heading positions alone are compared, after any turn of the first pose.
+    Without a recorded heading only positions are compared, after any turn of the first pose.
     """
     span = run.track.time[-1] - run.track.time[0]
     time = np.linspace(span / SAMPLES, min(span, track.time[-1]), SAMPLES)
@@ -225,17 +229,17 @@ def _compare_poses(run: Run, track: Track, weigh_start: bool) -> Array:
 
 
 def _recorded(time: Array, when: Array) -> NDArray[np.bool_]:
-    """Which times have a frame on both sides, not a hole in the recording."""
+    """Which times are between two frames without a gap in the recording."""
     step = np.diff(when)
     after = np.clip(np.searchsorted(when, time), 1, when.size - 1)
     return np.asarray(step[after - 1] < HOLE * np.median(step))
 
 
 def _without_first_pose(error: Array, way: Array, weight: Array, yaw: float | None = None) -> Array:
-    """Residuals left by the best small shift and turn of the first pose, ridge-regularised.
+    """Residuals after the best small shift and turn of the first pose, ridge-regularised.
 
-    The twin starts from one camera frame; its noise would turn the whole path with it. `weight`
-    has one column per compared coordinate; `yaw` [rad] is how wrong the heading may be.
+    The twin starts from one camera frame, and its noise would turn the whole path. `weight` has one
+    column per compared coordinate; `yaw` [rad] is the heading's standard error.
     """
     zero, one = np.zeros(len(way)), np.ones(len(way))
     moves = [[one, zero, zero], [zero, one, zero], [-way[:, 1], way[:, 0], one]]
@@ -247,15 +251,16 @@ def _without_first_pose(error: Array, way: Array, weight: Array, yaw: float | No
 
 
 def _at(time: Array, when: Array, pose: Array) -> Array:
-    """Poses between samples, by a cubic: straight lines lose 1 % of a beat's yaw at 50 Hz."""
+    """Poses between samples, by a cubic: a linear curve loses 1 % of a beat's yaw at 50 Hz."""
     return np.asarray(CubicSpline(when, np.nan_to_num(pose))(time))
 
 
 def insensitive(
     residuals: Callable[[Array], Array], space: tuple[Parameter, ...], least: float = 0.05
 ) -> list[str]:
-    """Free numbers that hardly move the result: one prior spread shifts the residuals' norm by
-    less than `least` standard deviations at the prior's centre and on both sides of it."""
+    """Paths of the free numbers that hardly change the result: one prior spread changes the
+    residuals by less than `least` standard deviations (norm), at the prior's centre and on both
+    sides of it."""
     reach = np.zeros(len(space))
     for shift in (-0.7, 0.0, 0.7):
         _, slope = sensitivity(residuals, np.full(len(space), shift))

@@ -1,6 +1,6 @@
-"""How does it swim? Beat frequency, speed, stride, Strouhal number and body wave of one swim.
+"""Measure one swim: beat frequency, speed, stride, Strouhal number and body wave.
 
-The same functions read a recording and a twin's run, so that both are judged alike.
+The same functions read a recording and a twin's run, so that both are measured alike.
 """
 
 from dataclasses import dataclass
@@ -14,15 +14,16 @@ from tailbeat.files import BadInput
 Array = NDArray[np.float64]
 MINIMUM_BEATS = 2.0
 EDGE = 0.03  # a beat driven at the band's edge may be measured a little beyond it
-STEADY = 0.5  # share of the rate's variance that one sine must explain to be a beat, chosen
+STEADY = 0.5  # fraction of the rate's variance that one sine must explain to be a beat, chosen
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A swim seen from above: `time` (k,) s, `pose` (k, 3) of the tracked point (x, y [m], yaw).
+    """A swim seen from above: `time` (k,) [s], `pose` (k, 3) of the tracked point: x, y [m] and yaw
+    [rad], unwrapped.
 
-    `markers` (k, m, 2) m in the world, NaN where unseen, or None; `tip` is the index of the marker
-    nearest the fin's rear edge. The yaw is NaN throughout where no heading was recorded.
+    `markers` (k, m, 2) [m] are in the world, NaN where unseen, or None. `tip` is the index of the
+    marker nearest the fin's rear edge. Without a recorded heading every yaw is NaN.
     """
 
     time: Array
@@ -36,7 +37,7 @@ class Track:
         return bool(np.isfinite(self.pose[0, 2]))
 
     def cut(self, start: int, stop: int) -> "Track":
-        """The samples from `start` to `stop`."""
+        """The samples from index `start` up to, not including, `stop`."""
         part = slice(start, stop)
         markers = None if self.markers is None else self.markers[part]
         return Track(self.time[part], self.pose[part], markers, self.tip)
@@ -44,15 +45,16 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Gait:
-    """One steady swim in figures.
+    """Numbers of one steady swim.
 
-    `speed` is the mean over whole beats of the tracked point's velocity along the heading [m/s];
-    `tail_amplitude` the fin tip's sideways stroke in the head frame, peak to peak [m];
-    `yaw_wave` [rad] and `wave` (m,) [m] are the complex amplitudes of heading and of each marker's
-    sideways motion in the head frame at the beat frequency, phases relative to the tip's.
+    `frequency` [Hz] is the beat's. `speed` is the mean over whole beats of the tracked point's
+    velocity along the heading [m/s]. `tail_amplitude` is the fin tip's sideways stroke in the head
+    frame, peak to peak [m]. `yaw_wave` [rad] and `wave` (m,) [m] are the complex amplitudes of
+    heading and of each marker's sideways motion in the head frame at the beat frequency. Phases are
+    relative to the tip's.
 
-    Without a steady beat all are NaN but `speed`, then the mean over the whole track. Without a
-    heading `speed` is that over ground, and everything that needs the head frame is NaN.
+    Without a steady beat all are NaN except `speed`, which is then the mean over the whole track.
+    Without a heading `speed` is the speed over ground, and what needs the head frame is NaN.
     """
 
     frequency: float
@@ -92,7 +94,7 @@ def surge(track: Track) -> Array:
 
 
 def distance(track: Track) -> Array:
-    """Way along the heading since the start (k,) [m]."""
+    """Path length along the heading since the start (k,) [m]; backward motion counts negative."""
     steps = np.diff(track.pose[:, :2], axis=0)
     yaw = track.pose[1:, 2]
     along = steps[:, 0] * np.cos(yaw) + steps[:, 1] * np.sin(yaw)
@@ -102,7 +104,7 @@ def distance(track: Track) -> Array:
 def ground_distance(track: Track) -> Array:
     """Path length since the start (k,) [m], between mean positions of about a second each.
 
-    Averaging keeps a camera's noise and the head's own swaying from adding up to a path.
+    The averages keep a camera's noise and the head's sway from adding to the path length.
     """
     pieces = max(int(track.time[-1] - track.time[0]), 1)
     piece = np.minimum(np.linspace(0, pieces, track.time.size).astype(int), pieces - 1)
@@ -115,12 +117,12 @@ def ground_distance(track: Track) -> Array:
 
 
 def way(track: Track) -> float:
-    """Way swum [m]: along the heading, over ground where no heading was recorded."""
+    """Path length of a swim [m]: along the heading, or over ground if no heading was recorded."""
     return float(np.abs((distance if track.has_heading else ground_distance)(track)[-1]))
 
 
 def last_seconds(track: Track, seconds: float) -> Track:
-    """The end of a track."""
+    """The last `seconds` of a track."""
     first = int(np.searchsorted(track.time, track.time[-1] - seconds))
     return track.cut(first, track.time.size)
 
@@ -128,13 +130,15 @@ def last_seconds(track: Track, seconds: float) -> Track:
 def phase_shift(
     time: Array, signal: Array, other_time: Array, other: Array, frequency: float
 ) -> float:
-    """Seconds to add to `other_time` for its beat to fall on that of `signal`, within half one."""
+    """Time [s] to add to `other_time` so that the beat of `other` is in phase with that of
+    `signal`; at most half a period of `frequency` [Hz]."""
     lead = amplitude(other_time, other, frequency) / amplitude(time, signal, frequency)
     return float(np.angle(lead) / (2 * np.pi * frequency))
 
 
 def beat_signal(track: Track) -> Array:
-    """What beats: the tip's sideways motion in the head frame [m], else the heading [rad]."""
+    """The signal of the beat (k,): the tip's sideways motion in the head frame [m]; without
+    markers the heading [rad]."""
     if track.markers is None:
         return track.pose[:, 2]
     return head_frame(track)[:, track.tip, 1]
@@ -149,7 +153,8 @@ def _basis(time: Array, frequency: float, harmonics: int) -> Array:
 
 
 def amplitude(time: Array, signal: Array, frequency: float) -> complex:
-    """Complex amplitude c of a beat, signal ~ Re(c exp(2 pi i f t)); NaN if seen under half."""
+    """Complex amplitude c of a beat: signal ~ Re(c exp(2 pi i f t)). NaN if over half of the
+    samples are unseen."""
     seen = np.isfinite(signal)
     if seen.mean() < 0.5:
         return complex("nan")
@@ -160,8 +165,8 @@ def amplitude(time: Array, signal: Array, frequency: float) -> complex:
 def beat_frequency(time: Array, signal: Array, band: tuple[float, float], name: str) -> float:
     """Beat frequency [Hz] by least squares of one sine on a slow drift, over uneven samples.
 
-    Raises BadInput where the strongest beat lies on the band's edge or the recording holds fewer
-    than two beats.
+    Raises BadInput, which begins with `name`, if the strongest beat is outside the `band` (lowest,
+    highest [Hz]) or the recording has fewer than two beats.
     """
     seen = np.isfinite(signal)
     time, signal = time[seen], signal[seen]
@@ -171,10 +176,11 @@ def beat_frequency(time: Array, signal: Array, band: tuple[float, float], name: 
 
 
 def steady_beat(time: Array, signal: Array, band: tuple[float, float]) -> float:
-    """Beat frequency [Hz] up to twice the band's upper edge, NaN where there is no steady beat.
+    """Beat frequency [Hz] up to twice the band's upper edge; NaN if there is no steady beat.
 
-    Steady: two beats or more, and one sine on a slow drift explains half of the variance of the
-    signal's rate (of the rate, because one turn of a motor outweighs many small beats).
+    A beat is steady if there are two or more, and one sine on a slow drift explains half of the
+    variance of the signal's rate. The rate is used because in the signal one large turn of the
+    motor outweighs many small beats.
     """
     low, high = 0.5 * band[0], 2.0 * band[1]
     found = [_strongest(time, signal, *span) for span in ((low, high), (0.0, low))]
@@ -187,7 +193,7 @@ def steady_beat(time: Array, signal: Array, band: tuple[float, float]) -> float:
 
 
 def _strongest(time: Array, signal: Array, low: float, high: float) -> float:
-    """Frequency [Hz] of the sine that fits best; NaN where the time is too short to tell."""
+    """Frequency [Hz] of the sine that fits best; NaN if the recording is too short."""
     span = np.ptp(time)
     grid = np.arange(max(low, 0.8 / span), high, 0.1 / span)
     if grid.size < 2:
@@ -210,7 +216,10 @@ def _check_frequency(
     frequency: float, duration: float, band: tuple[float, float], name: str
 ) -> None:
     if np.isnan(frequency):
-        raise BadInput(f"{name}: {duration:.2f} s; record at least {MINIMUM_BEATS:.0f} beats.")
+        raise BadInput(
+            f"{name}: {duration:.2f} s is too short for a beat of the band; record at least"
+            f" {MINIMUM_BEATS:.0f} beats."
+        )
     if frequency * duration < MINIMUM_BEATS:
         raise BadInput(
             f"{name}: {duration:.2f} s holds {frequency * duration:.1f} beats of"
@@ -224,7 +233,8 @@ def _check_frequency(
 
 
 def measure_gait(track: Track, frequency: float) -> Gait:
-    """The gait over the largest whole number of beats from the start; of all where it is NaN."""
+    """The gait over the largest whole number of beats of `frequency` [Hz] from the start. If it is
+    NaN, only the mean speed over the whole track."""
     nan = float("nan")
     if not np.isfinite(frequency):
         return Gait(nan, mean_speed(track), nan, complex(nan), None, nan)
@@ -247,8 +257,8 @@ def measure_gait(track: Track, frequency: float) -> Gait:
 
 
 def mean_speed(track: Track) -> float:
-    """Mean over time of the velocity along the heading [m/s]; where no heading was recorded, of
-    the speed over ground, which is never below 0."""
+    """Mean over time of the velocity along the heading [m/s]. If no heading was recorded, the mean
+    speed over ground, which is never below 0."""
     span = track.time[-1] - track.time[0]
     if track.has_heading:
         return float(np.trapezoid(surge(track), track.time) / span)

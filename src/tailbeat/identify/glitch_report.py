@@ -3,12 +3,12 @@
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # without the compiler that the search for them needs
+if TYPE_CHECKING:  # the module would import numba
     from tailbeat.identify.glitches import Glitch
 
 
 def as_rows(found: Iterable["Glitch"]) -> list[dict[str, Any]]:
-    """The JSON of a report: recording, column, kind, count and times [s]."""
+    """Glitches as JSON rows: recording, column, kind, count and times [s]."""
     return [
         {
             "recording": one.recording,

@@ -1,9 +1,9 @@
-"""Find samples that no shaft and no camera can have shown, by limits of speed and acceleration.
+"""Find impossible samples (glitches) by limits of speed and acceleration.
 
-Of every column the heaviest chain of samples is kept in which each follows from the two before it
-within the limits (dynamic programming over a window). A burst of several wrong samples therefore
-loses against the true ones around it. No rule looks at what a fit leaves over: a misfit of the
-model is not a glitch. What is found is left out, never replaced.
+In a chain, each sample is reachable from the two samples before it within the limits. Of every
+column the chain with the largest weight is kept (dynamic programming over a window). So a burst of
+several wrong samples is found by the good ones around it. The residuals of a fit are not used: a
+misfit of the model is not a glitch. Glitches are left out, never replaced.
 """
 
 from collections.abc import Mapping
@@ -19,20 +19,20 @@ from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-WINDOW = 48  # samples a chain may skip; beyond, it starts anew
-STUCK, LIGHT = 3, 0.6  # repeats of a value from which it may be stuck, and what each then counts
-BROKEN = 0.1  # share of a run of equal values that a chain drops before the whole run is doubted
-MISSING = 1.75  # times the median interval: from here a frame is missing
-MOST = 0.5  # share of a column's samples beyond which nothing can be told from it
-ISLAND = 3  # samples in a row between glitches from which they are trusted
-FEWEST = 8  # samples below which no chain is worth the name
+WINDOW = 48  # samples that a chain may skip; after more, a new chain starts
+STUCK, LIGHT = 3, 0.6  # equal samples in a row that may be stuck, and the weight of each
+BROKEN = 0.1  # fraction of a run of equal values; if a chain drops more, the whole run is dropped
+MISSING = 1.75  # times the median interval: above it a frame is missing
+MOST = 0.5  # largest fraction of a column's samples that may be glitches
+ISLAND = 3  # fewest samples in a row between glitches that are kept
+FEWEST = 8  # fewest samples that are searched
 TURN = 2 * np.pi
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a signal can do: largest speed [unit/s] and acceleration [unit/s^2], and by how much a
-    sample may be off [unit]. `circular`: an angle known up to whole turns only."""
+    """Limits of a signal: largest speed [unit/s] and acceleration [unit/s^2], and a sample's
+    largest noise [unit]. `circular`: an angle that is known only up to whole turns."""
 
     speed: float
     acceleration: float
@@ -40,9 +40,9 @@ class Limits:
     circular: bool = False
 
 
-# All chosen, and generous. A fast position servo reaches 15 rad/s without load, and 300 rad/s^2. A
-# tail is driven at 5 Hz and 0.4 rad at most, and a slow pull is slow. No fish of ours swims at
-# 1 m/s; a tail's tip at 5 Hz and 0.1 m has 3 m/s and 100 m/s^2. Noise: seven counts of an encoder,
+# All chosen, with a margin. A fast position servo reaches 15 rad/s without load, and 300 rad/s^2. A
+# tail is driven at 5 Hz and 0.4 rad at most; a slow pull is slower. No fish here swims at 1 m/s; a
+# tail's tip at 5 Hz and 0.1 m has 3 m/s and 100 m/s^2. Noise: three to seven counts of an encoder,
 # a camera's pixels.
 SHAFT = Limits(speed=25.0, acceleration=500.0, noise=0.005)
 TAIL = Limits(speed=15.0, acceleration=500.0, noise=0.01)
@@ -56,7 +56,7 @@ MARKER = Limits(speed=6.0, acceleration=300.0, noise=0.01)
 class Glitch:
     """Samples of one column and kind: jump, swapped bytes, frozen, stuck, or gap.
 
-    `times` [s] of the samples; of a gap, of the last sample before it.
+    `times` [s] are of the samples; for a gap, of the last sample before it.
     """
 
     recording: str
@@ -68,10 +68,10 @@ class Glitch:
 def find(
     recording: Recording, limits: Mapping[str, Limits]
 ) -> tuple[dict[str, Mask], list[Glitch]]:
-    """Which samples of each named column are good (n,), and what the others are.
+    """Which samples of each named column are good (n,), and the glitches and gaps.
 
-    Each stretch in which time rises is judged alone. Raises BadInput where more than half of a
-    column's samples are glitches.
+    Each part in which time rises and the condition stays is searched alone. Raises BadInput if more
+    than half of a column's samples are glitches.
     """
     parts = stretches(recording)
     good: dict[str, Mask] = {}
@@ -96,7 +96,7 @@ def _refuse_nothing_left(recording: str, column: str, good: Mask) -> None:
     if good.mean() < 1 - MOST:
         raise BadInput(
             f"{recording}: column {column}: {100 * (1 - good.mean()):.0f} % of the samples move"
-            f" faster than any shaft or fish can; allowed is {100 * MOST:.0f} %: check its unit,"
+            f" faster than any shaft or fish can; allowed is {100 * MOST:.0f} %. Check its unit,"
             f" the unit of time and the sensor, and record again."
         )
 
@@ -111,7 +111,7 @@ def stretches(recording: Recording) -> list[slice]:
 
 
 def gaps(time: Array) -> NDArray[np.str_]:
-    """`gap` (n,) at the last sample before missing frames. Nothing is left out for it."""
+    """`gap` (n,) at the last sample before missing frames, else empty. A gap removes no sample."""
     kinds = np.full(time.size, "", dtype="<U13")
     if time.size >= FEWEST:
         step = np.diff(time)
@@ -120,7 +120,8 @@ def gaps(time: Array) -> NDArray[np.str_]:
 
 
 def judge(time: Array, values: Array, limits: Limits) -> NDArray[np.str_]:
-    """The kind of each sample (n,): empty where it is good or was not seen (NaN)."""
+    """The kind of each sample (n,) of rising times (not checked): empty if it is good or was not
+    seen (NaN)."""
     kinds = np.full(values.size, "", dtype="<U13")
     seen = np.flatnonzero(np.isfinite(values))
     if seen.size < FEWEST:
@@ -149,9 +150,10 @@ def _runs(values: Array) -> NDArray[np.int_]:
 
 
 def _weights(time: Array, values: Array, runs: NDArray[np.int_], limits: Limits) -> Array:
-    """What each sample counts in a chain: less in a stuck run, so that its own samples go first.
+    """Weight of each sample in a chain: less in a run that may be stuck, so that its samples are
+    dropped first.
 
-    A run may be stuck where nothing can have entered and left it as fast as it did.
+    A run may be stuck if the steps into it and out of it are both faster than the limits.
     """
     step = np.diff(values)
     if limits.circular:
@@ -164,9 +166,9 @@ def _weights(time: Array, values: Array, runs: NDArray[np.int_], limits: Limits)
 
 
 def _whole_runs(kept: Mask, runs: NDArray[np.int_]) -> Mask:
-    """A value that repeats while the shaft moved on is frozen from its second sample to its last.
+    """If a chain drops a part of a run of equal values, drop the run from its second sample on.
 
-    A chain needs to drop only some of them.
+    The value froze while the shaft moved; a chain drops only the samples out of its reach.
     """
     broken = np.bincount(runs, weights=~kept) > BROKEN * np.bincount(runs)
     first = np.searchsorted(runs, runs) == np.arange(runs.size)
@@ -174,7 +176,7 @@ def _whole_runs(kept: Mask, runs: NDArray[np.int_]) -> Mask:
 
 
 def _without_islands(kept: Mask) -> Mask:
-    """A few samples between glitches are held by nothing: over a hole, much can be reached."""
+    """Drop short runs of samples between glitches: after a long gap most values are possible."""
     if kept.all():
         return kept
     own = _runs(kept.astype(float))
@@ -186,7 +188,7 @@ def _without_islands(kept: Mask) -> Mask:
 
 @njit(cache=True)
 def _chain(time, values, weight, limits, circular):  # type: ignore[no-untyped-def]
-    """Which samples the heaviest chain holds. A chain starts anew where it skips a window."""
+    """Which samples are in the chain of largest weight. After a skipped window a new one starts."""
     speed, acceleration, noise = limits
     n = time.size
     score = np.zeros((n, WINDOW + 1))  # of the chain that ends i, j with i = j - column; 0: at j
@@ -223,7 +225,7 @@ def _chain(time, values, weight, limits, circular):  # type: ignore[no-untyped-d
 
 @njit(cache=True)
 def _slope(time, values, i, j, noise, circular):  # type: ignore[no-untyped-def]
-    """Mean speed from sample i to j, and how much of it may be noise."""
+    """Mean speed from sample i to j, and the part of it that may be noise."""
     step = values[j] - values[i]
     if circular:
         step -= TURN * np.round(step / TURN)
@@ -251,7 +253,7 @@ def _traced(n, end, column, back, before):  # type: ignore[no-untyped-def]
 def _kinds(
     time: Array, values: Array, kept: Mask, runs: NDArray[np.int_], limits: Limits
 ) -> NDArray[np.str_]:
-    """What the samples that are not kept are."""
+    """The kind of each sample that is not kept; empty for the others."""
     kinds = np.full(values.size, "", dtype="<U13")
     if kept.all():
         return kinds
@@ -268,7 +270,7 @@ def _kinds(
 def _swapped(time: Array, values: Array, kept: Mask, limits: Limits) -> Mask:
     """Whether a sample fits between its neighbours once the bytes of its 16-bit count are swapped.
 
-    Counts of a turn's 4096th, from 0, from half a turn, or signed; the common encoders' ways.
+    Counts are 4096 per turn, from 0, from half a turn, or signed, as common encoders have them.
     """
     if not kept.any():
         return np.zeros(values.size, dtype=bool)
