@@ -132,7 +132,7 @@ def test_resampling_keeps_a_straight_line_and_unwraps_angles():
     assert crop(line, 0.5, 3.0).time.tolist() == [1.0, 3.0]
     with pytest.raises(BadInput, match="choose times within 0-3 s"):
         resample(line, np.array([-1.0, 1.0]))
-    with pytest.raises(BadInput, match="holds 1 samples"):
+    with pytest.raises(BadInput, match="has 1 samples"):
         crop(line, 0.5, 2.0)
 
 

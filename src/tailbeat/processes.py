@@ -21,8 +21,8 @@ def start(words: Sequence[str], **more: Any) -> "subprocess.Popen[Any]":
 
 
 def start_verb(words: Sequence[str], **more: Any) -> "subprocess.Popen[str]":
-    """Start `tailbeat words` with one thread. It gets SIGTERM when this process dies. `more` goes
-    to `subprocess.Popen`; its `env` is added to this process's environment."""
+    """Start a verb of tailbeat, `words`, with one thread. It gets SIGTERM when this process dies.
+    `more` goes to `subprocess.Popen`; its `env` is added to this process's environment."""
     more["env"] = {**os.environ, **ALONE, **more.get("env", {})}
     words = ["-m", "tailbeat", *words]
     return start(words, text=True, preexec_fn=end_with_parent, **more)

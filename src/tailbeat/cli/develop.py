@@ -72,8 +72,8 @@ def benchmark(
     ] = True,
     json: JsonOption = None,
 ) -> None:
-    """Measure speed and accuracy on this machine: step, pool, environment, updates and camera. The
-    step is compared with a bare engine loop."""
+    """Measure speed and accuracy on this machine. It measures step, pool, environment, updates and
+    camera, and compares the step with a bare engine loop."""
     from tailbeat.benchmarks import suite
 
     result = suite.benchmark(env)

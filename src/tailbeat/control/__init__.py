@@ -1,1 +1,1 @@
-"""What decides? Actions, observation, policy, validity band: numpy and onnxruntime alone."""
+"""Control a fish: actions, observation, policy, band. Needs only numpy and onnxruntime."""
