@@ -147,7 +147,7 @@ def test_a_folder_without_a_bench_is_refused(folder, tmp_path):
         )
     with pytest.raises(BadInput, match="exist already"):
         record("tail", "pulley-fish", folder, 0)
-    with pytest.raises(BadInput, match="allowed are tail, servo, fluid"):
+    with pytest.raises(BadInput, match="give one of tail, servo, fluid"):
         record("wings", "pulley-fish", tmp_path, 0)
 
 
@@ -156,5 +156,5 @@ def test_a_crank_plays_given_commands_and_has_no_protocol_of_its_own():
     turning = Recording("turning", time, {"command_rad": 2 * np.pi * time})
     (swum,) = record_fluid(load_fish("crank-fish"), commands=[turning])
     assert swum.columns["motor_angle_rad"][-1] == pytest.approx(4 * np.pi, abs=0.8)
-    with pytest.raises(BadInput, match="cannot be swung"):
+    with pytest.raises(BadInput, match="cannot swing to both sides"):
         next(record_fluid(load_fish("crank-fish")))

@@ -170,7 +170,7 @@ def recording(**columns: np.ndarray) -> Recording:
     [
         ({"angle_rad": 57.3 * np.sin(np.arange(300))}, {}, "looks like degrees"),
         ({"command_rad": np.zeros(300)}, {}, "command_rad never moves"),
-        ({}, {"load": "spring"}, "allowed are tail, pendulum, nothing"),
+        ({}, {"load": "spring"}, "give tail, pendulum or nothing"),
         ({}, {"load": "pendulum"}, "metadata load_mass_kg = None"),
         ({}, {"gain": "high"}, "metadata gain = 'high'"),
     ],
@@ -183,7 +183,7 @@ def test_bad_recordings_are_one_sentence(columns, meta, complaint):
 def test_a_gain_stated_in_some_recordings_alone_is_refused(tmp_path):
     with_gain = as_bench(replace(recording(), meta={"gain": "400"}), FISH)
     without = as_bench(recording(), FISH)
-    with pytest.raises(BadInput, match="metadata gain is missing while other recordings"):
+    with pytest.raises(BadInput, match="metadata gain is missing, and other recordings"):
         identify_servo(FISH, [with_gain], [without], ServoConfig(seeds=1, effort=SHORT), tmp_path)
 
 
@@ -217,5 +217,5 @@ def test_protocols_stay_inside_the_servo_s_limits():
 
 
 def test_a_crank_has_no_protocol():
-    with pytest.raises(BadInput, match="cannot be swung to and fro"):
+    with pytest.raises(BadInput, match="cannot swing to both sides"):
         limits(load_fish("crank-fish"))

@@ -1,8 +1,9 @@
 """From the shaft to the hinges and back: k = r^2 / sum(d_i^2 / k_i) with k_i ~ h_i / L_i.
 
-Paper: the tendon's force F bends hinge i by F d_i / k_i, winds off r theta = sum d_i phi_i, and
-turns the shaft with tau = F r. Euler-Bernoulli with one modulus and thickness leaves k_i
-proportional to strip height over strip length. Damping is spread in proportion to stiffness.
+Paper: the tendon's force F bends hinge i by phi_i = F d_i / k_i, the length wound is r theta = sum
+d_i phi_i, and the torque on the shaft is tau = F r. With one modulus and one thickness
+(Euler-Bernoulli), k_i is proportional to strip height over strip length. Each hinge's damping is in
+proportion to its stiffness.
 """
 
 from dataclasses import dataclass
@@ -21,10 +22,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Hinges:
-    """Stiffness per hinge [N m/rad] that gives k_eff at the shaft, and whence their pattern.
+    """Stiffness of each hinge [N m/rad] that gives k_eff at the shaft, and the source of the
+    `pattern`. Moment `arms` and motor `radius` [m].
 
-    `k_compiled` [N m/rad] is the shaft's stiffness read from the compiled twin, a check on the
-    formula (it differs where tendons stretch), `i_compiled` [kg m^2] the tail's inertia there.
+    `k_compiled` [N m/rad] is the stiffness at the shaft, read from the compiled twin. It checks the
+    formula, and differs from it if tendons stretch. `i_compiled` [kg m^2] is the tail's inertia at
+    the shaft.
     """
 
     stiffness: tuple[float, ...]
@@ -38,13 +41,14 @@ class Hinges:
 def spread(radius: float, arms: Array, pattern: Array, k_eff: float) -> Array:
     """Hinge stiffnesses (n,) in proportion to `pattern` that give `k_eff` at the shaft.
 
-    `radius` of the pulley and moment `arms` (n,) in the same unit.
+    `radius` of the pulley and moment `arms` (n,) need the same unit. Formula: see above.
     """
     return np.asarray(pattern * k_eff * np.sum(arms**2 / pattern) / radius**2)
 
 
 def hinges_for(fish: Fish, k_eff: float, c_eff: float) -> Hinges:
-    """Spread a measured stiffness over a fish's hinges, and read the result back."""
+    """Distribute a measured stiffness `k_eff` [N m/rad] and damping `c_eff` [N m s/rad] at the
+    shaft over a fish's hinges, and read the result back from the compiled twin."""
     twin = compile_twin(fish, Options(root="fixed"))
     data = mujoco.MjData(twin.model)
     mujoco.mj_forward(twin.model, data)
@@ -63,7 +67,7 @@ def hinges_for(fish: Fish, k_eff: float, c_eff: float) -> Hinges:
 
 
 def _pattern(fish: Fish) -> tuple[Array, str]:
-    """h / L of the strips where every link states them, else the described stiffnesses."""
+    """h / L of the strips if every link states both, else the described stiffnesses."""
     strips = [(link.strip_height, link.strip_length) for link in fish.tail.links]
     if all(height and length for height, length in strips):
         return np.array([(h or 0.0) / (w or 1.0) for h, w in strips]), "strip height over length"
@@ -71,7 +75,7 @@ def _pattern(fish: Fish) -> tuple[Array, str]:
 
 
 def tail_values(stiffness: Array, k_eff: float, c_eff: float) -> dict[str, float]:
-    """Field -> value of an identified tail."""
+    """Field -> value [SI] of an identified tail. A negative `c_eff` becomes 0."""
     found = {f"tail.links.{i}.stiffness": float(k) for i, k in enumerate(stiffness)}
     damping_time = max(c_eff, 0.0) / k_eff
     return {
@@ -88,10 +92,10 @@ def with_stiffness(fish: Fish, stiffness: Array, k_eff: float, c_eff: float) -> 
 
 
 def tail_inertia(fish: Fish) -> float:
-    """Inertia of the dry tail at the shaft [kg m^2], bending as its springs alone would have it.
+    """Inertia of the dry tail at the shaft [kg m^2], for the quasi-static shape of its springs.
 
-    The quasi-static shape phi_i = theta (k / r) d_i / k_i moves the links' mass matrix. The motor's
-    own armature is left out. Below the first bending mode this is the I that a sweep finds.
+    The shape is phi_i = theta (k / r) d_i / k_i. The motor's own armature is not included. Below
+    the first bending mode this is the I that a sweep finds.
     """
     dry = fish.model_copy(update={"added_inertia": 0.0})
     twin = compile_twin(dry, Options(root="fixed"))

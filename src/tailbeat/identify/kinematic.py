@@ -1,7 +1,7 @@
-"""A naive rival of the twin: five numbers that turn a motor's angle into a path.
+"""A naive model to compare the twin with: five numbers that give a path from the motor's angle.
 
-No body, no water: the power of the shaft's rate, smoothed over a time, gives speed; the angle,
-smoothed over another, gives turn rate. Whoever cannot beat this has not identified a fish.
+It has no body and no water. The smoothed power of the shaft's rate gives the speed; the smoothed
+angle gives the turn rate. A twin that is not better than this model has not identified the fish.
 
     speed = gain (smooth_1(rate^2))^exponent,  turn rate = turn smooth_2(angle)
 """
@@ -30,8 +30,8 @@ LOW, HIGH = (0.0, 0.05, 0.02, -10.0, 0.02), (2.0, 2.0, 20.0, 10.0, 5.0)
 
 @dataclass(frozen=True)
 class Kinematic:
-    """Speed gain [m/s at 1 rad^2/s^2] and exponent, its lag [s]; turn rate per angle [1/s], its
-    lag [s]."""
+    """The five numbers: speed `gain` [m/s at 1 rad^2/s^2], `exponent` and `speed_lag` [s]; turn
+    rate per angle, `turn` [1/s], and `turn_lag` [s]."""
 
     gain: float
     exponent: float
@@ -41,7 +41,8 @@ class Kinematic:
 
 
 def fit_kinematic(runs: Sequence[Run]) -> Kinematic:
-    """The five numbers by least squares on the poses of replayed runs with a heading."""
+    """Fit the five numbers by least squares to the poses of the runs that are `replayable`. At
+    least one must be (not checked)."""
     made = [_resampled(run) for run in runs if replayable(run)]
 
     def residuals(numbers: Array) -> Array:
@@ -66,7 +67,8 @@ def _errors(model: Kinematic, angle: Array, pose: Array) -> Array:
 
 
 def path(model: Kinematic, angle: Array, start: Array) -> Array:
-    """Poses (k, 3) from motor angles (k,) every `STEP`, from a first pose."""
+    """Poses (k, 3) x, y [m], yaw [rad] from motor angles (k,) [rad] every `STEP`, and the first
+    pose `start` (3,)."""
     rate = np.gradient(angle, STEP)
     power = _smooth(np.square(rate), model.speed_lag)
     speed = model.gain * np.maximum(power, 1e-12) ** model.exponent
@@ -84,12 +86,12 @@ def _smooth(values: Array, lag: float) -> Array:
 
 
 def predict_kinematic(model: Kinematic, runs: Sequence[Run]) -> list[Prediction]:
-    """What the five numbers make of replayed runs, as `predict` says it of a twin."""
+    """Predict the runs that are `replayable`, in the same form as `predict` for a twin."""
     return [_predicted(model, run) for run in runs if replayable(run)]
 
 
 def replayable(run: Run) -> bool:
-    """Whether a run has what the five numbers need: a motor angle and a heading."""
+    """Whether a run has what the naive model needs: a motor angle and a heading."""
     return run.motor is not None and run.track.has_heading
 
 
@@ -108,9 +110,10 @@ def errors_row(prediction: Prediction) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """What the naive model makes of the runs that have a motor angle and a heading, and medians
-    over these runs: position error as a share of the path, size of the heading error [deg]; and
-    the share of them on which the twin's position error is the smaller."""
+    """The naive model's predictions of the runs that are `replayable`. Medians over these runs, of
+    the twin and of the naive model: position error as a fraction of the path length, and size of
+    the heading error [deg]. `twin_better_share`: fraction of the runs on which the twin's position
+    error is smaller."""
 
     naive: tuple[Prediction, ...]
     median_position_error_share: float
@@ -121,14 +124,15 @@ class Rival:
 
 
 def beside(twin: Sequence[Prediction], fitted_on: Sequence[Run]) -> Rival:
-    """The naive model, fitted on `fitted_on`, beside what the twin predicts of some runs.
+    """Compare the twin's predictions with the naive model, fitted on `fitted_on`.
 
-    Raises BadInput where no run has a motor angle and a heading.
+    Raises BadInput if no run has both a motor angle and a heading.
     """
     known = [one for one in twin if replayable(one.run)]
     if not any(map(replayable, fitted_on)) or not known:
         raise BadInput(
-            "--fitted-on: the naive model needs swims with motor_angle_rad and yaw_rad; give some."
+            "--fitted-on: the naive model needs swims with motor_angle_rad and yaw_rad, to fit and"
+            " to predict; give such recordings."
         )
     naive = predict_kinematic(fit_kinematic(fitted_on), [one.run for one in known])
     ours, theirs = ([path_errors(one) for one in group] for group in (known, naive))

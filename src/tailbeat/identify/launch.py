@@ -1,8 +1,8 @@
-"""Swims that begin with a velocity: how a recording says so, and whether the twin recovers.
+"""Swims that begin with a velocity: how a recording states it, and whether the twin recovers.
 
-A recording states `launch: surge sway yaw-rate` [m/s, m/s, rad/s] in its metadata, in the fish
-frame, the velocity with which the fish frame moves at its first sample. A lab pushes its fish, or
-lets go of it on a moving carriage; the virtual pool imposes it.
+A recording states `launch: surge sway yaw-rate` [m/s, m/s, rad/s] in its metadata. This is the
+velocity of the fish frame at the first sample, in the fish frame. In a lab the fish is pushed, or
+released from a moving carriage; the virtual pool sets the velocity.
 """
 
 from collections.abc import Sequence
@@ -20,14 +20,15 @@ from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]
 KEY = "launch"
-LENGTHS = 2.0  # body lengths a second: no fish of this kind moves faster (chosen)
+LENGTHS = 2.0  # body lengths per second: no fish of this kind moves faster (chosen)
 TURNING = 10.0  # rad/s
 LAUNCHES = (0.0, 0.03, -0.03, -0.1, -0.3)  # m/s, of the check
-SECONDS, JUDGED = 12.0, 2.0  # s swum, and how many of them are judged
+SECONDS, JUDGED = 12.0, 2.0  # s of each swim, and the last part that is measured
 
 
 def launch_of(recording: Recording, fish: Fish) -> Array | None:
-    """Surge, sway [m/s] and yaw rate [rad/s] at the start, None where the recording is silent.
+    """Surge, sway [m/s] and yaw rate [rad/s] at the start (3,), None if the recording has no such
+    metadata.
 
     Raises BadInput for text that is not three numbers, or a launch faster than the fish could move.
     """
@@ -52,7 +53,7 @@ def _check_launch(name: str, launch: Array, length: float) -> None:
     if max(abs(launch[:2])) > fastest or abs(launch[2]) > TURNING:
         raise BadInput(
             f"{name}: {KEY} = {launch[0]:g} {launch[1]:g} {launch[2]:g} is faster than the fish"
-            f" could move; allowed are {fastest:.2g} m/s (two body lengths a second) and"
+            f" could move; allowed are {fastest:.2g} m/s (two body lengths per second) and"
             f" {TURNING:g} rad/s. Check the units."
         )
 
@@ -62,8 +63,9 @@ def _check_launch(name: str, launch: Array, length: float) -> None:
 
 @dataclass(frozen=True)
 class Launched:
-    """One gait of the check: beat `frequency` [Hz] and `stroke` [rad] of the motor (None: a crank
-    that turns), launched at `launch` [m/s] along the heading, and its last `speed` [m/s]."""
+    """One swim of the check: beat `frequency` [Hz] and `stroke` [rad] of the motor (None: a crank
+    that turns), initial velocity `launch` along the heading [m/s], and final `speed` [m/s], NaN if
+    the twin diverged."""
 
     frequency: float
     stroke: float | None
@@ -74,7 +76,8 @@ class Launched:
 def check_launches(
     fish: Fish, gaits: Sequence[tuple[float, float | None]], launches: Sequence[float] = LAUNCHES
 ) -> list[Launched]:
-    """Every gait (frequency [Hz], stroke [rad] or None) from every launch, the motor replayed."""
+    """Swim every gait (frequency [Hz], stroke [rad] or None) from every launch velocity [m/s], with
+    the motor replayed."""
     twin = compile_twin(fish, Options(replayed=True))
     step = twin.model.opt.timestep
     time = np.arange(0, SECONDS, step)
@@ -108,5 +111,5 @@ def _last_speed(done: Swim) -> float:
 
 
 def stuck(checks: Sequence[Launched], least: float = 0.0) -> list[Launched]:
-    """The gaits that do not end forward."""
+    """The swims whose final speed is not above `least` [m/s], with the diverged ones."""
     return [one for one in checks if not one.speed > least]

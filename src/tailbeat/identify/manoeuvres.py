@@ -1,8 +1,8 @@
-"""What policies do, as commands for the pool: launches, stops, slow strokes, turns, wandering.
+"""Commands that move the fish as policies do: launches, stops, slow strokes, turns, wandering.
 
-Steady beats from rest (`protocol.fluid_runs`) leave out most of what a policy does: its generator's
-frequency goes to zero, its centre to 0.8 rad, and nothing it does is steady. Three of each kind,
-so that holding out every third swim holds out one of each.
+Steady beats from rest (`protocol.fluid_runs`) lack most of a policy's motion: its generator's
+frequency goes to zero, its centre to 0.8 rad, and the beat is not steady. There are three of each
+kind, or a multiple, so that holding out every third swim holds out some of each.
 """
 
 from dataclasses import dataclass
@@ -19,12 +19,12 @@ Array = NDArray[np.float64]
 BEGIN = "begin"  # in the metadata: where in the pool a swim begins, `end` (default) or `middle`
 SECONDS = 8.0
 FASTEST = 1.5  # shaft speeds reach this multiple of the protocol's limit, as a policy's do
-LAG = 0.1  # s, with which a wandering command's numbers follow their targets
+LAG = 0.1  # s, time constant with which frequency, stroke and centre follow their targets
 
 
 @dataclass(frozen=True)
 class Beat:
-    """So many `seconds` of a beat: `frequency` [Hz], `stroke` as a share of the largest that the
+    """A beat of `seconds` [s]: `frequency` [Hz], `stroke` as a fraction of the largest that the
     limits allow, `centre` [rad]."""
 
     seconds: float
@@ -36,7 +36,8 @@ class Beat:
 def manoeuvres(
     fish: Fish, limit: ServoLimits, first: int = 13, wander: int = 9
 ) -> dict[str, Recording]:
-    """Named commands, numbered from `first` in the order of their kinds."""
+    """Command recordings by name, numbered from `first` in the order of their kinds. `wander` is
+    the number of wandering ones."""
     low, high = fish.band
     middle = float(np.sqrt(low * high))
     kinds = [
@@ -53,11 +54,11 @@ def manoeuvres(
     return made
 
 
-SLOW = ((0.5, 1.0, 0.0), (0.3, 0.5, 0.6), (0.7, 0.8, -0.3))  # Hz, share, rad
+SLOW = ((0.5, 1.0, 0.0), (0.3, 0.5, 0.6), (0.7, 0.8, -0.3))  # Hz, fraction of the stroke, rad
 
 
 def _launches(low: float, middle: float, high: float) -> list[tuple[float, Beat]]:
-    """Surge [m/s] and what follows it."""
+    """Surge of each launch [m/s], and the beat after it."""
     return [
         (-0.1, Beat(SECONDS, 0.75 * middle, 0.9)),
         (-0.25, Beat(SECONDS, 1.25 * middle, 0.9)),
@@ -72,7 +73,7 @@ def _launches(low: float, middle: float, high: float) -> list[tuple[float, Beat]
 
 
 def _stops(low: float, middle: float, high: float) -> list[list[Beat]]:
-    """Starts and stops: beat, stand, beat again."""
+    """Starts and stops: beat, stop, beat again."""
     return [
         [Beat(3, middle, 1.0), Beat(2), Beat(3, 1.3 * low, 0.8)],
         [Beat(3, 1.3 * low, 1.0), Beat(2, 0, 0, 0.8), Beat(3, middle, 0.6, -0.2)],
@@ -81,7 +82,7 @@ def _stops(low: float, middle: float, high: float) -> list[list[Beat]]:
 
 
 def _turns(low: float, middle: float, high: float) -> list[tuple[float, float, float]]:
-    """On the spot: frequency [Hz], stroke, centre [rad]."""
+    """Turns on the spot: frequency [Hz], stroke as a fraction, centre [rad]."""
     return [(0.75 * middle, 0.6, 0.8), (1.25 * middle, 0.6, -0.8), (low, 0.5, -0.6)]
 
 
@@ -100,13 +101,13 @@ def _played(limit: ServoLimits, beats: list[Beat]) -> tuple[Array, float]:
 
 
 def _largest(limit: ServoLimits, beat: Beat) -> float:
-    """Largest stroke [rad] within speed and, beside the centre, within angle."""
+    """Largest stroke [rad] about the beat's centre that respects both limits; 0 at 0 Hz."""
     room = limit.angle - abs(beat.centre)
     return min(largest(limit, beat.frequency), room) if beat.frequency else 0.0
 
 
 def _wandering(limit: ServoLimits, high: float, seed: int) -> tuple[Array, float]:
-    """Frequency from 0 to the band's end, stroke and centre, drawn anew every 0.3 to 1.5 s."""
+    """Random frequency up to the band's end, stroke and centre; new ones every 0.3 to 1.5 s."""
     rng = np.random.default_rng(seed)
     rows: list[list[float]] = []
     while len(rows) < 1.25 * SECONDS * RATE:

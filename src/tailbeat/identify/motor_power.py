@@ -1,4 +1,4 @@
-"""The motor's power over frequency: how much of its motion lies in which band."""
+"""The spectrum of the motor's motion: how much of its power is in which band."""
 
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -8,15 +8,15 @@ from scipy.signal import periodogram
 
 Array = NDArray[np.float64]
 Spectrum = tuple[Array, Array]  # frequencies [Hz], energy [rad^2/s] at each
-CENTRAL = 0.9  # of each recording's motor power, between whose frequencies it counts as covered
-HIGHEST = 12.0  # Hz; beyond is noise
-QUIET = 0.05  # rad/s rms: below, there is no motion to take frequencies from
+CENTRAL = 0.9  # fraction of a recording's motor power; its range of frequencies counts as covered
+HIGHEST = 12.0  # Hz; above it is noise
+QUIET = 0.05  # rad/s rms: below it the motor counts as at rest
 
 
 def spectra(rates: Iterable[Array], period: float) -> Iterator[Spectrum]:
     """Frequencies [Hz] up to 12 and the energy [rad^2/s] of motor rates (k,) [rad/s] at each.
 
-    `period` [s] lies between samples; a motor that stands still is left out.
+    `period` [s] is the time between samples. A motor at rest is left out.
     """
     for rate in rates:
         if np.std(rate) < QUIET:
@@ -28,7 +28,8 @@ def spectra(rates: Iterable[Array], period: float) -> Iterator[Spectrum]:
 
 
 def central(frequency: Array, energy: Array) -> tuple[float, float]:
-    """Frequencies [Hz] between which `CENTRAL` of the energy lies, half a spectral line added."""
+    """Lowest and highest frequency [Hz] of the central `CENTRAL` of the energy, wider by half a
+    spectral line at both ends."""
     below = np.cumsum(energy) / energy.sum()
     first, last = np.searchsorted(below, [(1 - CENTRAL) / 2, (1 + CENTRAL) / 2])
     half = (frequency[1] - frequency[0]) / 2
@@ -36,6 +37,6 @@ def central(frequency: Array, energy: Array) -> tuple[float, float]:
 
 
 def share(spectra: Sequence[Spectrum], low: float, high: float) -> float:
-    """Share of the energy of all spectra from `low` to below `high` [Hz]; 0 where nothing moves."""
+    """Fraction of the energy of all spectra from `low` to below `high` [Hz]; 0 if nothing moves."""
     inside = sum(float(e[(f >= low) & (f < high)].sum()) for f, e in spectra)
     return inside / max(sum(float(e.sum()) for _, e in spectra), 1e-12)

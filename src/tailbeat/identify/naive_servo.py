@@ -1,11 +1,11 @@
-"""Two naive predictors of a shaft's angle. A fit that cannot beat them has not found a servo.
+"""Two naive predictors of a shaft's angle. A fit that is not better has not identified the servo.
 
     lag:      time angle' = command(t - delay) / (1 + yield / r) - angle
     gravity:  time angle' = command(t - delay) - angle - sag / r load sin(angle)
 
-r is the gain register over the middle one, load a pendulum's m g l or a tail's stiffness. No
-inertia, no force limit, no friction. With torque off the second sinks and the first knows nothing.
-Both are fitted to the same recordings as the servo and judged alike.
+r is the gain register over the middle one, load a pendulum's m g l or a tail's stiffness. There is
+no inertia, no force limit and no friction. With torque off, the shaft of the second sinks; the
+first ignores it. Both are fitted to the same recordings as the servo, and measured alike.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,8 @@ from scipy.optimize import least_squares
 from tailbeat.identify.shaft import Bench
 
 Array = NDArray[np.float64]
-THINNED = 500  # samples of a recording that count, about
-SCALE = 0.05  # rad: beyond, a misfit counts linearly (soft L1), as a mean absolute error does
+THINNED = 500  # samples of a recording that are compared, about
+SCALE = 0.05  # rad: a larger misfit counts linearly (soft L1), as in a mean absolute error
 # Yield [1] or sag [1/(N m)], time and delay [s]: where the fits start, and their ranges.
 STARTS = ((0.1, 0.05, 0.01), (1.0, 0.2, 0.05))
 LOW, HIGH = (0.0, 1e-3, 0.0), (20.0, 2.0, 0.2)
@@ -28,8 +28,9 @@ LOW, HIGH = (0.0, 1e-3, 0.0), (20.0, 2.0, 0.2)
 
 @dataclass(frozen=True)
 class Naive:
-    """A fitted predictor: `name` lag or gravity, its three numbers (`first` is yield or sag, the
-    times in s), and mean absolute angle errors [deg] (None where no recording is held out)."""
+    """A fitted predictor: `name` lag or gravity, its three numbers (`first` is yield [1] or sag
+    [1/(N m)], `time` and `delay` [s]), and mean absolute angle errors [deg] (None without held-out
+    recordings)."""
 
     name: str
     first: float
@@ -45,7 +46,7 @@ class Naive:
 
 
 def naive_servos(fit: Sequence[Bench], validate: Sequence[Bench]) -> tuple[Naive, ...]:
-    """Both predictors, fitted on `fit`, judged on both."""
+    """Both predictors, fitted on `fit`, with their errors on `fit` and on `validate`."""
     return tuple(_fitted(name, fit, validate) for name in ("lag", "gravity"))
 
 
@@ -70,7 +71,7 @@ def _fitted(name: str, fit: Sequence[Bench], validate: Sequence[Bench]) -> Naive
 
 
 def _register(benches: Sequence[Bench]) -> float:
-    """The middle gain register, 1 where none is stated: sag is per N m at this one."""
+    """The middle gain register, 1 if none is stated. Sag is per N m at this gain."""
     gains = [bench.gain for bench in benches if bench.gain is not None]
     return float(np.median(gains)) if gains else 1.0
 
@@ -80,12 +81,12 @@ def _every(bench: Bench) -> int:
 
 
 def _error(name: str, numbers: Array, bench: Bench, register: float) -> Array:
-    """Angle error (k,) rad of the good samples."""
+    """Angle error (k,) [rad] of the good samples."""
     first, lag, delay = numbers
     stiff = (bench.gain or register) / register
     pull = bench.load.weight or bench.load.stiffness
     gain, sag = (1 / (1 + first / stiff), 0.0) if name == "lag" else (1.0, first * pull / stiff)
-    # Between samples in a straight line: the fit needs a slope over the delay.
+    # Linear between samples: the fit needs a derivative with respect to the delay.
     command = np.interp(bench.time - delay, bench.time, bench.command)
     on = np.ones(command.size) if name == "lag" else bench.enabled
     angle = _follow(bench.time, gain * command, on > 0.5, bench.angle[0], lag, sag)
@@ -94,7 +95,7 @@ def _error(name: str, numbers: Array, bench: Bench, register: float) -> Array:
 
 @njit(cache=True)
 def _follow(time, command, enabled, start, lag, sag):  # type: ignore[no-untyped-def]
-    """The angle (k,), exact between samples for what stands still there."""
+    """The angle (k,) [rad], exact between samples if the command is constant there."""
     angle = np.empty(time.size)
     angle[0] = start
     for i in range(1, time.size):

@@ -1,4 +1,4 @@
-"""What a twin says about swims: measured and predicted figures, run by run."""
+"""Predict recorded swims with a twin, and compare with what was measured."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -13,15 +13,16 @@ from tailbeat.identify.gait import Gait, Track, way
 from tailbeat.identify.glitch_report import as_rows
 from tailbeat.identify.runs import Cruise, Run, camera_track, last_beats, repeat, twin_gait
 
-# A prediction settles longer than a fit can afford, and is averaged over more beats.
+# A prediction settles longer than a fit, and is averaged over more beats: it runs only once.
 LONG = Cruise(settle=20, measure=3)
-JUDGED = 8.0  # s into a replayed run at which the heading is compared
+JUDGED = 8.0  # s after the start of a replayed run; the heading is compared there
 SETTLED = 0.02  # relative change of speed over the last beats that counts as settled
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """A run and what the twin made of it; `settled` says that a cruise reached steady speed."""
+    """A run and the twin's prediction. `marker_error` [m]: see the function. `settled`: the twin
+    did not diverge, and a cruise reached a steady speed."""
 
     run: Run
     gait: Gait
@@ -31,7 +32,7 @@ class Prediction:
 
 
 def predict(fish: Fish, runs: Sequence[Run]) -> list[Prediction]:
-    """Repeat every run in one batched call; no coefficient is refitted."""
+    """Predict every run in one batched call, in the order of `runs`. Nothing is fitted."""
     done = repeat([fish], runs, LONG)[0]
     return [_judge(fish, run, swim) for run, swim in zip(runs, done, strict=True)]
 
@@ -45,7 +46,8 @@ def _judge(fish: Fish, run: Run, swim: Swim) -> Prediction:
 
 
 def _settled(run: Run, track: Track) -> bool:
-    """Whether the three beats before the last three went as fast, within 2 % or 1 mm/s."""
+    """Whether the last three beats have the speed of the three before, within 2 % or 1 mm/s. Always
+    true of a replayed run."""
     if run.motor is not None:
         return True
     speeds = [
@@ -57,9 +59,9 @@ def _settled(run: Run, track: Track) -> bool:
 
 
 def marker_error(run: Run, gait: Gait, track: Track) -> float:
-    """Root mean square error [m]: of a cruise, the markers' sideways motion at the beat in the
-    head frame, phases aligned at the tip; of a replayed run, the tracked point's path in time
-    (turned onto the recorded one at its start where no heading was recorded)."""
+    """Root mean square error [m]. Of a cruise: the markers' sideways motion at the beat in the head
+    frame, phases aligned at the tip. Of a replayed run: the tracked point's position over time; if
+    no heading was recorded, the twin's path is first turned onto the recorded one."""
     if run.motor is None:
         assert gait.wave is not None and run.gait.wave is not None
         return float(np.sqrt(np.nanmean(np.abs(gait.wave - run.gait.wave) ** 2) / 2))
@@ -70,10 +72,10 @@ def marker_error(run: Run, gait: Gait, track: Track) -> float:
 
 @dataclass(frozen=True)
 class PathErrors:
-    """Of a replayed run: `distance` along the heading [m], position error (rms) as a share of it,
-    and heading error [deg] after 8 s or at the end, a tenth of a second's noise averaged out.
+    """Errors of a replayed run. `distance` along the heading [m]; position error (rms) as a
+    fraction of it; heading error [deg] after 8 s or at the end, averaged over +-0.1 s.
 
-    Without a recorded heading the distance is that over ground, and the heading error is NaN.
+    Without a recorded heading the distance is over ground, and the heading error is NaN.
     """
 
     distance: float
@@ -82,7 +84,7 @@ class PathErrors:
 
 
 def path_errors(prediction: Prediction) -> PathErrors:
-    """How far a replayed run's twin strays from the recorded path."""
+    """Errors of the twin's path on a replayed run."""
     track, found = prediction.run.track, prediction.track
     when = track.time - track.time[0]
     swum = way(track)
@@ -94,7 +96,7 @@ def path_errors(prediction: Prediction) -> PathErrors:
 
 
 def as_json(predictions: Sequence[Prediction]) -> dict[str, Any]:
-    """The result of `tailbeat predict`, SI throughout."""
+    """The result of `tailbeat predict` as JSON, in SI except names that end in another unit."""
     return {
         "runs": [row(prediction) for prediction in predictions],
         "speed_mae": speed_mae(predictions),
@@ -108,7 +110,7 @@ def speed_mae(predictions: Sequence[Prediction]) -> float:
 
 
 def row(prediction: Prediction) -> dict[str, Any]:
-    """One run of `as_json`; None stands for what a run without a beat or a heading cannot say."""
+    """One run of `as_json`; None for numbers that need a beat or a heading and have none."""
     found: dict[str, Any] = {
         "recording": prediction.run.name,
         "beat_frequency": prediction.run.gait.frequency,

@@ -1,6 +1,6 @@
-"""What a bench should play: command recordings for the tail, the servo and the pool.
+"""Command recordings that the test bench plays for tail, servo and pool.
 
-Everything stays inside the motor's range and below a shaft speed, and begins and ends at rest.
+All commands stay inside the motor's range and below a shaft speed; they begin and end at rest.
 """
 
 from collections.abc import Sequence
@@ -15,14 +15,14 @@ from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]
 RATE = 50.0  # Hz: the robot's own loop
-SHARE = 0.9  # of the motor's range that is used
+SHARE = 0.9  # fraction of the motor's range that is used
 HELD_OUT_SERVO = ("servo-mixed", "servo-beat")
-EVERY = 3  # of the swims, every third is held out of an identification
+EVERY = 3  # every third swim is held out of an identification
 
 
 @dataclass(frozen=True)
 class ServoLimits:
-    """What the servo may be asked: largest angle about `centre` [rad] and shaft speed [rad/s]."""
+    """Limits of the commands: largest `angle` about `centre` [rad], and shaft `speed` [rad/s]."""
 
     angle: float
     centre: float
@@ -32,12 +32,13 @@ class ServoLimits:
 def limits(fish: Fish, speed: float = 4.0) -> ServoLimits:
     """The fish's limits. `speed` 4 rad/s: an X430's no-load speed at 12 V is 5.5 rad/s.
 
-    Raises BadInput for a crank, which turns for ever and has no place to swing about.
+    Raises BadInput for a motor without a range (a crank, which turns without end) and for a speed
+    that is not above 0.
     """
     if fish.motor.range is None:
         raise BadInput(
-            f"{fish.name}: a {fish.motor.kind} without motor.range cannot be swung to and fro; give"
-            f" the range it may turn in, or record free swims at constant speeds."
+            f"{fish.name}: a {fish.motor.kind} without motor.range cannot swing to both sides; give"
+            f" its range of angles, or record free swims at constant motor speeds."
         )
     if not speed > 0:
         raise BadInput(f"--speed {speed:g}: give a shaft speed above 0 [rad/s].")
@@ -46,7 +47,7 @@ def limits(fish: Fish, speed: float = 4.0) -> ServoLimits:
 
 
 def largest(limit: ServoLimits, frequency: float) -> float:
-    """Largest stroke [rad] of a sine that respects both limits."""
+    """Largest stroke [rad] of a sine of `frequency` [Hz] that respects both limits."""
     return min(limit.angle, limit.speed / (2 * np.pi * frequency))
 
 
@@ -57,10 +58,11 @@ def tail_sweep(
     strokes: int = 4,
     beats: int = 10,
 ) -> Recording:
-    """Sines at four frequencies over the fish's band, each at several strokes, with rests between.
+    """Sines at `frequencies` [Hz] (default: four over the fish's band), each at several strokes of
+    `beats` beats, with rests between.
 
-    The lowest stroke is a third of the largest: Coulomb friction shows by how Im H falls with the
-    stroke. Labels in `condition`.
+    The smallest stroke is a third of the largest: Im H falls with the stroke, and this shows
+    Coulomb friction. The labels are in `condition`.
     """
     chosen = frequencies or np.geomspace(fish.band[0], fish.band[1], 4)
     parts = [("rest", np.zeros(int(RATE)))]
@@ -72,7 +74,8 @@ def tail_sweep(
 
 
 def tail_static(limit: ServoLimits, period: float = 30.0, cycles: int = 3) -> Recording:
-    """A slow triangle: the hysteresis loop, which is not the stiffness."""
+    """A slow triangle of `cycles`, each of `period` [s]. It shows the hysteresis loop; its slope is
+    not the stiffness."""
     quarters = np.concatenate([[0.0], np.tile([1.0, -1.0], cycles), [0.0]])
     times = np.concatenate([[0.0], 0.25 + 0.5 * np.arange(2 * cycles), [float(cycles)]]) * period
     triangle = np.interp(np.arange(0, times[-1], 1 / RATE), times, 0.6 * limit.angle * quarters)
@@ -80,15 +83,15 @@ def tail_static(limit: ServoLimits, period: float = 30.0, cycles: int = 3) -> Re
 
 
 def present_name(name: str) -> str:
-    """A recording's name as it would be today: the servo's began with `motor-` before."""
+    """A recording's present name: names of servo recordings began with `motor-` before."""
     return f"servo-{name.removeprefix('motor-')}" if name.startswith("motor-") else name
 
 
 def servo_commands(fish: Fish, limit: ServoLimits) -> dict[str, Recording]:
-    """Chirp, steps, a slow triangle and two hold-outs: each excites what another cannot.
+    """Chirp, steps, a slow triangle, and two commands for validation, by name.
 
-    Steps reach the force limit; the chirp passes the servo's bandwidth (gain, armature, delay); the
-    triangle shows friction; a sum of sines and a drawn beat are for validation.
+    Steps reach the force limit. The chirp exceeds the servo's bandwidth (gain, armature, delay).
+    The triangle shows friction. A sum of sines and a beat are for validation.
     """
     top = fish.band[1]
     time = np.arange(0, 20, 1 / RATE)
@@ -113,8 +116,8 @@ def servo_commands(fish: Fish, limit: ServoLimits) -> dict[str, Recording]:
 
 
 def fluid_runs(fish: Fish, limit: ServoLimits, seconds: float = 12.0) -> dict[str, Recording]:
-    """Twelve open-loop swims over the band, from rest, at three strokes: nine straight, three
-    turning (paper: twelve runs, 1-4 Hz)."""
+    """Twelve open-loop swims of `seconds` [s] over the band, from rest, at three strokes, some of
+    them turning (paper: twelve runs, 1-4 Hz)."""
     runs = {}
     for number, frequency in enumerate(np.geomspace(fish.band[0], fish.band[1], 12)):
         turn = 0.2 * limit.angle * ((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0)[number % 8])
@@ -129,7 +132,7 @@ def fluid_runs(fish: Fish, limit: ServoLimits, seconds: float = 12.0) -> dict[st
 
 
 def _sine(frequency: float, stroke: float, beats: int) -> Array:
-    """Whole beats that fade in and out over one beat: no torque step at either end."""
+    """Whole beats that grow and fade over one beat, so that the torque has no step at the ends."""
     time = np.arange(0, beats / frequency, 1 / RATE)
     fade = np.minimum(np.minimum(time, time[-1] - time) * frequency, 1.0)
     return np.asarray(stroke * fade * np.sin(2 * np.pi * frequency * time))

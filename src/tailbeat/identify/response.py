@@ -11,18 +11,19 @@ from tailbeat.files import BadInput
 from tailbeat.recording import Recording, require
 
 Array = NDArray[np.float64]
-HARMONICS = 5  # taken out beside the beat: Coulomb friction has the odd ones
+HARMONICS = 5  # fitted with the beat: Coulomb friction has the odd ones
 FEWEST_BEATS = 2.0
-STILL = 2e-3  # rad: below this stroke, hardly more than an encoder count, nothing was driven
-HALF_TURN = np.pi  # rad: no tail's shaft goes as far
-CLIPPED = 0.03  # share of samples at the very same extreme
+STILL = 2e-3  # rad: a smaller stroke is little more than an encoder count, and no drive
+HALF_TURN = np.pi  # rad: no tail's shaft turns as far
+CLIPPED = 0.03  # fraction of the samples at exactly the same extreme
 REST = "rest"  # conditions whose label begins so are skipped
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One drive condition: `frequency` [Hz], `amplitude` A [rad], H [N m/rad] with the standard
-    deviation of its real and of its imaginary part (the same), and the beats it holds."""
+    """One drive condition: `frequency` [Hz], `amplitude` A [rad], `response` H [N m/rad], the
+    standard `deviation` of its real and of its imaginary part (the same), and the number of
+    `beats`."""
 
     recording: str
     label: str
@@ -39,7 +40,7 @@ class Condition:
 
 
 def split(recording: Recording) -> list[tuple[Recording, str]]:
-    """The drive conditions of a recording with their labels; stretches of rest are left out."""
+    """The drive conditions of a recording with their labels; those named `REST` are left out."""
     labels = recording.labels.get("condition", np.full(recording.time.size, ""))
     edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), len(labels)]
     return [
@@ -55,7 +56,8 @@ def _rows(recording: Recording, part: slice) -> Recording:
 
 
 def measure(recording: Recording, label: str = "") -> Condition:
-    """Drive frequency and response of one condition. Raises BadInput naming what is wrong."""
+    """Drive frequency and response of one condition, from `angle_rad` and `torque_nm`. Raises
+    BadInput if a column is missing, clipped, in degrees or never moves, or for too few beats."""
     name = f"{recording.name}, condition {label}" if label else recording.name
     angle, torque = require(recording, ["angle_rad", "torque_nm"])
     check_angle(name, "angle_rad", angle, HALF_TURN)
@@ -83,7 +85,8 @@ def measure(recording: Recording, label: str = "") -> Condition:
 
 
 def check_angle(name: str, column: str, angle: Array, most: float) -> None:
-    """Refuse an angle that never moves, and one that is in degrees by its range."""
+    """Raises BadInput for an angle that never moves, or whose range exceeds `most` [rad]: it is in
+    degrees."""
     if np.ptp(angle) < STILL:
         raise BadInput(
             f"{name}: column {column} never moves ({np.ptp(angle):.2g} rad in all); check the"
@@ -97,11 +100,11 @@ def check_angle(name: str, column: str, angle: Array, most: float) -> None:
 
 
 def check_clipping(name: str, column: str, signal: Array) -> None:
-    """Refuse a signal whose peaks are cut off flat at one value."""
+    """Raises BadInput for a signal whose peaks are cut off at one value."""
     resolution = _resolution(signal)
     for extreme in (signal.max(), signal.min()):
         share = float(np.mean(signal == extreme))
-        # the largest share of its time that a whole sine spends in its last count
+        # the largest fraction of its time that a whole sine spends in its last count
         natural = np.arccos(max(1 - 2 * resolution / max(np.ptp(signal), 1e-300), -1.0)) / np.pi
         if signal.size >= 20 and share > max(CLIPPED, 1.1 * natural):
             raise BadInput(
@@ -111,7 +114,7 @@ def check_clipping(name: str, column: str, signal: Array) -> None:
 
 
 def _resolution(signal: Array) -> float:
-    """Smallest step between the signal's values: a count, or next to nothing."""
+    """Smallest step between the signal's values: a count, or almost 0."""
     values = np.unique(signal)
     return float(np.diff(values).min()) if values.size > 1 else 0.0
 
@@ -137,17 +140,17 @@ def _detrended(even: Array, time: Array, signal: Array) -> Array:
 
 
 def _window(time: Array) -> Array:
-    """Hann window times each sample's share of the time: uneven samples count for what they see."""
+    """Hann window times each sample's time step, so that uneven samples have the right weight."""
     phase = 2 * np.pi * (time - time[0]) / np.ptp(time)
     return np.asarray((1 - np.cos(phase)) / 2 * np.gradient(time))
 
 
 def project(time: Array, signal: Array, frequency: float) -> tuple[complex, float]:
-    """Complex amplitude c at a frequency, signal ~ Re(c exp(2 pi i f t)), and the standard
+    """Complex amplitude c at a frequency [Hz], signal ~ Re(c exp(2 pi i f t)), and the standard
     deviation of each of its parts.
 
-    Windowed least squares on drift (1, t, t^2) and the beat's harmonics: exact for uneven time and
-    for any number of beats, where a bare projection would leak.
+    Windowed least squares on drift (1, t, t^2) and the beat's harmonics. It is exact for uneven
+    times and any number of beats; a plain projection would leak.
     """
     basis = _basis(time, frequency)
     root = np.sqrt(_window(time))[:, None]
@@ -173,10 +176,10 @@ def _basis(time: Array, frequency: float) -> Array:
 
 
 def _noise_near(time: Array, rest: Array, frequency: float) -> float:
-    """Standard deviation per sample of what is left: near the beat, or over all, if larger.
+    """Standard deviation per sample of the residuals: near the beat, or over all, if larger.
 
-    Bearings and a load cell's drift are not white; what counts is the noise in the beat's bin,
-    read off the bins beside it (beyond the Hann window's main lobe).
+    The noise of bearings and a load cell's drift is not white. The noise in the beat's bin is read
+    from the bins beside it, outside the Hann window's main lobe.
     """
     window = _window(time)
     beside = frequency + np.array([-4.5, -3.5, -2.5, 2.5, 3.5, 4.5]) / np.ptp(time)

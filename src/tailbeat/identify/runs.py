@@ -1,14 +1,14 @@
-"""Recordings as runs that a twin can repeat, and the repeating.
+"""Recordings as runs that a twin repeats.
 
-Two kinds. A *replayed* run has `motor_angle_rad`: the twin's motor is led through it from the
-recorded pose, and poses are compared in time. A *cruise* has marker tracks alone: the crank is
-turned at the beat frequency found in the tracks, from the recorded speed, and the steady gait is
-compared, so the crank's unknown phase drops out.
+There are two kinds. A *replayed* run has `motor_angle_rad`: the twin's motor follows it from the
+recorded pose, and poses are compared over time. A *cruise* has only marker tracks: the crank turns
+at the beat frequency of the tracks, from the recorded speed. The steady gait is compared, so the
+crank's unknown phase has no effect.
 
-A replayed run needs no beat: where its motor keeps no steady one, the figures of its gait are NaN.
-It needs no `yaw_rad` either. Still water looks the same in every direction, so the twin is started
-along the path's first direction, and its whole path is then turned about the first position onto
-the recorded one (`camera_track`). A run that starts while moving is taken to start nose first.
+A replayed run needs no beat: without a steady one, the numbers of its gait are NaN. It needs no
+`yaw_rad` either. Still water is the same in every direction, so the twin starts along the path's
+first direction, and its path is then turned about the first position onto the recorded one
+(`camera_track`). A run that starts while moving is assumed to start nose first.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ from tailbeat.recording import Recording, markers, require, stretches
 
 Array = NDArray[np.float64]
 SAMPLE = 0.02  # s between samples of a twin's run
-FIRST_WAY = 1.0  # s whose mean direction is the first heading where none was recorded
+FIRST_WAY = 1.0  # s; their mean direction is the first heading if none was recorded
 REPLAYED = Options(replayed=True)
 
 
@@ -52,8 +52,8 @@ class Cruise:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A recording made ready: its track and gait; `motor` (k,) rad, None for a cruise; `launch`
-    (3,) surge, sway and yaw rate at the start where stated; `glitches`, what was left out.
+    """A checked recording: its track and gait; `motor` (k,) [rad], None for a cruise; `launch` (3,)
+    surge, sway [m/s] and yaw rate [rad/s] at the start, if stated; `glitches` that were left out.
 
     A cruise has a heading and a beat; a replayed run may lack either (`Track`, `Gait`).
     """
@@ -68,7 +68,7 @@ class Run:
 
 
 def as_runs(recording: Recording, fish: Fish) -> list[Run]:
-    """`as_run` of every stretch of a recording in which time rises."""
+    """`as_run` of every part of a recording in which time rises."""
     return [as_run(part, fish) for part in stretches(recording)]
 
 
@@ -80,8 +80,8 @@ def as_run(recording: Recording, fish: Fish) -> Run:
     motor = recording.columns.get("motor_angle_rad")
     if motor is None and fish.motor.kind != "crank":
         raise BadInput(
-            f"{recording.name}: column motor_angle_rad is missing; {fish.name} has a servo, whose"
-            f" recorded angle is replayed."
+            f"{recording.name}: column motor_angle_rad is missing; {fish.name} has a servo, so give"
+            f" a recording of its angle."
         )
     pose = _recorded_pose(recording, needs_yaw=motor is None)
     track = Track(recording.time, pose, *_marker_tracks(recording, fish))
@@ -96,7 +96,7 @@ def as_run(recording: Recording, fish: Fish) -> Run:
 
 
 def _recorded_pose(recording: Recording, needs_yaw: bool) -> Array:
-    """x, y and unwrapped yaw (k, 3); the yaw is NaN where a replayed run has none."""
+    """x, y [m] and unwrapped yaw [rad] (k, 3); the yaw is NaN if a replayed run has none."""
     x, y = require(recording, ["x_m", "y_m"])
     if needs_yaw or "yaw_rad" in recording.columns:
         yaw = np.unwrap(require(recording, ["yaw_rad"])[0])
@@ -106,17 +106,17 @@ def _recorded_pose(recording: Recording, needs_yaw: bool) -> Array:
 
 
 def _check_tip(recording: Recording, fish: Fish, track: Track) -> None:
-    """A cruise is read off the fin tip."""
+    """Raises BadInput for a cruise without the fin tip, from which its beat is read."""
     name = f"marker{fish.markers[tip_index(fish)].name}_x_m" if fish.markers else "marker…_x_m"
     if track.markers is None or np.isfinite(track.markers[:, track.tip, 0]).mean() < 0.5:
         raise BadInput(
-            f"{recording.name}: column {name} (the fin tip) is missing or seen in under half of the"
-            f" frames; a cruise without motor_angle_rad needs it."
+            f"{recording.name}: column {name} (the fin tip) is missing or unseen in over half of"
+            f" the frames; a swim without motor_angle_rad needs it."
         )
 
 
 def check_motor(recording: Recording, fish: Fish, motor: Array, most: float = 0.0) -> None:
-    """Raises BadInput where more than this share of samples is beyond a pulley's range."""
+    """Raises BadInput if over the fraction `most` of `motor` (k,) [rad] is beyond its range."""
     if fish.motor.range is None:
         return
     low, high = fish.motor.range
@@ -183,7 +183,7 @@ def _plan(twin: Twin, run: Run, cruise: Cruise) -> tuple[Start, Array]:
         start = Start(np.zeros(3), velocity)
     else:
         time = np.arange(0, run.track.time[-1] - run.track.time[0] + SAMPLE, step)
-        # A cubic: straight lines between 60 frames a second lose half a percent of a 2 Hz beat.
+        # A cubic: linear interpolation at 60 frames/s loses half a percent of a 2 Hz beat.
         curve = CubicSpline(run.track.time - run.track.time[0], run.motor)
         angle = curve(np.minimum(time, run.track.time[-1] - run.track.time[0]))
         start = Start(_root_pose(twin.fish, _first_pose(run)), _first_velocity(run))
@@ -221,7 +221,7 @@ def _moved(poses, x, y):  # type: ignore[no-untyped-def]
 
 
 def _first_pose(run: Run) -> Array:
-    """The recorded pose at the start; without a heading, along the way of the first second."""
+    """The recorded pose at the start; without a heading, along the path of the first second."""
     x, y, yaw = run.track.pose[0]
     if not run.track.has_heading:
         vx, vy, _ = _drift(run.track, FIRST_WAY)
@@ -230,8 +230,8 @@ def _first_pose(run: Run) -> Array:
 
 
 def _first_velocity(run: Run) -> Array:
-    """Velocity at the start: as stated, else zero from rest, else a straight line through the
-    first 0.2 s, or the first second where no heading was recorded."""
+    """Velocity at the start: as stated, else zero from rest, else a linear fit to the first 0.2 s,
+    or to the first second if no heading was recorded."""
     if run.launch is not None:
         surge, sway, turn = run.launch
         yaw = _first_pose(run)[2]
@@ -243,7 +243,7 @@ def _first_velocity(run: Run) -> Array:
 
 
 def _drift(track: Track, seconds: float) -> Array:
-    """Mean velocity (x, y [m/s], yaw [rad/s]) over the first seconds; an unknown yaw rate is 0."""
+    """Mean velocity (x, y [m/s], yaw [rad/s]) of the first `seconds`; an unknown yaw rate is 0."""
     first = track.time <= track.time[0] + seconds
     if first.sum() < 3:
         return np.zeros(3)
@@ -252,7 +252,7 @@ def _drift(track: Track, seconds: float) -> Array:
 
 
 def camera_track(fish: Fish, run: Run, done: Swim) -> Track:
-    """A twin's run with what the camera knew of the recorded one.
+    """A twin's run, as the camera of the recorded one would give it.
 
     Without a recorded heading the path is turned about its first position onto the recorded path
     (least squares), and the yaw is NaN like the recording's.
@@ -279,14 +279,14 @@ def _turn_onto(recorded: Track, track: Track) -> Array:
 
 
 def twin_track(fish: Fish, done: Swim) -> Track:
-    """A twin's run as seen by the camera."""
+    """A twin's run as a track: pose of the tracked point, and markers."""
     seen = done.markers[..., :2] if fish.markers else None
     tip = tip_index(fish) if fish.markers else -1
     return Track(done.time, tracked_pose(fish, done.qpos[:, :3]), seen, tip)
 
 
 def twin_gait(fish: Fish, run: Run, done: Swim, cruise: Cruise = Cruise()) -> Gait:
-    """The twin's gait over the same span that was measured: a cruise's last beats, or all."""
+    """The twin's gait over the same span as the recording's: a cruise's last beats, or all."""
     track = camera_track(fish, run, done)
     if run.motor is not None:
         return measure_gait(track, run.gait.frequency)
@@ -294,7 +294,7 @@ def twin_gait(fish: Fish, run: Run, done: Swim, cruise: Cruise = Cruise()) -> Ga
 
 
 def last_beats(track: Track, frequency: float, beats: int, skip: int = 0) -> Track:
-    """The last `beats` beats of a track, leaving off `skip` beats at its end."""
+    """The last `beats` beats of a track, without the `skip` beats at its end."""
     period = track.time[1] - track.time[0]
     stop = track.time.size - round(skip / frequency / period)
     return track.cut(max(stop - round(beats / frequency / period) - 1, 0), stop)

@@ -1,8 +1,8 @@
-"""Find parameters: CMA-ES over the whole box, a least-squares polish, and 95 % intervals.
+"""Find parameters: CMA-ES over the whole range, a least-squares polish, and 95 % intervals.
 
 Everything works on z, the distance of each parameter from its prior in prior spreads, and on a
-batched residual function: candidates (n, p) in, residuals (n, r) out, in units of their own
-standard deviation. Non-finite residuals mean that the twin diverged there.
+batched residual function: candidates (n, p) in, residuals (n, r) out, in standard deviations. A
+residual that is not finite means that the twin diverged.
 """
 
 import pickle
@@ -24,17 +24,17 @@ Progress = Callable[[str, float, float], None]  # stage, share done, best cost s
 
 FAILED = 1e12  # cost of a candidate that diverged
 STEP = 0.02  # finite difference in z
-WIDE_STEP = 0.2  # that of the intervals: about as far as they reach, over the law's small kinks
+WIDE_STEP = 0.2  # the same for intervals: about their width, to smooth the law's small kinks
 NOISE_FLOOR = 0.3
 ENOUGH = 2e-4  # relative gain below which the polish stops
-RESCALINGS = 2  # rounds of polish with the noise taken from the residuals themselves
+RESCALINGS = 2  # rounds of polish with the noise estimated from the residuals
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One free number: the field it is, its allowed range, and where it is expected to lie.
+    """One free number: the dotted `path` of its field, its allowed range, and its prior.
 
-    `spread` is the prior's standard deviation: of ln(value) when `log`, else in `unit`.
+    `spread` is the prior's standard deviation: of ln(value) if `log`, else in `unit`.
     """
 
     path: str
@@ -46,13 +46,13 @@ class Parameter:
     log: bool = True
 
     def to_z(self, value: float) -> float:
-        """Distance of a value from the prior in spreads."""
+        """Distance of a value from the prior, in spreads."""
         if self.log:
             return float(np.log(value / self.prior) / self.spread)
         return (value - self.prior) / self.spread
 
     def from_z(self, z: float) -> float:
-        """The value at a distance; kept inside the range."""
+        """The value at a distance from the prior, clipped to the range."""
         raw = self.prior * np.exp(z * self.spread) if self.log else self.prior + z * self.spread
         return float(np.clip(raw, self.low, self.high))
 
@@ -61,8 +61,8 @@ class Parameter:
 class Effort:
     """How long to search: CMA-ES generations of `population`, then polish iterations.
 
-    With `scouts`, CMA-ES starts at the best of so many draws from the prior: for a cheap model with
-    flat regions, where a start at random may never learn that a parameter matters.
+    With `scouts`, CMA-ES starts at the best of so many draws from the prior. This is for a cheap
+    model with flat regions, where a single random start may never find a parameter's effect.
     """
 
     generations: int = 15
@@ -73,8 +73,8 @@ class Effort:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """One seed's result: z (p,), cost (sum of squares with prior), data residuals (r,), their
-    Jacobian (r, p) in z, and the covariance of z (p, p)."""
+    """One seed's result: `z` (p,), `cost` (sum of squares, prior included), data `residuals` (r,),
+    their `jacobian` (r, p) in z, and the `covariance` of z (p, p)."""
 
     seed: int
     z: Array
@@ -98,7 +98,7 @@ def cost(residuals: Array, z: Array) -> Array:
 def sensitivity(
     residuals: Residuals, z: Array, central: bool = True, step: float = STEP
 ) -> tuple[Array, Array]:
-    """Residuals (r,) and their Jacobian (r, p) by differences, in one batched call."""
+    """Residuals (r,) and their Jacobian (r, p) by finite differences, in one batched call."""
     probes = [z[None], z + step * np.eye(z.size)]
     found = residuals(np.concatenate([*probes, z - step * np.eye(z.size)] if central else probes))
     up = found[1 : z.size + 1]
@@ -114,7 +114,7 @@ def search(
     checkpoint: Path | None = None,
     progress: Progress = lambda stage, share, best: None,
 ) -> Fit:
-    """CMA-ES, then polish, from one seed. Resumes from `checkpoint` if it is there."""
+    """CMA-ES, then polish, from one seed. Resumes from `checkpoint` if that file exists."""
     z = _explore(residuals, space, seed, effort, checkpoint, progress)
     z = polish(residuals, space, z, effort.polish, progress)
     total = float(cost(residuals(z[None]), z[None])[0])
@@ -134,7 +134,8 @@ def search_once(
     scratch: Path,
     progress: Callable[[int, str, float, float], None],
 ) -> Fit:
-    """`search`, kept in `scratch`: a seed that is done is read, one that was begun goes on."""
+    """`search` with its result kept in the folder `scratch`: a finished seed is read, an
+    interrupted one is resumed."""
     done = scratch / f"seed{seed}.fit"
     if done.is_file():
         kept: Fit = pickle.loads(done.read_bytes())
@@ -153,12 +154,12 @@ def search_once(
 
 
 def noise_level(found: Array, free: int) -> float:
-    """The residuals' own standard deviation, from 0.3 up to 1.
+    """The residuals' own standard deviation, clipped to 0.3 to 1.
 
-    The floor: integration and replay of a twin agree to about that, whatever the camera does.
+    The floor is about the error of a twin's integration and replay, for any camera.
 
-    Data better than their assumed deviations count for more against the prior, and their
-    intervals shrink; a misfit beyond them is left to count as it is.
+    If the data are better than their assumed deviations, they count more against the prior, and
+    intervals shrink. A larger misfit changes nothing.
     """
     freedom = max(found.size - free, 1)
     return float(np.clip(np.sqrt(np.square(found).sum() / freedom), NOISE_FLOOR, 1.0))
@@ -229,10 +230,10 @@ def polish(
     progress: Progress = lambda stage, share, best: None,
     central: bool = False,
 ) -> Array:
-    """Levenberg-Marquardt with the prior as extra residuals; several dampings tried per call."""
-    # `mujoco.minimize.least_squares` was tried: within 0.15 % of these costs on two servos with a
-    # third of the candidates; on one seed of the tests' curve it took 103 calls for 14. This one
-    # stays because identified fish of fixed seeds must not change. Not tried on a fluid fit.
+    """Levenberg-Marquardt with the prior as extra residuals; several dampings per batched call."""
+    # `mujoco.minimize.least_squares` was tried: costs within 0.15 % of these on two servos, with a
+    # third of the candidates; on one seed of the tests' curve it took 103 calls instead of 14. This
+    # one stays, so that identified fish of fixed seeds do not change. A fluid fit was not tried.
     low, high = bounds(space)
     dampings = np.array([1e-3, 1e-2, 1e-1, 1.0, 10.0])
     best = np.inf
@@ -257,15 +258,15 @@ def _step(found: Array, slope: Array, z: Array, damping: float) -> Array:
 
 
 def covariance(slope: Array) -> Array:
-    """Covariance of z from the data's Jacobian, in units of their noise, and a standard prior."""
+    """Covariance of z (p, p) from the data's Jacobian (r, p), in units of noise, and the prior."""
     return np.asarray(np.linalg.inv(slope.T @ slope + np.eye(slope.shape[1])))
 
 
 def intervals(space: tuple[Parameter, ...], fits: Sequence[Fit]) -> list[tuple[float, float]]:
     """95 % interval of every parameter, inside its range, from fits sorted best first.
 
-    From the best fit's covariance, widened to hold every seed that fits as well (a cost within
-    the 95 % point of chi-square): the covariance is local, and valleys of this law bend.
+    From the best fit's covariance, widened to include every seed that fits as well (a cost within
+    the 95 % point of chi-square): the covariance is local, and the cost's valleys are curved.
     """
     reach = stats.norm.ppf(0.975) * np.sqrt(np.diag(fits[0].covariance))
     equals = np.array([f.z for f in fits if f.cost < fits[0].cost + stats.chi2.ppf(0.95, 1)])

@@ -1,9 +1,9 @@
-"""Servo identification: the recorded command in, the encoder's angle out, free-running.
+"""Servo identification: simulate the angle from the recorded command, and fit it to the encoder's.
 
 tau = clip(kp (command(t - delay) - angle) - kv speed, force_limit) - damping speed, against a known
-load; the numbers that bring the angle of `shaft.free_run` closest to the recorded one. Recordings
-at several gain registers share one set: kp = gain_scale x gain, for a datasheet's divisor is not to
-be trusted (an XL330's was observed as twice what is printed).
+load. The fit finds the numbers that bring the angle of `shaft.free_run` closest to the recorded
+one. Recordings at several gain registers share one set: kp = gain_scale x gain. The divisor of a
+datasheet is not used (an XL330's was observed as twice the printed one).
 """
 
 from collections.abc import Callable, Sequence
@@ -24,24 +24,24 @@ from tailbeat.recording import Recording, require, stretches
 Array = NDArray[np.float64]
 GRAVITY = 9.80665  # m/s^2
 DEVIATION = np.radians(0.1)  # of an angle: about an encoder count (0.088 deg)
-COMPARED = 400  # samples of a recording, about
+COMPARED = 400  # samples of a recording that are compared, about
 COUNTED = 100  # independent samples that a recording counts for, chosen: a stroke has about ten
-WIDE = 2 * np.pi  # rad: the range check of angles; nobody turns a position servo further here
-MANY = 0.1  # share of an angle's samples beyond `WIDE` from which it is in degrees, no glitch
-BLOCK = 0.5  # s over which residuals hang together, chosen: the time of a slip or a stroke
+WIDE = 2 * np.pi  # rad: largest allowed angle; no position servo turns further here
+MANY = 0.1  # fraction of an angle's samples beyond `WIDE`; above it the column is in degrees
+BLOCK = 0.5  # s over which residuals are correlated, chosen: the time of a slip or a stroke
 STEP = 0.02  # finite difference of the intervals in z; the model has kinks at every standstill
-# How well the load is known: 1 %, chosen. A free run tells the servo's torques from the load's only
-# in proportion, so this much doubt is in every one of them.
+# Uncertainty of the load: 1 %, chosen. A free run gives the servo's torques only in proportion to
+# the load's, so each of them has this uncertainty.
 LOAD_DOUBT = 0.01
 IN_PROPORTION = "gain_scale kp kv armature damping damping_off friction force_limit".split()
-GEARS = ("load_friction", "stiction")  # what the bench shows and the twin cannot compile
+GEARS = ("load_friction", "stiction")  # fitted on the test bench; the twin cannot compile them
 
-# What the paper trained with: a servo that does as it is told.
+# The paper trained with this ideal servo.
 IDEALISED = Servo(kp=800.0, kv=20.0, armature=0.001, damping=0.0, force_limit=1.0, delay=0.0)
 
-# Prior centre, spread, low, high, unit, logarithmic: wide enough for a hobby servo and a robot's
-# joint alike (factor 4.5 per spread, 2.7 for the limit). kv, friction and the gears' share start
-# from none.
+# Prior centre, spread, low, high, unit, logarithmic: wide enough for a hobby servo and for a
+# robot's joint (factor 4.5 per spread, 2.7 for the limit). kv, friction and the gears' friction
+# start from 0.
 PRIORS: dict[str, tuple[float, float, float, float, str, bool]] = {
     "kp": (5.0, 2.0, 1e-3, 1e4, "N m/rad", True),
     "kv": (0.0, 0.1, 0.0, 50.0, "N m s/rad", False),
@@ -60,17 +60,18 @@ PRIORS: dict[str, tuple[float, float, float, float, str, bool]] = {
 
 
 def as_benches(recording: Recording, fish: Fish, kind: str | None = None) -> list[Bench]:
-    """`as_bench` of every stretch of a recording in which time rises."""
+    """`as_bench` of every part of a recording in which time rises."""
     return [as_bench(part, fish, kind) for part in stretches(recording)]
 
 
 def as_bench(recording: Recording, fish: Fish, kind: str | None = None) -> Bench:
-    """A recording with its load: `kind` tail, pendulum or nothing, else as its metadata say.
+    """A recording with its load: `kind` tail, pendulum or nothing; None: as its metadata say.
 
-    Needs `time_s`, `command_rad`, `angle_rad`; `enabled_ratio` where torque was switched. Metadata:
-    `gain` (register), `load_mass_kg` and `load_arm_m` of a pendulum hanging at angle 0, or
-    `load: tail` or `nothing`; without any, the fish's tail. Glitches of the angle are left out, and
-    the bench begins at the first good sample. Raises BadInput naming what is wrong.
+    Needs `time_s`, `command_rad` and `angle_rad`, and `enabled_ratio` if torque was switched.
+    Metadata: `gain` (register); `load_mass_kg` and `load_arm_m` of a pendulum that hangs down at
+    angle 0; `load: tail` or `nothing`. Without a load it is the fish's tail. Glitches of the angle
+    are left out, and the bench begins at the first good sample. Raises BadInput for a missing
+    column, degrees, a command that never moves, or wrong metadata.
     """
     command, angle = require(recording, ["command_rad", "angle_rad"])
     _check_radians(recording.name, "command_rad", command)
@@ -108,7 +109,7 @@ def _check_radians(name: str, column: str, values: Array) -> None:
 
 
 def load_of(recording: Recording, fish: Fish, kind: str | None = None) -> Load:
-    """What hung on the shaft."""
+    """The load on the shaft: `kind`, else from the metadata, else the fish's tail."""
     meta = recording.meta
     kind = kind or meta.get("load") or ("pendulum" if "load_mass_kg" in meta else "tail")
     if kind == "pendulum":
@@ -117,17 +118,17 @@ def load_of(recording: Recording, fish: Fish, kind: str | None = None) -> Load:
     if kind == "nothing":
         return Load(kind)
     if kind != "tail":
-        raise BadInput(f"{recording.name}: load {kind!r}; allowed are tail, pendulum, nothing.")
+        raise BadInput(f"{recording.name}: load {kind!r}; give tail, pendulum or nothing.")
     return tail_load(fish)
 
 
 def tail_load(fish: Fish) -> Load:
-    """The fish's own tail in air, at the shaft."""
+    """The fish's own tail in air, seen at the shaft. Raises BadInput if it has no `k_eff`."""
     k_eff = fish.tail.k_eff
     if k_eff is None:
         raise BadInput(
-            f"{fish.name}: tail.k_eff is missing; run `tailbeat identify tail` first, or say what"
-            f" hung on the shaft with --load."
+            f"{fish.name}: tail.k_eff is missing; run `tailbeat identify tail` first, or name the"
+            f" load on the shaft with --load."
         )
     tail = fish.tail
     inertia = tail_inertia(fish)
@@ -151,7 +152,8 @@ def _number(recording: Recording, key: str) -> float:
 
 
 def servo_space(benches: Sequence[Bench], gears: bool = True) -> tuple[Parameter, ...]:
-    """The free numbers these recordings call for."""
+    """The free numbers for these recordings: one `gain_scale` instead of kp if they state gains,
+    `damping_off` if torque was ever off, and the gears' friction with `gears`."""
     names = [name for name in PRIORS if name != "damping_off" or _ever_off(benches)]
     names = [name for name in names if gears or name not in GEARS]
     found = {name: _parameter(name) for name in names}
@@ -175,13 +177,17 @@ def _ever_off(benches: Sequence[Bench]) -> bool:
 
 
 def gain_reference(benches: Sequence[Bench]) -> float | None:
-    """The middle gain of the recordings, or None where none states a gain."""
+    """The middle gain of the recordings, None if none states a gain. Raises BadInput if only some
+    do."""
     gains = [bench.gain for bench in benches]
     if all(gain is None for gain in gains):
         return None
     if any(gain is None for gain in gains):
         lacking = benches[gains.index(None)].name
-        raise BadInput(f"{lacking}: metadata gain is missing while other recordings have it.")
+        raise BadInput(
+            f"{lacking}: metadata gain is missing, and other recordings have it; add it as a line"
+            f" `# gain: …`."
+        )
     return float(np.median([gain for gain in gains if gain is not None]))
 
 
@@ -206,7 +212,7 @@ def described_servo(servo: Servo) -> dict[str, Array]:
 
 
 def compared(bench: Bench) -> NDArray[np.int_]:
-    """The samples that are compared: every so many-th, glitches left out."""
+    """Indices of the samples that are compared: about `COMPARED`, evenly spaced, no glitches."""
     every = np.arange(0, bench.time.size, _thinning(bench))
     return every[bench.good[every]]
 
@@ -236,7 +242,8 @@ def residual_function(
 
 
 def blocks(benches: Sequence[Bench]) -> NDArray[np.int_]:
-    """Which residuals hang together: a number per residual of `residual_function`."""
+    """The block of time of each residual of `residual_function` (r,): residuals in one block are
+    correlated."""
     found: list[Array] = []
     first = 0
     for bench in benches:
@@ -250,10 +257,10 @@ def blocks(benches: Sequence[Bench]) -> NDArray[np.int_]:
 def with_honest_intervals(
     fit: Fit, residuals: Callable[[Array], Array], groups: NDArray[np.int_]
 ) -> Fit:
-    """The fit with a covariance that holds for correlated residuals and a model that is not exact.
+    """The fit with a covariance that allows for correlated residuals and an inexact model.
 
-    Sandwich estimate over blocks of time (White 1982; Liang and Zeger 1986), the prior counting as
-    one observation more: a servo's misfit at one standstill is one fact, not fifty.
+    Sandwich estimate over blocks of time (White 1982; Liang and Zeger 1986); the prior counts as
+    one more observation. So the fifty samples of one standstill count as one observation.
     """
     found, slope = sensitivity(residuals, fit.z, step=STEP)
     bread = np.linalg.inv(slope.T @ slope + np.eye(fit.z.size))
@@ -266,7 +273,7 @@ def with_honest_intervals(
 
 
 def load_doubt(space: tuple[Parameter, ...], z: Array, benches: Sequence[Bench]) -> Array:
-    """Covariance (p, p) in z that the load's uncertainty puts on every torque alike."""
+    """Covariance (p, p) in z from the load's uncertainty, which scales all torques together."""
     shift = np.zeros(z.size)
     if any(bench.load.kind != "nothing" for bench in benches):
         for i, p in enumerate(space):

@@ -1,4 +1,4 @@
-"""`tailbeat identify servo`: several seeds, the best kept, everything said about it."""
+"""`tailbeat identify servo`: fit with several seeds, keep the best, and check it."""
 
 import hashlib
 import time
@@ -40,15 +40,15 @@ from tailbeat.identify.shaft import Bench, free_run
 Array = NDArray[np.float64]
 Progress = Callable[[int, str, float, float], None]  # seed, stage, share done, best cost
 MODEL = ("kp", "kv", "armature", "damping", "friction", "force_limit", "delay")
-SATURATED = 0.9  # share of the time at the limit from which nothing else can be read
-AT_LEAST = 0.002  # a gears' share below this is none
+SATURATED = 0.9  # fraction of the time at the limit; above it nothing else can be identified
+AT_LEAST = 0.002  # a smaller friction of the gears counts as none
 
 
 @dataclass(frozen=True)
 class ServoConfig:
-    """Seeds from `first_seed` on, effort, whether `gears` may rub beside the compiled servo's
-    friction, the `gain` register the fish will run with (None: the recordings' middle), the `load`
-    on the shaft (None: as recorded, else the tail), and whether to leave out each gain in turn."""
+    """Number of `seeds` from `first_seed` on; effort; whether to fit the `gears`' friction too; the
+    `gain` register that the fish will run with (None: the recordings' middle); the `load` on the
+    shaft (None: as recorded, else the tail); whether to also fit without each gain in turn."""
 
     seeds: int = 5
     first_seed: int = 0
@@ -62,7 +62,7 @@ class ServoConfig:
 
 
 def check(config: ServoConfig) -> None:
-    """Raises BadInput for a config that no identification can have."""
+    """Raises BadInput for a number of seeds below 1 or a gain that is not above 0."""
     if config.seeds < 1:
         raise BadInput(f"--seeds {config.seeds}: give 1 or more.")
     if config.gain is not None and not config.gain > 0:
@@ -71,7 +71,8 @@ def check(config: ServoConfig) -> None:
 
 @dataclass(frozen=True)
 class Overlay:
-    """One recording: its angle, the identified servo's and the idealised one's (k,) rad."""
+    """One recording, and the angles (k,) [rad] of the identified and of the idealised servo. `role`
+    is fit or validate."""
 
     bench: Bench
     role: str
@@ -104,8 +105,8 @@ class Overlay:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """What was left out of a fit, and that fit's mean absolute and root mean square error on it
-    [deg]."""
+    """A gain or recording that was left out of a fit, and the fit's mean absolute and root mean
+    square error on it [deg]."""
 
     held_out: str
     mae_deg: float
@@ -114,11 +115,11 @@ class LeftOut:
 
 @dataclass(frozen=True, eq=False)
 class ServoFit:
-    """The outcome: one fit per seed, best first, and every recording replayed.
+    """The result: one fit per seed, best first, and every recording replayed.
 
-    `servo` has the seven numbers that the twin compiles, SI, at the `gain` register; `seconds` is
-    how long the search took; `left_out` is there where cross-validation was asked for. `naive` has
-    the naive predictors, fitted on the same recordings.
+    `servo` has the seven numbers that the twin compiles [SI], at the `gain` register. `seconds` [s]
+    is the duration of the search. `left_out` is empty without cross-validation. `naive` has the
+    naive predictors, fitted on the same recordings.
     """
 
     space: tuple[Parameter, ...]
@@ -133,12 +134,13 @@ class ServoFit:
 
     @property
     def to_naive(self) -> float:
-        """Mean absolute error over the best naive predictor's, on held-out recordings if any."""
+        """Ratio of the mean absolute error to the best naive predictor's, on held-out recordings if
+        there are any."""
         own = self.mae_deg("validate") or self.mae_deg("fit") or 0.0
         return own / max(min(one.judged_mae_deg for one in self.naive), 1e-9)
 
     def estimates(self) -> dict[str, Estimate]:
-        """Number -> value, unit and 95 % interval; kp at the gain where recordings state gains."""
+        """Number -> value, unit and 95 % interval; if recordings state gains, kp at `gain`."""
         found = estimates(self.space, self.fits)
         if self.gain is None:
             return found
@@ -160,7 +162,8 @@ def identify_servo(
     scratch: Path,
     progress: Progress = lambda seed, stage, share, best: None,
 ) -> ServoFit:
-    """Fit on `fit`, judge on `validate`. Interrupted work in `scratch` is taken up again."""
+    """Fit on `fit`, and measure errors on both. Interrupted work in `scratch` is resumed. Raises
+    BadInput if `fit` is empty or only some recordings state a gain."""
     began = time.monotonic()
     if not fit:
         raise BadInput("--fit is empty; give at least one recording to fit.")
@@ -185,7 +188,7 @@ def identify_servo(
 def _searched(
     fit: Sequence[Bench], config: ServoConfig, scratch: Path, progress: Progress
 ) -> tuple[tuple[Parameter, ...], list[Fit]]:
-    """Best-first fits; without gear friction where it turns out to be none."""
+    """Fits, best first; without the gears' friction if it is below `AT_LEAST`."""
     space = servo_space(fit, config.gears)
     fits = _seeds(space, fit, config, scratch / "gears", progress)
     found = values(space, fits[0].z)
@@ -212,7 +215,7 @@ def _seeds(
 
 
 def _key(fit: Sequence[Bench], config: ServoConfig) -> str:
-    """Names the scratch folder by what is fitted: other work is never resumed by mistake."""
+    """Name of the scratch folder, a digest of what is fitted: only the same work is resumed."""
     digest = hashlib.sha256(repr((config.effort, config.gears, version("tailbeat"))).encode())
     for bench in fit:
         digest.update(repr((bench.load, bench.gain)).encode())
@@ -244,10 +247,10 @@ def _compiled_servo(
     fit: Sequence[Bench],
     overlays: Sequence[Overlay],
 ) -> dict[str, float]:
-    """The seven numbers the twin compiles, at the gain the fish will run with.
+    """The seven numbers that the twin compiles, at the gain that the fish will run with.
 
-    The engine's friction is one number: the gears' share enters it at the mean torque they carried
-    while the shaft moved.
+    The engine's friction is one number. It includes the gears' friction at the mean torque that
+    they carried while the shaft moved.
     """
     if gain is not None:
         found = {**found, "kp": found["gain_scale"] * gain}
@@ -258,7 +261,7 @@ def _compiled_servo(
 
 
 def _carried(found: dict[str, float], bench: Bench) -> float:
-    """Mean torque through the gears while the shaft moved [N m], read off the recording."""
+    """Mean torque through the gears while the shaft moved [N m], from the recording."""
     kp = found["gain_scale"] * (bench.gain or 0.0) if "gain_scale" in found else found["kp"]
     good = bench.good
     time, command, angle, enabled = (
@@ -271,7 +274,7 @@ def _carried(found: dict[str, float], bench: Bench) -> float:
 
 
 def saturation(found: dict[str, float], bench: Bench) -> float:
-    """Share of the time that the servo spends at its force limit."""
+    """Fraction of the time at which the servo is at its force limit."""
     kp = found["gain_scale"] * (bench.gain or 0.0) if "gain_scale" in found else found["kp"]
     late = np.interp(bench.time - found["delay"], bench.time, bench.command)
     wanted = kp * np.abs(late - bench.angle)
@@ -280,12 +283,12 @@ def saturation(found: dict[str, float], bench: Bench) -> float:
 
 
 def _warnings(space: tuple[Parameter, ...], best: Fit, fit: Sequence[Bench]) -> list[str]:
-    """What the data cannot support, a sentence each."""
+    """What the data do not determine, a sentence each."""
     found = values(space, best.z)
     shares = {bench.name: saturation(found, bench) for bench in fit}
     said = [
-        f"{name} is at the force limit {100 * share:.0f} % of the time: gain and delay cannot be"
-        f" read from it; use smaller or slower commands"
+        f"{name} is at the force limit {100 * share:.0f} % of the time: it does not show gain and"
+        f" delay; record smaller or slower commands"
         for name, share in shares.items()
         if share > SATURATED
     ]

@@ -1,13 +1,13 @@
-"""One shaft on a bench: a position servo and a known load, many candidates and recordings at once.
+"""Simulate one shaft on a test bench: a position servo with a known load, many at once.
 
-The same servo that `fish/twin.py` compiles, on one degree of freedom, so that a fit of a dozen
-recordings takes a minute: torque = clip(kp (command(t - delay) - angle) - kv speed, limit),
-shaft damping outside the clip, Coulomb friction. A test holds it to the compiled twin.
+It is the servo that `fish/twin.py` compiles, on one degree of freedom, so that a fit of a dozen
+recordings takes a minute: torque = clip(kp (command(t - delay) - angle) - kv speed, limit), shaft
+damping outside the clip, Coulomb friction. A test compares it with the compiled twin.
 
-A bench shows one thing more, which the engine cannot compile: gears rub in proportion to the torque
-they carry, and more so at rest. `load_friction` and `stiction` are shares of that torque, the mean
-of what drives and what resists (after Rhoban's BAM models, arXiv 2410.08650; how stiction fades
-with speed, and the mean, are ours: of the forms tried they predicted left-out gains best).
+One effect on a test bench cannot be compiled for the engine: the friction of gears grows with the
+torque that they carry, and is larger at rest. `load_friction` and `stiction` are fractions of that
+torque, which is the mean of drive and load (after Rhoban's BAM models, arXiv 2410.08650). The mean,
+and how stiction falls with speed, are ours: of the forms tried they predicted left-out gains best.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,15 +26,16 @@ SERVO = (
     "kp kv armature damping friction force_limit delay damping_off load_friction stiction".split()
 )
 LOAD = "stiffness damping inertia friction weight".split()
-CREEP = 0.2  # rad/s at which half the stiction is left, chosen
+CREEP = 0.2  # rad/s at which stiction has fallen to half, chosen
 
 
 @dataclass(frozen=True)
 class Load:
-    """What hangs on the shaft, all seen at the shaft.
+    """The load, seen at the shaft; `kind` is tail, pendulum or nothing.
 
-    A tail: `stiffness` [N m/rad], `damping` [N m s/rad], `inertia` [kg m^2], `friction` [N m]. A
-    pendulum: `inertia` m l^2 and `weight` m g l [N m], hanging down at angle 0. Nothing: zeros.
+    A tail has `stiffness` [N m/rad], `damping` [N m s/rad], `inertia` [kg m^2] and `friction` [N
+    m]. A pendulum has `inertia` m l^2 and `weight` m g l [N m], and hangs down at angle 0. Nothing
+    has zeros.
     """
 
     kind: str = "nothing"
@@ -47,10 +48,11 @@ class Load:
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """One recording of a driven shaft: `time` (k,) s from 0, `command`, `angle` (k,) rad.
+    """One recording of a driven shaft: `time` (k,) [s] from 0, `command` and `angle` (k,) [rad].
 
-    `enabled` (k,) is 1 where the servo's torque was on; `gain` the gain register's value or None.
-    The angle is NaN where a glitch was left out, never at the first sample; `glitches` lists them.
+    `enabled` (k,) is 1 where the servo's torque was on. `gain` is the gain register's value or
+    None. The angle is NaN where a glitch was left out, never at the first sample; `glitches` lists
+    them.
     """
 
     name: str
@@ -64,13 +66,13 @@ class Bench:
 
     @property
     def good(self) -> NDArray[np.bool_]:
-        """Which samples of the angle are no glitches (k,)."""
+        """Which samples of the angle are not glitches (k,)."""
         return np.isfinite(self.angle)
 
 
 class Played(NamedTuple):
-    """Samples (k,) of what a shaft is driven with: time [s], command [rad], the command's running
-    integral [rad s], and whether the servo's torque is on."""
+    """Samples (k,) of a shaft's drive: time [s], command [rad], the command's running integral
+    [rad s], and whether the servo's torque is on."""
 
     time: Array
     command: Array
@@ -79,11 +81,11 @@ class Played(NamedTuple):
 
 
 def free_run(servo: Mapping[str, Array], benches: Sequence[Bench]) -> list[Array]:
-    """Shaft angles (n, k) rad of every bench for n servos, from the recorded start, free-running.
+    """Shaft angles (n, k) [rad] of every bench for n servos, simulated from the recorded start.
 
-    `servo` maps the names in `SERVO` (damping_off: shaft damping with torque off) to (n,) or, where
-    benches differ, (n, benches). A command holds from its own sample to the next. NaN from where
-    the step was too long for a servo.
+    `servo` maps the names in `SERVO` (damping_off: shaft damping with torque off) to (n,) or, if
+    benches differ, (n, benches), in SI. A command holds from its own sample to the next. Angles are
+    NaN after a simulation became unstable at the fixed step.
     """
     lanes = np.stack([_lanes(servo[name], len(benches)) for name in SERVO], axis=-1)
     load = np.array([[getattr(b.load, name) for name in LOAD] for b in benches])
@@ -112,8 +114,8 @@ def _first_speed(bench: Bench) -> float:
 
 
 def _integral(bench: Bench) -> Array:
-    """Running integral of the held command at its samples: its mean over a step moves smoothly
-    with any delay, where a look-up would move in steps."""
+    """Running integral of the held command at its samples [rad s]. With it, the mean command over a
+    step changes smoothly with the delay; a look-up would change in steps."""
     return np.concatenate([[0.0], np.cumsum(bench.command[:-1] * np.diff(bench.time))])
 
 
@@ -139,7 +141,7 @@ def _run(lanes, load, start, played, edges, angle):  # type: ignore[no-untyped-d
 
 @njit(cache=True)
 def _shaft(servo, load, start, played, angle):  # type: ignore[no-untyped-def]
-    """One lane. Semi-implicit Euler with implicit damping; friction stops the shaft exactly."""
+    """One lane: semi-implicit Euler with implicit damping. Friction can stop the shaft exactly."""
     kp, kv, armature, on_damping, friction, limit, delay, off_damping = servo[:8]
     load_rub, stiction = servo[8:]
     stiffness, damping, load_inertia, load_friction, weight = load

@@ -1,7 +1,7 @@
 """Identify tail, servo and fluid: read recordings, write a fish, its report and its figure.
 
-Whoever calls gives the function that draws the figure, so that the three files are written
-together. Nothing is written where anything fails.
+The caller passes the function that draws the figure, so that the three files are written together.
+If the fit fails, nothing is written.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,9 +36,9 @@ DrawFluid = Callable[[list[tuple[str, Prediction]], Path], None]
 
 @dataclass(frozen=True)
 class Paths:
-    """What an identification reads and writes: a `fish` by its shipped name or file, recordings to
-    `fit` and held-out ones to `validate`, the fish to write at `out`, and its report at `json`
-    (None: beside it)."""
+    """What an identification reads and writes: the `fish` by its shipped name or file, recordings
+    to `fit`, held-out ones to `validate`, the fish to write, `out`, and its report, `json` (None:
+    beside `out`)."""
 
     fish: str
     fit: Sequence[Path]
@@ -53,12 +53,14 @@ class Paths:
 
     @property
     def scratch(self) -> Path:
-        """Where a search keeps its checkpoints until it is done."""
+        """Folder of a search's checkpoints until it is done."""
         return self.out.parent / f".{self.out.stem}.search"
 
 
 def tail(paths: Paths, static: Path | None, release: Path | None, draw: DrawTail) -> TailResult:
-    """Fit the tail, spread it over the hinges, write fish, report and figure."""
+    """Fit the tail, distribute it over the hinges, write fish, report and figure. `static` is a
+    slow pull, `release` a released tail. Raises BadInput for recordings that cannot be used, or if
+    an output exists."""
     _refuse_taken(paths)
     described = load_fish(paths.fish)
     recordings = [read_recording(path) for path in paths.fit]
@@ -77,7 +79,7 @@ def tail(paths: Paths, static: Path | None, release: Path | None, draw: DrawTail
 
 
 def servo(paths: Paths, config: ServoConfig, progress: Progress, draw: DrawServo) -> ServoFit:
-    """Fit the servo, write fish, report and figure."""
+    """Fit the servo, write fish, report and figure. Raises BadInput as `tail` does."""
     servo_job.check(config)
     _refuse_taken(paths)
     described = load_fish(paths.fish)
@@ -101,7 +103,7 @@ def servo(paths: Paths, config: ServoConfig, progress: Progress, draw: DrawServo
 def fluid(
     paths: Paths, config: job.FluidConfig, progress: Progress, draw: DrawFluid
 ) -> job.Identified:
-    """Fit the coefficients, write fish, report and figure."""
+    """Fit the fluid coefficients, write fish, report and figure. Raises BadInput as `tail` does."""
     job.check(config)
     _refuse_taken(paths)
     described = load_fish(paths.fish)
