@@ -35,5 +35,5 @@ def test_json_holds_numpy_and_no_nan(tmp_path):
 def test_a_place_that_cannot_be_written_is_one_sentence(tmp_path):
     (tmp_path / "file").write_text("")
     for target in (tmp_path, tmp_path / "file" / "a.json"):
-        with pytest.raises(BadInput, match=r"is a folder|choose a place"):
+        with pytest.raises(BadInput, match=r"is a folder|choose a folder"):
             write_json(target, {}, overwrite=True)

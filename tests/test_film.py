@@ -258,7 +258,7 @@ def test_bad_logs_and_outputs_are_refused_in_one_sentence(log, tmp_path):
     assert "10 poses" in refused(tmp_path, write_log(tmp_path / "short.mcap", short))
     out = tmp_path / "film.avi"
     assert ".mp4, .webp, .gif" in refused(tmp_path, log, "--out", out)
-    assert "choose a place" in refused(tmp_path, log, "--out", text / "a.mp4", "--seconds", 1)
+    assert "choose a folder" in refused(tmp_path, log, "--out", text / "a.mp4", "--seconds", 1)
     assert "exists already" in refused(tmp_path, log, "--out", text)
     for words in (("--seconds", "0"), ("--start", "-1"), ("--start", "60"), ("--pool", "3")):
         assert words[0] in refused(tmp_path, log, "--out", tmp_path / "a.mp4", *words)

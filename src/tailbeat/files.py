@@ -1,4 +1,4 @@
-"""Bad input and safe output: the lowest floor."""
+"""Report bad input, and write files safely."""
 
 import json
 import math
@@ -28,29 +28,29 @@ EXTRA_OF = {
 class BadInput(ValueError):
     """Something the user gave cannot be used.
 
-    The message is one sentence: which file or field, which value, what is allowed, what to do. The
-    command line prints it and exits with 2.
+    The message is one or two sentences: which file or field, which value, what is allowed, what to
+    do. The command line prints it and exits with code 2.
     """
 
 
 def refuse_existing(path: Path) -> None:
-    """Raise BadInput if an output path is taken, before any work is spent on it."""
+    """Raises BadInput if an output path exists. Call it before the work begins."""
     if path.exists():
         raise BadInput(f"{path}: exists already; choose another name or move it away.")
 
 
 @contextmanager
 def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
-    """A path beside `path` to write to; renamed onto it on success, removed on any failure.
+    """A temporary path beside `path` to write to: renamed to it on success, removed on any failure.
 
-    Makes the parent folder. Raises BadInput if `path` is a folder, lies where nothing can be
-    written, or exists and `overwrite` is false.
+    Makes the parent folder. Raises BadInput if `path` is a folder, if nothing can be written there,
+    or if it exists and `overwrite` is false.
     """
     target = Path(path)
     if not overwrite:
         refuse_existing(target)
     if target.is_dir():
-        raise BadInput(f"{target}: is a folder; give the name of a file.")
+        raise BadInput(f"{target}: is a folder; give a file name.")
     beside = _beside(target)
     try:
         yield beside
@@ -65,29 +65,29 @@ def _beside(target: Path) -> Path:
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=".", suffix=target.suffix, dir=target.parent)
     except OSError as error:
-        raise BadInput(f"{target}: {error.strerror}; choose a place to write to.") from None
+        raise BadInput(f"{target}: {error.strerror}; choose a folder that you can write.") from None
     os.close(handle)
     os.chmod(name, 0o644)  # mkstemp's own mode hides the file from others
     return Path(name)
 
 
 def write_json(path: str | Path, data: Any, overwrite: bool = False) -> None:
-    """Write `data` as JSON; records become mappings, numpy values lists and
-    numbers, non-finite numbers null."""
+    """Write `data` as JSON. Dataclasses become mappings, numpy values lists and numbers, numbers
+    that are not finite null. Raises BadInput as `new_file` does."""
     with new_file(path, overwrite) as beside:
         beside.write_text(json.dumps(plain(data), indent=2) + "\n", encoding="utf-8")
 
 
 def plain(value: Any) -> Any:
-    """What JSON can hold: mappings for records, lists for arrays and tuples, None for numbers that
-    are not finite."""
+    """`value` as JSON can hold it: mappings for dataclasses, lists for arrays and tuples, None for
+    numbers that are not finite."""
     if is_dataclass(value):
         value = vars(value)
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
-    if hasattr(value, "tolist"):  # an array or a number of numpy, which need not be loaded for it
+    if hasattr(value, "tolist"):  # an array or a number of numpy, without importing numpy
         return plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
@@ -95,7 +95,7 @@ def plain(value: Any) -> Any:
 
 
 def leaves(name: str, value: Any) -> dict[str, Any]:
-    """Every leaf of nested lists and mappings by its dotted name."""
+    """Every value in nested lists and mappings, by its dotted name below `name`."""
     if isinstance(value, dict | list | tuple):
         pairs = value.items() if isinstance(value, dict) else enumerate(value)
         parts = [leaves(f"{name}.{key}".lstrip("."), part) for key, part in pairs]
@@ -104,13 +104,13 @@ def leaves(name: str, value: Any) -> dict[str, Any]:
 
 
 def need(what: str, *modules: str) -> None:
-    """Raises BadInput where one of the packages that `what` takes from an extra is missing."""
+    """Raises BadInput if one of the packages `modules`, which `what` needs, is not installed."""
     for module in modules:
         if find_spec(module) is None:
             raise BadInput(f"{what} needs {missing(module)}")
 
 
 def missing(module: str) -> str:
-    """How to install a package that is not there: the end of a sentence. Raises KeyError for a
-    package that no extra brings."""
+    """How to install a missing package, as the end of a sentence. Raises KeyError for a package
+    that no extra brings."""
     return f"the package {module}: pip install 'tailbeat[{EXTRA_OF[module]}]'."

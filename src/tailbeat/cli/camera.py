@@ -70,7 +70,7 @@ def calibrate(
     ] = 20,
     json: JsonOption = None,
 ) -> None:
-    """Find the camera's lens and its place over the pool. The steps are in
+    """Find the camera's lens parameters and its pose above the pool. The steps are in
     docs/how-to/calibrate-the-camera.md."""
     if json is not None:
         refuse_existing(json)

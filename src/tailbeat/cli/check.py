@@ -34,8 +34,8 @@ def faults(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Break what can break on emulated devices and time the way to safety. It runs in real time.
-    Exit code 1 if a fault does not lead to safety."""
+    """Inject faults into emulated devices and measure the time to a safe state. It runs in real
+    time. Exit code 1 if a fault does not lead to a safe state."""
     if kills < 0:
         raise BadInput(f"--kills {kills}: give 0 or more.")
     for path in filter(None, (table, json)):
@@ -60,15 +60,16 @@ def faults(
 def latency(
     policy: PolicyOption = SHIPPED,
     fish: PoolFish = "pulley-fish",
-    minutes: Annotated[float, typer.Option(help="How long to measure [min].")] = 10.0,
+    minutes: Annotated[float, typer.Option(help="Duration of the measurement [min].")] = 10.0,
     allowed: Annotated[
-        float, typer.Option(help="Largest p99.9 of the lateness that passes [ms].")
+        float, typer.Option(help="Largest allowed lateness, 99.9th percentile [ms].")
     ] = 2.0,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Measure how punctual the loop is on this machine. It drives emulated devices and reports
-    lateness, work, latency and drift. Exit code 1 if p99.9 of the lateness exceeds --allowed."""
+    """Measure the timing of the control loop on this machine. It drives emulated devices and
+    reports lateness, work, latency and drift. Exit code 1 if the 99.9th percentile of the lateness
+    exceeds --allowed."""
     if json is not None:
         refuse_existing(json)
     if not minutes > 0:
@@ -101,7 +102,7 @@ def torque_off(
 
 def doctor(
     emulated: Annotated[
-        bool, typer.Option("--emulated", help="Examine emulated devices, started for this.")
+        bool, typer.Option("--emulated", help="Start emulated devices and check them.")
     ] = False,
     policy: PolicyOption = SHIPPED,
     fish: PoolFish = "pulley-fish",
@@ -111,17 +112,17 @@ def doctor(
     station: Annotated[str, typer.Option(help="host:port of the station.")] = "",
     key: Annotated[Path | None, typer.Option("--key", help="File of the shared key.")] = None,
     camera: Annotated[
-        str, typer.Option(help="The station's camera: /dev/video0 or unix:/path.")
+        str, typer.Option(help="Camera of the station: /dev/video0 or unix:/path.")
     ] = "",
     calibration: Annotated[
-        Path | None, typer.Option(help="Its calibration, made by `tailbeat calibrate`.")
+        Path | None, typer.Option(help="Calibration of the camera, by `tailbeat calibrate`.")
     ] = None,
     logs: Annotated[Path, typer.Option(help="Folder of the logs.")] = Path(),
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """List what keeps the fish from moving and what to do about it; nothing is moved. Exit code 1
-    if something is bad."""
+    """List what prevents the fish from swimming, and what to do about it. Nothing moves. Exit code
+    1 if something is bad."""
     if json is not None:
         refuse_existing(json)
     if not emulated and not any((servo, imu, listen, key, camera)):
@@ -161,10 +162,10 @@ def unit(
     listen: Annotated[str, typer.Option(help="host:port on which to listen for poses.")],
     station: Annotated[str, typer.Option(help="host:port of the station.")],
     key: Annotated[Path, typer.Option("--key", help="File of the shared key.")],
-    logs: Annotated[Path, typer.Option(help="Folder of the logs, one for each start.")],
+    logs: Annotated[Path, typer.Option(help="Folder of the logs; each start writes one.")],
     user: Annotated[str, typer.Option(help="User that runs the service, not root.")] = "fish",
 ) -> None:
-    """Write a systemd unit that runs `tailbeat drive`, disarmed until ordered."""
+    """Write a systemd unit that runs `tailbeat drive`, disarmed until the operator arms it."""
     from tailbeat.robot.systemd import write_unit
 
     held = Path(policy)
@@ -179,7 +180,7 @@ def unit(
 
 
 def key(path: Annotated[Path, typer.Argument(help="The key file to write.")]) -> None:
-    """Write the key that station and fish share. Copy it to both; only its owner can read it."""
+    """Write the key that station and fish share. Copy it to both. Only its owner can read it."""
     from tailbeat.link.datagrams import make_key
 
     make_key(path)
@@ -210,10 +211,10 @@ def film(
         Literal["follow", "side"],
         typer.Option("--view", help="Camera: follow the fish, or see the whole pool from a side."),
     ] = "follow",
-    seconds: Annotated[float, typer.Option(help="Length of the film at most [s].")] = 20.0,
+    seconds: Annotated[float, typer.Option(help="Longest duration of the film [s].")] = 20.0,
     start: Annotated[
         float | None,
-        typer.Option(help="Begin this long after the log does [s]; default: where it swims."),
+        typer.Option(help="Begin this time after the log's start [s]; default: where it swims."),
     ] = None,
     fish: Annotated[
         str, typer.Option("--fish", help="Fish that swam: a TOML file or a shipped fish's name.")

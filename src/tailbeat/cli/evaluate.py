@@ -97,8 +97,8 @@ def compare(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Compare policies in their twins and in the pool with parts of its physics off. The same
-    command resumes an interrupted comparison."""
+    """Compare policies in their twins and in the pool, with parts of its physics off. The
+    same command resumes an interrupted comparison."""
     if json is not None:
         refuse_existing(json)
     from tailbeat.evaluate.compare import ComparisonConfig
@@ -139,7 +139,7 @@ def report(
     twin: TwinOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Write one page of a folder's numbers and figures, the paper's beside them."""
+    """Write a page of a folder's numbers and figures, with the paper's for comparison."""
     if json is not None:
         refuse_existing(json)
     from tailbeat.report.page import of_folder

@@ -15,14 +15,15 @@ OutFish = Annotated[Path, typer.Option("--out", help="Fish to write, .toml.")]
 AddedOption = Annotated[
     float | None,
     typer.Option(
-        help="Fraction of the described added mass that is inertia; default: as described."
+        help="Fraction of the described added mass that acts as inertia; default: the fish's own."
     ),
 ]
 LawOption = Annotated[
     Literal["described", "whole"],
     typer.Option(
         "--law",
-        help="Fluid law; whole: added mass across the parts, lift with a trailing edge.",
+        help="Fluid law. described: the fish's own; whole: added mass only across the parts, and"
+        " lift with a trailing edge.",
     ),
 ]
 
@@ -47,7 +48,7 @@ def identify_fluid(
     generations: Annotated[int, typer.Option(help="CMA-ES generations of each search.")] = 15,
     start_weight: Annotated[
         bool | None,
-        typer.Option(help="Weigh the start of a run 4:1; default: if it starts from rest."),
+        typer.Option(help="Weight the start of a run 4:1; default: if it starts from rest."),
     ] = None,
     added_inertia: AddedOption = None,
     law: LawOption = "described",
@@ -80,8 +81,8 @@ def identify_tail(
     ring_down: Annotated[Path | None, typer.Option(help="Recording of a released tail.")] = None,
     json: JsonOption = None,
 ) -> None:
-    """Fit the tail's stiffness and damping to driven sweeps with shaft torque. Both are spread over
-    the hinges."""
+    """Fit the tail's stiffness and damping to driven sweeps with shaft torque. Both are distributed
+    over the hinges."""
     from tailbeat.identify import stages, tail_report
     from tailbeat.report import bench_figures
 
@@ -118,7 +119,7 @@ def identify_servo(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Fit the servo to recorded commands and encoder angles. It runs free against a known load."""
+    """Fit the servo to recorded commands and encoder angles, with a known load on the shaft."""
     from tailbeat.identify import servo_job, servo_report, stages
     from tailbeat.report import bench_figures
 
@@ -169,11 +170,12 @@ def identify_all(
 def predict(
     fish: FishOption,
     recordings: Annotated[
-        list[Path], typer.Argument(help="Recordings or logs, .csv or .parquet, or OUT/runs/*.npz.")
+        list[Path],
+        typer.Argument(help="Recordings or logs, .csv or .parquet, or an evaluation's runs/*.npz."),
     ],
     fitted_on: Annotated[
         list[Path] | None,
-        typer.Option("--fitted-on", help="Recordings to fit a naive model of five numbers to."),
+        typer.Option("--fitted-on", help="Recordings to fit a naive model of five numbers on."),
     ] = None,
     json: JsonOption = None,
 ) -> None:
@@ -195,7 +197,9 @@ def predict(
 def coverage(
     swims: Annotated[
         list[Path],
-        typer.Argument(help="A policy's swims: logs as .csv or .parquet, or OUT/runs/*.npz."),
+        typer.Argument(
+            help="A policy's swims: logs as .csv or .parquet, or an evaluation's runs/*.npz."
+        ),
     ],
     against: Annotated[
         list[Path], typer.Option("--against", help="Recordings that the fish was identified on.")
@@ -203,8 +207,8 @@ def coverage(
     fish: FishOption,
     json: JsonOption = None,
 ) -> None:
-    """Check whether an identification's recordings cover a policy's swims. Say what to record next.
-    Exit code 1 if over 5 % of some quantity lies outside the recorded range."""
+    """Check whether an identification's recordings cover a policy's swims. List what to record
+    next. Exit code 1 if over 5 % of a quantity is outside the recorded range."""
     from tailbeat.evaluate import replay
     from tailbeat.identify.coverage import as_json
 

@@ -1,4 +1,4 @@
-"""What the terminal says about glitches: a line for every recording, column and kind."""
+"""List glitches on the terminal: a line for every recording, column and kind."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""What the terminal shows of each result: its tables and its sentences."""
+"""Print each result on the terminal, as tables and sentences."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def tail(report: dict[str, Any]) -> None:
-    """Shaft numbers, hinges, conditions, and what the data do not support."""
+    """Print shaft numbers, hinges and warnings of an identified tail."""
     _verdict(report)
     names = {"k_eff": "stiffness", "i_eff": "inertia", "c_eff": "damping", "coulomb": "friction"}
     shaft = [
@@ -40,8 +40,8 @@ def tail(report: dict[str, Any]) -> None:
     if report["static"] is not None:
         static = report["static"]
         say(
-            f"a static fit would have said {static['loading']:.3g} N m/rad while loading,"
-            f" {static['unloading']:.3g} while unloading ({100 * static['bias']:+.0f} % off)"
+            f"a static test gives {static['loading']:.3g} N m/rad while loading"
+            f" ({100 * static['bias']:+.0f} % off), {static['unloading']:.3g} while unloading"
         )
     if report["ring_down"] is not None:
         ring = report["ring_down"]
@@ -54,7 +54,7 @@ def tail(report: dict[str, Any]) -> None:
 
 
 def servo(report: dict[str, Any]) -> None:
-    """Servo numbers, recordings, trade-offs, and what the data do not support."""
+    """Print numbers, recordings, trade-offs and warnings of an identified servo."""
     _verdict(report)
     runs = [
         {name.replace("_deg", " [deg]"): value for name, value in run.items()}
@@ -66,8 +66,8 @@ def servo(report: dict[str, Any]) -> None:
     for pair in report["trade_offs"]:
         a, b = pair["parameters"]
         say(
-            f"the data trade {a} against {b} (correlation {pair['correlation']:.2f});"
-            f" told apart by: {pair['separated_by']}"
+            f"the data do not separate {a} and {b} (correlation {pair['correlation']:.2f});"
+            f" record {pair['separated_by']}"
         )
     _warn(report["warnings"])
     _say_glitches(report)
@@ -78,7 +78,7 @@ def servo(report: dict[str, Any]) -> None:
 
 
 def first(verdict: Sequence[str]) -> None:
-    """What must be read first."""
+    """Print the verdict, before everything else."""
     for sentence in verdict:
         say(sentence)
 
@@ -111,7 +111,7 @@ def _parameters(report: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def identified(report: dict[str, Any]) -> None:
-    """Parameters with intervals, seeds, runs, and what the data cannot tell."""
+    """Print parameters with intervals, seeds, runs and trade-offs of identified coefficients."""
     _verdict(report)
     seeds = [{k: v for k, v in row.items() if k != "values"} for row in report["seeds"]]
     runs = [
@@ -121,10 +121,10 @@ def identified(report: dict[str, Any]) -> None:
     ]
     tables({"parameters": _parameters(report), "seeds, best first": seeds, "runs": runs})
     if report["without_effect"]:
-        say(f"no effect on the result, left alone: {', '.join(report['without_effect'])}")
+        say(f"no effect on the result, not fitted: {', '.join(report['without_effect'])}")
     for pair in report["trade_offs"]:
         a, b = pair["parameters"]
-        say(f"the data trade {a} against {b} (correlation {pair['correlation']:.2f})")
+        say(f"the data do not separate {a} and {b} (correlation {pair['correlation']:.2f})")
     _say_glitches(report)
     _say_errors(report)
 
@@ -152,7 +152,7 @@ def _run_cells(run: dict[str, Any]) -> dict[str, Any]:
 
 
 def _path_cells(run: dict[str, Any]) -> dict[str, Any]:
-    """Of a replayed run: how far off the path was."""
+    """Errors of a replayed run's path; empty for a cruise."""
     if "distance" not in run:
         return {}
     return {
@@ -162,7 +162,7 @@ def _path_cells(run: dict[str, Any]) -> dict[str, Any]:
 
 
 def predicted(result: dict[str, Any]) -> None:
-    """One row per recording and the mean absolute speed error."""
+    """Print one row per recording, and the mean absolute speed error."""
     tables({"measured and predicted": [_run_cells(run) for run in result["runs"]]})
     _say_glitches(result)
     say(f"mean absolute speed error {1e3 * result['speed_mae']:.1f} mm/s")
@@ -179,7 +179,7 @@ def _say_rival(result: dict[str, Any]) -> None:
 
 
 def covered(result: dict[str, Any]) -> None:
-    """Ranges and shares of each quantity, power by band, and what to record next."""
+    """Print ranges and fractions of each quantity, power by band, and what to record next."""
     rows = [
         {
             "quantity": f"{one['quantity']} [{one['unit']}]",
@@ -209,13 +209,13 @@ def covered(result: dict[str, Any]) -> None:
 
 
 def open_loop(report: "OpenLoopReport") -> None:
-    """How far and fast the fish swam, and where the files are."""
+    """Print the numbers of an open-loop swim, and where the files are."""
     tables({"open-loop swim": as_rows([report], "files")})
     say(f"rendered: {report.rendered}; see {report.folder}/: {', '.join(report.files)}")
 
 
 def trained(done: "TrainingResult") -> None:
-    """Stages passed, and where the policy lies."""
+    """Print the stages that were passed, and where the policy is."""
     rows = [
         {
             "stage": f"{row.stage} {row.name}",
@@ -227,12 +227,12 @@ def trained(done: "TrainingResult") -> None:
     ]
     tables({"stages passed": rows})
     if done.stalled:
-        say("warning: the stage did not pass in its time; look at curve.json and the films.")
+        say("warning: the stage was not passed in its time; look at curve.json and the films.")
     say(f"{done.stages_passed} of {done.stages} stages; policy: {done.policy}")
 
 
 def contract(held: dict[str, Any]) -> None:
-    """A policy's contract, the observation table last."""
+    """Print a policy's contract, with the observation table at the end."""
     rest = {k: v for k, v in held.items() if k not in ("golden", "observation")}
     rows = [{"field": name, "value": value} for name, value in leaves("", rest).items()]
     tables({"contract": rows, "observation": list(held["observation"])})
@@ -240,7 +240,7 @@ def contract(held: dict[str, Any]) -> None:
 
 
 def differences(rows: list[dict[str, Any]]) -> None:
-    """Fields of two contracts side by side."""
+    """Print the fields in which two contracts differ."""
     tables(
         {"differences": [{"field": r["field"], "a": str(r["a"]), "b": str(r["b"])} for r in rows]}
     )
@@ -249,7 +249,7 @@ def differences(rows: list[dict[str, Any]]) -> None:
 
 
 def evaluated(done: "Evaluation") -> None:
-    """Success rates per condition, tracks, velocity power."""
+    """Print success rates per condition, tracks and velocity power."""
     rows = [
         {"condition": name, **_rates(row), "median time [s]": row.median_seconds}
         for name, row in done.reach.items()
@@ -261,7 +261,7 @@ def evaluated(done: "Evaluation") -> None:
     power = as_rows(done.spectrum, "cumulative")
     tables({"targets": rows, "tracks": as_rows(done.track), "velocity power": power})
     if done.cut_short:
-        say(f"warning: cut short, read up to their ends: {', '.join(done.cut_short)}")
+        say(f"warning: cut off, and read up to their ends: {', '.join(done.cut_short)}")
 
 
 def _rates(row: "ReachResult | ConditionResult") -> dict[str, Any]:
@@ -274,12 +274,12 @@ def _rates(row: "ReachResult | ConditionResult") -> dict[str, Any]:
 
 
 def compared(done: "Comparison") -> None:
-    """A row per kind of policy and condition of the pool."""
+    """Print a row per kind of policy and condition of the pool."""
     tables({"kinds": as_rows(done.kinds)})
 
 
 def benched(result: "Benchmark") -> None:
-    """Step, pool, camera, environment, updates."""
+    """Print the benchmark of step, pool, camera, environment and updates."""
     tables({result.machine: as_rows(result.fish), "virtual pool": as_rows(result.pool)})
     if result.vision is not None:
         rows = as_rows(result.vision.pictures)

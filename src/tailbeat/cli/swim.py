@@ -154,8 +154,8 @@ def drive(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Drive the fish fifty times a second: arm, swim, turn torque off. Exit code 1 if it stopped
-    itself."""
+    """Run the fish's control loop at 50 Hz: arm, swim, turn torque off. Exit code 1 if the loop
+    stopped by itself."""
     need_robot()
     from tailbeat.link.reasons import Reason
     from tailbeat.robot import session

@@ -1,4 +1,4 @@
-"""The verbs in the order of the journey: where each is, what it does, an example."""
+"""The verbs, in the order of use: module, help sentence, example."""
 
 from dataclasses import dataclass
 
@@ -136,7 +136,7 @@ PANELS = {
         Verb(
             "compare",
             "evaluate:compare",
-            "Compare policies in their twins and in the pool with parts of its physics off.",
+            "Compare policies in their twins and in the pool, with parts of its physics off.",
             "runs/a/policy.onnx runs/b/policy.onnx --twin mine.toml --out runs/comparison",
         ),
         Verb(
@@ -148,7 +148,7 @@ PANELS = {
         Verb(
             "report",
             "evaluate:report",
-            "Write one page of a folder's numbers and figures, the paper's beside them.",
+            "Write a page of a folder's numbers and figures, with the paper's for comparison.",
             "runs/evaluation",
         ),
     ),
@@ -162,7 +162,7 @@ PANELS = {
         Verb(
             "drive",
             "swim:drive",
-            "Drive the fish fifty times a second: arm, swim, turn torque off.",
+            "Run the fish's control loop at 50 Hz: arm, swim, turn torque off.",
             "pulley-fish-pool-generator --emulated --log swim.mcap --seconds 30",
         ),
         Verb(
@@ -180,7 +180,7 @@ PANELS = {
         Verb(
             "calibrate",
             "camera:calibrate",
-            "Find the camera's lens and its place over the pool.",
+            "Find the camera's lens parameters and its pose above the pool.",
             "--views views --survey survey.csv --picture pool.png --out camera.json",
         ),
         Verb(
@@ -194,19 +194,19 @@ PANELS = {
         Verb(
             "doctor",
             "check:doctor",
-            "List what keeps the fish from moving and what to do about it; nothing is moved.",
+            "List what prevents the fish from swimming, and what to do about it.",
             "--servo /dev/ttyUSB0 --imu /dev/ttyAMA0",
         ),
         Verb(
             "faults",
             "check:faults",
-            "Break what can break on emulated devices and time the way to safety.",
+            "Inject faults into emulated devices and measure the time to a safe state.",
             "--only 'voltage sags' --table faults.md",
         ),
         Verb(
             "latency",
             "check:latency",
-            "Measure how punctual the loop is on this machine.",
+            "Measure the timing of the control loop on this machine.",
             "--minutes 10",
         ),
         Verb(
@@ -218,7 +218,7 @@ PANELS = {
         Verb(
             "unit",
             "check:unit",
-            "Write a systemd unit that runs `tailbeat drive`, disarmed until ordered.",
+            "Write a systemd unit that runs `tailbeat drive`, disarmed until the operator arms it.",
             "policy.onnx --out fish.service --servo /dev/ttyUSB0 --imu /dev/ttyAMA0"
             " --listen 192.168.4.2:5151 --station 192.168.4.1:5150 --key fish.key"
             " --logs /var/log/fish",
