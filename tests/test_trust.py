@@ -50,7 +50,7 @@ def test_two_stiffnesses_contradict_each_other(tmp_path):
     )
     again = replace(sweep(0.98, 5), name="c")
     assert identify_tail([soft, again]).contradictions == ()
-    assert "a says a stiffness of 0.9" in identify_tail([soft, stiff]).contradictions[0]
+    assert "the stiffness is 0.9" in identify_tail([soft, stiff]).contradictions[0]
     for one in (soft, stiff):
         write_recording(one, tmp_path / f"{one.name}.csv")
     files = [tmp_path / "a.csv", tmp_path / "b.csv"]
@@ -58,7 +58,7 @@ def test_two_stiffnesses_contradict_each_other(tmp_path):
         "identify", "tail", *files, "--fish", "pulley-fish", "--out", tmp_path / "f.toml"
     )
     assert done.returncode == 1
-    assert done.stdout.startswith("do not trust this fit: a says a stiffness")
+    assert done.stdout.startswith("do not trust this fit: the stiffness is 0.9")
 
 
 # ---- naive predictors ---------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from tailbeat.identify.stages import DrawFluid, DrawServo, DrawTail, Paths, Prog
 
 @dataclass(frozen=True)
 class Folder:
-    """The recordings of one fish, sorted by what they are for."""
+    """The recordings of one fish, sorted by use."""
 
     sweeps: list[Path]
     static: Path | None
@@ -31,7 +31,8 @@ class Folder:
 
 @dataclass(frozen=True)
 class Drawings:
-    """What draws the figure of each stage, and what writes the page of a report and a stem."""
+    """Functions that draw the figure of each stage, and `page`, which returns the text of the page
+    from the report and the stem of the outputs' names."""
 
     tail: DrawTail
     servo: DrawServo
@@ -40,7 +41,8 @@ class Drawings:
 
 
 def read_folder(folder: Path) -> Folder:
-    """Sort a folder's recordings by their names. Raises BadInput where a bench is missing."""
+    """Sort a folder's recordings by their names. Raises BadInput if sweeps, servo recordings or
+    swims are missing."""
     names = sorted([*folder.glob("*.csv"), *folder.glob("*.parquet")])
     found = {
         kind: [path for path in names if present_name(path.stem).startswith(kind)]
@@ -49,8 +51,8 @@ def read_folder(folder: Path) -> Folder:
     for kind in ("tail-sweep", "servo-", "fluid-"):
         if not found[kind]:
             raise BadInput(
-                f"{folder}: no recording whose name begins with {kind}; record it, or make one with"
-                f" `tailbeat record` (docs/how-to/record.md names them)."
+                f"{folder}: no recording whose name begins with {kind}; add one, or make one with"
+                f" `tailbeat record`. docs/how-to/record.md lists the names."
             )
     servo = found["servo-"]
     several = len(servo) > 2
@@ -69,8 +71,8 @@ def read_folder(folder: Path) -> Folder:
 
 @dataclass(frozen=True)
 class ChainPaths:
-    """What the chain reads and writes: a `fish` by its shipped name or file, the `folder` of its
-    recordings, the fish to write at `out`, and its report at `json` (None: beside it)."""
+    """What `identify_all` reads and writes: a `fish` by its shipped name or file, the `folder` of
+    its recordings, the fish to write, `out`, and its report, `json` (None: beside `out`)."""
 
     fish: str
     folder: Path
@@ -80,11 +82,11 @@ class ChainPaths:
 
 @dataclass(frozen=True)
 class Summary:
-    """The numbers one asks for first: the tail's stiffness `k_eff` [N m/rad] and damping `c_eff`
-    [N m s/rad] at the shaft, and errors on held-out recordings: the servo's angle [deg] and the
-    swims' mean speed [m/s] (None without any), and of each swim its position error as a share of
-    the path and its heading error [deg] (None without a heading). `verdict` has what must be read
-    first, and `trusted` is false where one of the three fits should not be used."""
+    """The main numbers: the tail's stiffness `k_eff` [N m/rad] and damping `c_eff` [N m s/rad] at
+    the shaft, and mean absolute errors on held-out recordings, of the servo's angle [deg] and of
+    the swims' speed [m/s] (None without any). Of each held-out swim: position error as a fraction
+    of the path length, and heading error [deg] (None without a heading). `verdict` must be read
+    first; `trusted` is false if one of the three fits should not be used."""
 
     k_eff: float
     c_eff: float
@@ -99,9 +101,11 @@ class Summary:
 def identify_all(
     paths: ChainPaths, config: job.FluidConfig, progress: Progress, drawings: Drawings
 ) -> Summary:
-    """Tail, then servo, then fluid, each fixed before the next; fish, report, page, figures.
+    """Identify tail, then servo, then fluid, and write fish, report, page and figures.
 
-    Stages that are done are kept beside `out` until all are, and taken up again after a stop.
+    Each stage starts from the result of the one before. Finished stages are kept beside `out` until
+    all are finished, so the same call resumes an interrupted one. Raises BadInput for a missing or
+    unusable recording, and if an output exists.
     """
     job.check(config)
     described = load_fish(paths.fish)
@@ -135,7 +139,7 @@ def _targets(paths: ChainPaths) -> dict[str, Path]:
 
 
 def _key(fish: str, data: Folder, config: job.FluidConfig) -> str:
-    """Names the work by what it is made of: other work is never resumed by mistake."""
+    """Name of the folder of finished stages, a digest of the inputs: only the same work resumes."""
     digest = hashlib.sha256(fish_path(fish).read_bytes() + repr(config).encode())
     singles = [path for path in (data.static, data.release) if path is not None]
     for path in [*data.sweeps, *singles, *data.servo_fit, *data.servo_validate, *data.fluid_fit]:
@@ -168,7 +172,8 @@ def _run_stages(
 
 
 def _done(fish: Path) -> bool:
-    """Whether a stage is done: its fish is written last. What an unfinished one left is removed."""
+    """Whether a stage is finished: its fish is written last. Files of an unfinished one are
+    removed."""
     if fish.is_file():
         return True
     for stale in (fish.with_suffix(".json"), fish.with_suffix(".png")):

@@ -1,4 +1,4 @@
-"""`tailbeat identify fluid`: several seeds, the best one kept, everything said about it."""
+"""`tailbeat identify fluid`: fit with several seeds, keep the best, and check it."""
 
 import hashlib
 import shutil
@@ -36,16 +36,16 @@ from tailbeat.identify.search import (
 from tailbeat.identify.trust import Contest, Verdict, share_left_out, verdict
 
 Array = NDArray[np.float64]
-NAMED = 8  # swims that every identified number names; more are named once
+NAMED = 8  # most swims that every identified number names; if there are more, the heading does
 Progress = Callable[[int, str, float, float], None]  # seed, stage, share done, best cost
 
 
 @dataclass(frozen=True)
 class FluidConfig:
-    """What to fit: zones (1 shared set, 3 one per zone), seeds from the first on, effort, the
-    weighting of the start of replayed runs (None: when a run starts from rest), and how the
-    description is changed first: its `added_inertia` (None: as described), or the `whole` law
-    (`fish.water.whole`)."""
+    """What to fit: `zones` (1: one shared set, 3: one set per zone), number of `seeds` from
+    `first_seed` on, effort, whether the start of replayed runs counts four times the end (None: if
+    a run starts from rest). Before the fit the description gets this `added_inertia` (None: as
+    described), or the `whole` law (`fish.water.whole`)."""
 
     zones: int = 3
     seeds: int = 5
@@ -57,16 +57,16 @@ class FluidConfig:
 
 
 def check(config: FluidConfig) -> None:
-    """Raises BadInput for a config that no identification can have."""
+    """Raises BadInput for a config whose numbers are not allowed."""
     seeds, generations, share = config.seeds, config.effort.generations, config.added_inertia
     if config.zones not in (1, 3):
         raise BadInput(f"--zones {config.zones}: give 1 (one coefficient set) or 3 (one per zone).")
     if seeds < 1 or generations < 1:
         raise BadInput(f"--seeds {seeds} --generations {generations}: both must be 1 or more.")
     if share is not None and not 0 <= share <= 2:
-        raise BadInput(f"--added-inertia {share:g}: give a share from 0 to 2.")
+        raise BadInput(f"--added-inertia {share:g}: give a fraction from 0 to 2.")
     if share is not None and config.whole:
-        raise BadInput("--added-inertia with --law whole, which sets it to 1; leave one out.")
+        raise BadInput("--added-inertia: --law whole sets it to 1; leave one of them out.")
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,10 @@ class SeedResult:
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """The outcome: one fit per seed, best first, and the best one's fish, predictions and launch
-    checks; `rival` is what five numbers fitted on the same swims make of the held-out ones
-    (`kinematic.py`), empty without replayed swims; `spread` has the seeds, best first."""
+    """The result: one fit per seed, best first, and the best one's fish, predictions and launch
+    checks. `idle` are parameters without effect, which were not fitted. `rival` has the naive
+    model's predictions of the held-out swims (`kinematic.py`), empty without replayed swims.
+    `spread` has the seeds, best first; `seconds` [s] is the duration."""
 
     space: tuple[Parameter, ...]
     idle: tuple[str, ...]
@@ -111,7 +112,8 @@ def identify_fluid(
     scratch: Path,
     progress: Progress = lambda seed, stage, share, best: None,
 ) -> Identified:
-    """Fit on `fit`, judge on `validate`. Interrupted work in `scratch` is taken up again."""
+    """Fit on `fit`, and predict both. Interrupted work in the folder `scratch` is resumed. Raises
+    BadInput if `fit` is empty or an uncertain number of the fish is outside its range."""
     began = time.monotonic()
     if not fit:
         raise BadInput("--fit is empty; give at least one recording to fit.")
@@ -129,14 +131,14 @@ def identify_fluid(
 def _sensitive_space(
     fish: Fish, fit: Sequence[Run], config: FluidConfig
 ) -> tuple[tuple[Parameter, ...], tuple[str, ...]]:
-    """The free numbers that move the result, and the names of those that do not (left alone)."""
+    """The free numbers that change the result, and the names of those that do not."""
     space = fluid_space(fish, config.zones)
     idle = insensitive(residual_function(fish, fit, space, config.start_weight), space)
     return tuple(p for p in space if p.path not in idle), tuple(idle)
 
 
 def _key(fish: Fish, fit: Sequence[Run], config: FluidConfig) -> str:
-    """Names the scratch folder by what is fitted: other work is never resumed by mistake."""
+    """Name of the scratch folder, a digest of what is fitted: only the same work is resumed."""
     digest = hashlib.sha256(fish.model_dump_json().encode())
     digest.update(repr((config.zones, config.effort, config.start_weight)).encode())
     digest.update((mujoco.__version__ + version("tailbeat")).encode())
@@ -243,7 +245,7 @@ def _verdict(found: Identified, naive: Sequence[Compared]) -> Verdict:
 
 
 def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Field -> {value, unit, interval, source} for `store.write_identified`, zones spelled out."""
+    """Field -> {value, unit, interval, source} for `store.write_identified`, one for each zone."""
     few = len(recordings) <= NAMED
     swims = ", ".join(recordings) if few else f"{len(recordings)} swims, named on top"
     source = f"identified on {swims}"
@@ -262,7 +264,7 @@ def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[
 
 
 def _assumed(fish: Fish) -> dict[str, Any]:
-    """What the law took for granted, as it stands in the fitted fish."""
+    """The numbers of the fluid law that the fit assumed, from the fitted fish."""
     numbers = {"added_inertia": (fish.added_inertia, "1"), "added_along": (fish.added_along, "1")}
     if (blend := fish.trailing_edge) is not None:
         numbers["trailing_edge.speed"] = (blend.speed, "m/s")
@@ -275,7 +277,7 @@ def _assumed(fish: Fish) -> dict[str, Any]:
 
 
 def heading(found: Identified, config: FluidConfig) -> str:
-    """The lines that head an identified fish: what was fitted, how well, with which engine."""
+    """The first lines of an identified fish: what was fitted, with which error and engine."""
     lines = [
         "Identified by `tailbeat identify fluid`; the report beside this file has the details.",
         f"Fitted on {', '.join(p.run.name for p in found.fitted)}, cost {found.fits[0].cost:.3g},"

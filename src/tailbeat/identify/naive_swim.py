@@ -1,7 +1,7 @@
-"""What needs no twin: naive predictors of a swim's speed, path and body wave, beside the twin's.
+"""Naive predictors of a swim's speed, path and body wave, to compare the twin with.
 
-Fitted on the fitted swims and judged on the held-out ones, like the twin. Speed over the beat's
-frequency: a line, a power law, or the same stride for every beat. Path: the five numbers of
+Like the twin, they are fitted on the fitted swims and tested on the held-out ones. Speed over the
+beat's frequency: a line, a power law, or a constant stride. Path: the naive model of
 `kinematic.py`. Body wave of a cruise: the mean of the fitted ones.
 """
 
@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 class Compared:
     """One quantity on the held-out swims: the twin's error and each naive predictor's, in `unit`.
 
-    Mean absolute error of the speed, median position error as a share of the path, mean marker
-    error of the body wave.
+    It is the mean absolute error of the speed, the median position error as a fraction of the path
+    length, or the mean marker error of the body wave.
     """
 
     quantity: str
@@ -37,14 +37,14 @@ class Compared:
 
     @property
     def ratio(self) -> float:
-        """The twin's error over the best naive predictor's; above 1 the twin loses."""
+        """The twin's error over the best naive predictor's; above 1 the twin is worse."""
         return self.error / max(self.naive[self.best], 1e-12)
 
 
 def compare(
     fitted: Sequence[Prediction], held_out: Sequence[Prediction], rival: Sequence[Prediction]
 ) -> tuple[Compared, ...]:
-    """Every quantity that these swims can be compared in. `rival`: the five numbers' paths."""
+    """Compare every quantity that these swims have. `rival`: predictions of `kinematic.py`."""
     found = (_speed(fitted, held_out), _path(held_out, rival), _body_wave(fitted, held_out))
     return tuple(one for one in found if one is not None)
 
@@ -63,8 +63,8 @@ def _speed(fitted: Sequence[Prediction], held_out: Sequence[Prediction]) -> Comp
 
 
 def speed_laws(points: Array) -> dict[str, Callable[[Array], Array]]:
-    """Laws of speed [m/s] over frequency [Hz], fitted to points (k, 2); a line and a power law
-    where there are two frequencies."""
+    """Laws of speed [m/s] over frequency [Hz], fitted to points (k, 2) of both: a constant stride;
+    with two frequencies also a line; if all speeds are above 0 also a power law."""
     beat, speed = points.T
     stride = float(speed @ beat / (beat @ beat))
     laws: dict[str, Callable[[Array], Array]] = {"constant stride": lambda f: stride * f}

@@ -1,4 +1,4 @@
-"""What a servo identification says: JSON rows, the fish's fields, and what other gains predict."""
+"""Report a servo identification: JSON rows, the fish's fields, and cross-validation."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -25,7 +25,7 @@ from tailbeat.identify.servo_job import (
 from tailbeat.identify.shaft import Bench
 from tailbeat.identify.trust import Contest, Errors, Verdict, doubts, share_left_out, verdict
 
-# What to record when the data trade one number against another.
+# What to record if the data do not separate two numbers.
 SEPARATES = {
     frozenset(("kv", "damping")): "steps large enough to reach the force limit (kv acts inside it)",
     frozenset(("force_limit", "damping")): "steps against a larger load",
@@ -83,7 +83,7 @@ def as_report(found: ServoFit) -> dict[str, Any]:
 
 
 def found_verdict(found: ServoFit) -> Verdict:
-    """What stands first: a fit that loses to a naive predictor, or too many glitches."""
+    """The verdict: does the fit lose to a naive predictor, or are there too many glitches?"""
     spoilt = [
         (one.bench.name, share_left_out(one.bench.glitches, one.bench.time.size))
         for one in found.overlays
@@ -100,8 +100,8 @@ def _left(found: ServoFit) -> list[Errors]:
 
 
 def given_load(found: ServoFit) -> tuple[tuple[Parameter, ...], Fit]:
-    """Space and best fit as if the load were known exactly: doubt about it moves every torque
-    alike, which the intervals hold and which no other command could undo."""
+    """Space and best fit as if the load were known exactly. Its uncertainty scales all torques
+    together; the intervals include it, and no other command could reduce it."""
     best = found.fits[0]
     benches = [overlay.bench for overlay in found.overlays]
     doubt = load_doubt(found.space, best.z, benches)
@@ -109,7 +109,7 @@ def given_load(found: ServoFit) -> tuple[tuple[Parameter, ...], Fit]:
 
 
 def remedy(a: str, b: str) -> str:
-    """The experiment that tells two numbers apart."""
+    """What to record to separate two numbers."""
     return SEPARATES.get(frozenset((a, b)), OTHERWISE)
 
 
@@ -132,7 +132,7 @@ def toml_values(found: ServoFit, recordings: Sequence[str]) -> dict[str, dict[st
 
 
 def heading(found: ServoFit) -> str:
-    """The lines that head an identified fish."""
+    """The first lines of an identified fish."""
     held_out = found.mae_deg("validate")
     lines = [
         "Servo identified by `tailbeat identify servo`; the report beside this file has the rest.",
@@ -151,10 +151,13 @@ def heading(found: ServoFit) -> str:
 def cross_validate(
     fish: Fish, benches: Sequence[Bench], config: ServoConfig, scratch: Path, progress: Progress
 ) -> tuple[LeftOut, ...]:
-    """Leave out each gain in turn (each recording where there is one gain): what is predicted?"""
+    """Fit without each gain in turn (without each recording if there is one gain), and measure the
+    error on it. Raises BadInput for fewer than two groups."""
     groups = sorted({_group(bench, benches) for bench in benches})
     if len(groups) < 2:
-        raise BadInput("--cross-validate needs two recordings or more, best at several gains.")
+        raise BadInput(
+            "--cross-validate: give --fit two recordings or more, preferably at several gains."
+        )
     rows = []
     for group in groups:
         kept = [b for b in benches if _group(b, benches) != group]

@@ -1,8 +1,8 @@
-"""The tail on a bench in air: stiffness, inertia and damping at the shaft from driven oscillation.
+"""Stiffness, inertia and damping of the tail at the shaft, from driven oscillation in air.
 
 tau = k theta + c theta' + I theta'' + F sign(theta') gives, at the drive frequency,
-H = T / Theta = (k - I w^2) + j (c w + 4 F / (pi A)): friction acts along the velocity, so it enters
-Im H alone, and its Coulomb part falls with the amplitude A (describing function). Paper: tail
+H = T / Theta = (k - I w^2) + j (c w + 4 F / (pi A)). Friction acts along the velocity, so it is
+only in Im H; its Coulomb part falls with the amplitude A (describing function). Paper: tail
 identification; the split of Im H by amplitude is ours.
 """
 
@@ -22,7 +22,7 @@ from tailbeat.identify.response import Condition, measure, split
 from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]
-DIFFERENT = 0.1  # share by which two recordings' stiffnesses may differ, chosen
+DIFFERENT = 0.1  # fraction by which two recordings' stiffnesses may differ, chosen
 SAME_FREQUENCY = 0.05  # relative distance below which two conditions count as one frequency
 
 
@@ -31,8 +31,8 @@ class TailFit:
     """k_eff [N m/rad], i_eff [kg m^2], c_eff [N m s/rad], coulomb [N m], all at the shaft.
 
     `excess_re` and `excess_im` [N m/rad] are the scatter of the conditions about the lines beyond
-    their own deviations: where it is large, the four numbers do not tell the whole story.
-    `glitches` lists what was left out, `contradictions` recordings of different tails.
+    their own deviations: if it is large, the four numbers do not describe the tail well. `glitches`
+    lists what was left out, `contradictions` recordings of different tails.
     """
 
     conditions: tuple[Condition, ...]
@@ -50,14 +50,15 @@ class TailFit:
 def identify_tail(recordings: Sequence[Recording]) -> TailFit:
     """Fit the four numbers to every condition of the recordings.
 
-    Each needs `angle_rad`, `torque_nm`, the torque that turns the shaft, and `time_s`, which may
-    start anew with each `condition`. Raises BadInput where a recording cannot be used, or where all
-    conditions share one frequency.
+    Each recording needs `time_s`, `angle_rad` and `torque_nm`: the torque that turns the shaft
+    towards larger angles. Time may start again with each `condition`. Raises BadInput if a
+    recording cannot be used, if all conditions have one frequency, or if torque and angle have
+    opposite signs.
     """
     cleaned = [clean_tail(recording) for recording in recordings]
     found = [measure(*part) for recording, _ in cleaned for part in split(recording)]
     if not found:
-        raise BadInput("no recordings; give at least one sweep.")
+        raise BadInput("no drive condition; give at least one recording of a sweep.")
     _check_frequencies(found)
     omega, amplitude = (np.array([getattr(c, n) for c in found]) for n in ("omega", "amplitude"))
     response = np.array([c.response for c in found])
@@ -68,8 +69,8 @@ def identify_tail(recordings: Sequence[Recording]) -> TailFit:
     )
     if k.value <= 0:
         raise BadInput(
-            f"{found[0].recording}: the stiffness comes out as {k.value:.3g} N m/rad; torque and"
-            f" angle have opposite signs: torque_nm is what turns the shaft towards larger angles."
+            f"{found[0].recording}: the stiffness is {k.value:.3g} N m/rad, so torque and angle"
+            f" have opposite signs; torque_nm must turn the shaft towards larger angles."
         )
     drag = np.stack([omega, 4 / (np.pi * amplitude)], 1)
     (c, f), spare_im = line(drag, response.imag, deviation, ("N m s/rad", "N m"))
@@ -80,7 +81,7 @@ def identify_tail(recordings: Sequence[Recording]) -> TailFit:
 
 
 def _contradictions(conditions: Sequence[Condition]) -> list[str]:
-    """Recordings whose own stiffnesses cannot be of one tail, a sentence for the worst pair."""
+    """Recordings whose stiffnesses cannot be of one tail: a sentence for the worst pair."""
     found: dict[str, Estimate] = {}
     for name in sorted({c.recording for c in conditions}):
         own = [c for c in conditions if c.recording == name]
@@ -98,18 +99,19 @@ def _contradictions(conditions: Sequence[Condition]) -> list[str]:
     if not (apart and stiff.interval[0] > soft.interval[1]):
         return []
     return [
-        f"{low} says a stiffness of {soft.value:.3g} N m/rad and {high} {stiff.value:.3g}: they are"
-        f" not of one tail, or one torque is wrong; fit each alone, or record again"
+        f"the stiffness is {soft.value:.3g} N m/rad in {low} and {stiff.value:.3g} in {high}: they"
+        f" are not of one tail, or one torque is wrong; fit each alone, or record again"
     ]
 
 
 def line(
     basis: Array, measured: Array, deviation: Array, units: tuple[str, str] = ("1", "1")
 ) -> tuple[tuple[Estimate, Estimate], float]:
-    """Weighted fit of two numbers, and the conditions' scatter beyond their own deviations.
+    """Weighted fit of two numbers to `measured` (n,) with `basis` (n, 2), and the conditions'
+    scatter beyond their own deviations.
 
-    That excess is chosen so that chi-square per degree of freedom is one (Mandel and Paule 1982):
-    a few conditions that look very exact then cannot carry the line alone.
+    This excess makes chi-square per degree of freedom one (Mandel and Paule 1982). So a few
+    conditions that seem very exact do not determine the line alone.
     """
     freedom = len(measured) - 2
     excess = _excess(basis, measured, deviation) if freedom > 0 else 0.0
@@ -149,28 +151,31 @@ def _check_frequencies(conditions: Sequence[Condition]) -> None:
     distinct = frequencies(conditions)
     if len(distinct) < 2:
         raise BadInput(
-            f"{conditions[0].recording}: every condition is at {distinct[0]:.3g} Hz; stiffness and"
-            f" inertia cannot be told apart at one frequency: record at least two."
+            f"{conditions[0].recording}: every condition is at {distinct[0]:.3g} Hz; record at"
+            f" least two frequencies, to separate stiffness and inertia."
         )
 
 
 def _warnings(
     conditions: Sequence[Condition], inertia: Estimate, damping: Estimate, coulomb: Estimate
 ) -> list[str]:
-    """What the data cannot support, a sentence each."""
+    """What the data do not determine, a sentence each."""
     found = []
     amplitudes = np.array([c.amplitude for c in conditions])
     if amplitudes.max() < 1.5 * amplitudes.min():
         found.append(
-            "all strokes are alike: Coulomb friction cannot be told from any other damping that"
+            "all strokes are alike: Coulomb friction cannot be separated from other damping that"
             " does not grow with frequency; repeat at half the stroke"
         )
     speed = amplitudes * np.array([c.omega for c in conditions])
     if speed.max() < 1.5 * speed.min():
-        found.append("stroke times frequency never changes: viscous and Coulomb parts trade off")
+        found.append(
+            "stroke times frequency never changes: viscous damping and Coulomb friction cannot be"
+            " separated; record other strokes"
+        )
     for name, estimate in (("inertia", inertia), ("damping", damping), ("friction", coulomb)):
         if estimate.interval[0] <= 0 <= estimate.interval[1]:
-            found.append(f"the {name}'s interval holds zero: these data do not decide it")
+            found.append(f"the {name}'s interval includes zero: these data do not determine it")
         elif estimate.value < 0:
             found.append(
                 f"the {name} is negative: check the signs of torque and angle, and whether both"

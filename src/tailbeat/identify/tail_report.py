@@ -1,4 +1,4 @@
-"""What a tail's identification says: the JSON report and the fish's fields."""
+"""Report a tail's identification: the JSON report and the fish's fields."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -21,7 +21,7 @@ MISSED = 0.02  # relative difference of the compiled shaft's stiffness that draw
 
 @dataclass(frozen=True)
 class TailResult:
-    """Everything the tail's recordings gave."""
+    """The result: the fit, the hinges, the slow pull's loop, the ring-down, and all glitches."""
 
     fit: TailFit
     hinges: Hinges
@@ -31,13 +31,13 @@ class TailResult:
 
     @property
     def warnings(self) -> list[str]:
-        """What the data or the description do not support."""
+        """What the data do not determine, or the description contradicts."""
         found = list(self.fit.warnings)
         measured, compiled = self.fit.k_eff.value, self.hinges.k_compiled
         if abs(compiled - measured) > MISSED * measured:
             found.append(
-                f"the compiled tail has {compiled:.3g} N m/rad at the shaft, measured were"
-                f" {measured:.3g}: the tendons stretch, or arms and guides are not the fish's"
+                f"the compiled tail has {compiled:.3g} N m/rad at the shaft, measured are"
+                f" {measured:.3g}: the tendons stretch, or arms and guides are wrong in the fish"
             )
         return found
 
@@ -49,8 +49,8 @@ def combine(
     ring: RingDown | None,
     glitches: Sequence[Glitch] = (),
 ) -> TailResult:
-    """Spread the measured stiffness over the fish's hinges; `glitches` are those of loop and
-    ring."""
+    """Distribute the measured stiffness over the fish's hinges. `glitches` are those of `loop` and
+    `ring`."""
     hinges = hinges_for(fish, fit.k_eff.value, fit.c_eff.value)
     return TailResult(fit, hinges, loop, ring, (*fit.glitches, *glitches))
 
@@ -88,7 +88,7 @@ def _condition(condition: Condition) -> dict[str, Any]:
 
 
 def _static(loop: Loop, k_eff: float) -> dict[str, Any]:
-    """A static test's numbers, and how far off its loading branch is."""
+    """A static test's numbers, and the relative error of its stiffness while loading."""
     return {**asdict(loop), "bias": loop.loading / k_eff - 1}
 
 
@@ -131,7 +131,7 @@ def toml_values(found: TailResult, recordings: Sequence[str]) -> dict[str, dict[
 
 
 def heading(found: TailResult) -> str:
-    """The lines that head an identified fish."""
+    """The first lines of an identified fish."""
     fit = found.fit
     return "\n".join(
         [

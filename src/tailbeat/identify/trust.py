@@ -1,9 +1,9 @@
-"""Whether a fit can be trusted: against naive predictors, and whether its intervals' assumptions
-hold.
+"""Can a fit be trusted? Compare it with naive predictors, and check its intervals' assumptions.
 
-Three answers. `verdict` comes first in every report: what says that the fit is not worth much.
-`trusted` is false where it should not be used at all. `doubts` are warnings about residuals that
-are not what the intervals assume: alike over the recording, independent from block to block.
+There are three answers. `verdict` comes first in every report: reasons why the fit is bad.
+`trusted` is false if the fit should not be used at all. `doubts` are warnings about the residuals:
+the intervals assume that they do not change over the recording and are independent from block to
+block.
 """
 
 from collections.abc import Sequence
@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from tailbeat.identify.glitches import Glitch
 
 Array = NDArray[np.float64]
-TOO_MANY = 0.2  # share of a recording's samples left out from which its fit is not trusted
-FEW = 0.05  # share of the blocks that must not hold
+TOO_MANY = 0.2  # fraction of samples left out; above it the fit is not trusted
+FEW = 0.05  # fraction of the blocks that must not have
 HALF = 0.5  # of all squared error
-TOGETHER = 0.5  # correlation of neighbouring blocks' mean errors
-DRIFT = 0.5  # share of the squared error that a straight line over the recording explains
+TOGETHER = 0.5  # largest correlation of neighbouring blocks' mean errors
+DRIFT = 0.5  # largest fraction of the squared error that a line over the recording explains
 FEWEST_BLOCKS = 8
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What stands first in a report (nothing, if all is well), and whether to trust the fit."""
+    """The first sentences of a report (none if the fit is good), and whether to trust the fit."""
 
     sentences: tuple[str, ...]
     trusted: bool
@@ -33,7 +33,7 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """What a fit leaves of one recording: `error` (k,) in any unit at `time` (k,) s."""
+    """A fit's residuals on one recording: `error` (k,) in any unit at `time` (k,) [s]."""
 
     recording: str
     time: Array
@@ -54,8 +54,8 @@ def verdict(
     glitches: Sequence[tuple[str, float]],
     contradictions: Sequence[str] = (),
 ) -> Verdict:
-    """From the naive predictors, the share of samples left out of each recording, and what the
-    recordings say against each other."""
+    """The verdict from the naive predictors, the fraction of samples left out of each recording
+    (`glitches`), and the recordings' contradictions."""
     spoilt = [
         f"do not trust this fit: {100 * share:.0f} % of the samples of {name} are glitches; record"
         f" it again"
@@ -73,27 +73,27 @@ def verdict(
 
 
 def share_left_out(glitches: Sequence[Glitch], samples: int) -> float:
-    """Share of a recording's samples that were left out."""
+    """Fraction of a recording's samples that were left out."""
     return sum(len(one.times) for one in glitches if one.kind != "gap") / samples
 
 
 def doubts(left: Sequence[Errors], block: float) -> list[str]:
-    """A sentence for each assumption of the intervals that the residuals break, over blocks of
-    `block` [s]."""
+    """A sentence for each assumption of the intervals that the residuals contradict. Residuals are
+    compared between blocks of `block` [s]."""
     said = []
     if heavy := [one.recording for one in left if _heavy(one, block)]:
         said.append(
-            f"over half of the squared error of {_names(heavy)} lies in one twentieth of the time:"
-            f" a few moments decide, and the intervals may be too narrow"
+            f"over half of the squared error of {_names(heavy)} is in one twentieth of the time:"
+            f" a few moments determine the fit, and the intervals may be too narrow"
         )
     if drifting := [one.recording for one in left if _drifts(one)]:
         said.append(
             f"the error of {_names(drifting)} drifts from start to end: the sensor's zero or the"
-            f" servo changed, and the intervals do not hold that"
+            f" servo changed, and the intervals do not include that"
         )
     if together := [one.recording for one in left if _together(one, block)]:
         said.append(
-            f"the error of {_names(together)} stays alike for longer than {block:g} s: the"
+            f"the error of {_names(together)} is correlated for longer than {block:g} s: the"
             f" intervals count too much of it as independent"
         )
     return said
