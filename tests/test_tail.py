@@ -161,7 +161,7 @@ def test_strokes_all_alike_are_warned_of():
 
 def test_a_pull_one_way_and_a_tail_that_never_swings_are_refused():
     pull = slow_pull(TRUTH, 0.3, 30.0, 0)
-    with pytest.raises(BadInput, match="one way only"):
+    with pytest.raises(BadInput, match="one direction only"):
         static_loop(crop(pull, 0.0, 7.0))
     let_go = release(TRUTH, 0.3, 4.0, 0)
     with pytest.raises(BadInput, match=r"no ring-down found|swings after the release"):
