@@ -1,6 +1,11 @@
 """The virtual camera's pictures, and the seam that real and virtual cameras stand behind."""
 
+import errno
+import os
+import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -16,9 +21,11 @@ pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 import cv2
 
 from camera_views import FISH, true_calibration
+from support import until
 from tailbeat.emulators import film
 from tailbeat.emulators.camera import Conditions, Renderer, Scene, calm
-from tailbeat.emulators.film import Filming, as_numbers, as_scene, listen, packed, serve
+from tailbeat.emulators.camera_process import start_camera
+from tailbeat.emulators.film import Filming, listen, packed, serve
 from tailbeat.emulators.optics import Optics, project
 from tailbeat.files import BadInput
 from tailbeat.vision.camera import FROZEN, CameraFault, Drained, _from_socket, open_camera
@@ -118,20 +125,6 @@ def test_a_tag_under_a_lamp_is_the_harder_to_see():
         (seen,) = detector.find(renderer.draw(Scene((0.3, -0.8, 0.2)), 0.0))
         margins.append(seen.margin)
     assert margins[1] < 0.6 * margins[0]
-
-
-def test_a_scene_survives_being_sent_as_numbers():
-    line = np.array([[0.1, 0.2], [0.0, 0.2], [-0.1, 0.25]])
-    for scene in (
-        SCENE,
-        Scene(),
-        Scene(None, outline=line, others=((0, (1.0, 1.0, 0.0)),), mirrored=True),
-    ):
-        back = as_scene(as_numbers(scene))
-        assert (back.fish, back.speed, back.target) == (scene.fish, scene.speed, scene.target)
-        assert (back.others, back.mirrored) == (scene.others, scene.mirrored)
-        assert (back.outline is None) == (scene.outline is None)
-    assert back.outline is not None and np.array_equal(back.outline, line)
 
 
 # ---- the seam -----------------------------------------------------------------------------------
@@ -272,3 +265,57 @@ def test_a_slow_reader_holds_up_nobody_and_skips():
     assert len(frames) <= 3
     newest.put(b"", over=True)
     theirs.close()
+
+
+# ---- in a process of its own --------------------------------------------------------------------
+
+STARTS = """
+import sys, time
+from pathlib import Path
+from tailbeat.emulators.camera_process import start_camera
+from tailbeat.emulators.film import Filming
+start_camera(Path(sys.argv[1]), Filming())
+print("filming", flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_camera_that_hangs_holds_nobody_up_and_goes_on_with_the_newest_scene(tmp_path):
+    made = start_camera(tmp_path / "c", Filming(fish=FISH))
+    os.kill(made.process.pid, signal.SIGSTOP)
+    for _ in range(5000):  # more than the pipe holds
+        made.show(Scene())
+    os.kill(made.process.pid, signal.SIGCONT)
+    camera = open_camera(made.where, patience=30.0)
+
+    def seen() -> bool:
+        made.show(Scene((0.3, -0.8, 0.2)))
+        return {one.ident for one in open_detector().find(camera.read()[0])} == {0}
+
+    until(seen)
+    camera.close()
+    made.close()
+    made.show(Scene())  # it is gone, and that is no error
+
+
+def test_a_camera_ends_with_the_process_that_started_it(tmp_path):
+    at = str(tmp_path / "c")
+    with subprocess.Popen([sys.executable, "-c", STARTS, at], stdout=subprocess.PIPE) as parent:
+        assert parent.stdout is not None and parent.stdout.readline() == b"filming\n"
+        parent.kill()
+
+    def gone() -> bool:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asked:
+            return asked.connect_ex(at) == errno.ECONNREFUSED
+
+    until(gone)
+
+
+def test_a_camera_that_cannot_start_says_so(tmp_path):
+    (tmp_path / "taken").touch()
+    with pytest.raises(BadInput, match="not taken"):
+        start_camera(tmp_path / "taken", Filming())
+    broken = Filming(optics=None)  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="did not start"):
+        start_camera(tmp_path / "c", broken)
+    assert not (tmp_path / "c").exists()

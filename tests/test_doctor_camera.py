@@ -10,7 +10,8 @@ pytest.importorskip("pyapriltags", reason="the robot extra is not installed")
 
 from camera_views import FISH, TARGET, true_calibration
 from tailbeat.emulators.camera import Scene
-from tailbeat.emulators.film import Filming, start_camera
+from tailbeat.emulators.camera_process import start_camera
+from tailbeat.emulators.film import Filming
 from tailbeat.robot.doctor_camera import check_camera
 from tailbeat.robot.findings import Finding
 from tailbeat.vision.calibration import write_calibration

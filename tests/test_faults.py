@@ -6,6 +6,7 @@ the limits of the deep end, is a slow test.
 
 import json
 import math
+import os
 import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,6 +23,7 @@ from tailbeat.evaluate import faults
 from tailbeat.evaluate.fault_bench import Bench, open_bench
 from tailbeat.evaluate.fault_cases import CASES, Case
 from tailbeat.fish.store import load_fish
+from tailbeat.processes import ALONE, fork_server
 from tailbeat.report.fault_table import markdown
 from tailbeat.robot import session
 
@@ -58,6 +60,17 @@ def test_killed_at_random_moments_the_torque_goes_and_the_log_stays(patient):
     for row in rows:
         assert row.off_s < 5.0  # 0.5 s is asked; a busy machine is not the fish
         assert row.log_lost_s < 2.0
+
+
+def test_a_swim_s_process_has_one_thread_and_this_one_keeps_its_own(patient, monkeypatch):
+    """Threads of a pool would wait for each other on a busy machine."""
+    with patient.context.Pool(1) as pool:
+        assert [pool.apply(os.getenv, (name,)) for name in ALONE] == ["1", "1"]
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    before = dict(os.environ)
+    fork_server([session.__name__])
+    assert dict(os.environ) == before
 
 
 def test_the_table_has_a_row_for_every_fault(tmp_path: Path):

@@ -21,7 +21,8 @@ from camera_views import FISH, TARGET, true_calibration
 from support import until
 from tailbeat.benchmarks.vision import APART, calibrated, errors, scattered, watch
 from tailbeat.emulators.camera import Conditions, Renderer, Scene, calm
-from tailbeat.emulators.film import CameraProcess, Filming, start_camera
+from tailbeat.emulators.camera_process import CameraProcess, start_camera
+from tailbeat.emulators.film import Filming
 from tailbeat.emulators.live import ASIDE
 from tailbeat.emulators.optics import Optics
 from tailbeat.emulators.scripted import fish_line

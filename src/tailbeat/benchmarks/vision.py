@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from tailbeat.control.observation import wrapped
 from tailbeat.emulators.board import board_views
 from tailbeat.emulators.camera import Conditions, Renderer, Scene
-from tailbeat.emulators.film import CameraProcess, Filming, start_camera
+from tailbeat.emulators.camera_process import CameraProcess, start_camera
+from tailbeat.emulators.film import Filming
 from tailbeat.emulators.optics import Optics, project
 from tailbeat.emulators.scripted import MARGIN, ScriptedSwim, fish_line, placed, three
 from tailbeat.link.places import LENGTH, WIDTH

@@ -1,4 +1,4 @@
-"""The virtual camera as a device: a process that films a scene and sends frames down a socket.
+"""The virtual camera as a device: it films a scene and sends frames down a socket.
 
 Frames are made on absolute deadlines, on a clock of the station's own, late by a readout, unevenly,
 and some never come. Each client gets the newest frame whenever it has taken the last one: nothing
@@ -6,10 +6,6 @@ queues.
 """
 
 import contextlib
-import gc
-import multiprocessing
-import os
-import signal
 import socket
 import threading
 import time
@@ -17,9 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,9 +28,6 @@ from tailbeat.vision.tags import FISH, TARGET, Tag
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 SECOND = 1_000_000_000
-OUTLINE = 16  # points of a fish's line, at most
-OTHERS = 2  # more tags, at most
-READY = 60.0  # s that the process may take to start
 
 
 @dataclass(frozen=True)
@@ -73,42 +64,6 @@ def known_calibration(filming: Filming) -> Calibration:
     made = datetime.now(UTC).isoformat(timespec="seconds")
     return Calibration(lens, hung, filming.fish, filming.target, optics.index, made,
                        POOL, {"known": "the virtual camera's own"})  # fmt: skip
-
-
-# ---- scenes as numbers, for a process beside ----------------------------------------------------
-
-
-def as_numbers(scene: Scene) -> list[float]:
-    """A scene in as many numbers as every scene has: fish, its speed, target, mirrored or not,
-    others, line; NaN where there is none."""
-    parts = [list(part or [np.nan] * 3) for part in (scene.fish, scene.speed, scene.target)]
-    parts.append([float(scene.mirrored)])
-    others = [[float(ident), *pose] for ident, pose in scene.others[:OTHERS]]
-    parts += others + [[np.nan] * 4] * (OTHERS - len(others))
-    line = np.full((OUTLINE, 2), np.nan)
-    if scene.outline is not None:
-        kept = scene.outline[:OUTLINE]
-        line[: len(kept)] = kept
-    return [number for part in parts for number in part] + line.ravel().tolist()
-
-
-def as_scene(numbers: list[float]) -> Scene:
-    """Back again."""
-    fish, speed, target = (_pose(numbers[k : k + 3]) for k in (0, 3, 6))
-    others = []
-    for k in range(10, 10 + 4 * OTHERS, 4):
-        pose = _pose(numbers[k + 1 : k + 4])
-        if pose is not None:
-            others.append((int(numbers[k]), pose))
-    line = np.array(numbers[10 + 4 * OTHERS :]).reshape(OUTLINE, 2)
-    line = line[~np.isnan(line).any(axis=1)]
-    return Scene(fish, speed or (0.0, 0.0, 0.0), line if len(line) > 1 else None, target,
-                 tuple(others), bool(numbers[9]))  # fmt: skip
-
-
-def _pose(numbers: list[float]) -> tuple[float, float, float] | None:
-    x, y, yaw = numbers
-    return None if np.isnan(numbers).any() else (x, y, yaw)
 
 
 # ---- the device ---------------------------------------------------------------------------------
@@ -203,60 +158,3 @@ def _feed(client: socket.socket, newest: Newest) -> None:
         while (found := newest.after(number)) is not None:
             data, number = found
             client.sendall(data)
-
-
-# ---- a process beside ---------------------------------------------------------------------------
-
-
-@dataclass(eq=False)
-class CameraProcess:
-    """A virtual camera in a process of its own; see `start_camera`."""
-
-    where: str  # what `open_camera` opens
-    process: Any
-    shared: Any
-
-    def show(self, scene: Scene) -> None:
-        """What is to be filmed from now on."""
-        numbers = as_numbers(scene)
-        with self.shared.get_lock():
-            self.shared[:] = numbers
-
-    def close(self) -> None:
-        """Pull its cable."""
-        self.process.terminate()
-        self.process.join(5)
-        Path(self.where.removeprefix("unix:")).unlink(missing_ok=True)
-
-
-def start_camera(path: Path, filming: Filming) -> CameraProcess:
-    """Start a camera on a socket; it ends with its parent. Raises BadInput."""
-    listening = listen(path)
-    beside = multiprocessing.get_context("spawn")
-    shared, ready = beside.Array("d", as_numbers(Scene())), beside.Event()
-    process = beside.Process(
-        target=_work, args=(listening, filming, shared, ready, os.getpid()), daemon=True
-    )
-    process.start()
-    listening.close()
-    made = CameraProcess(f"unix:{path}", process, shared)
-    if not ready.wait(READY):
-        made.close()
-        raise BadInput(f"{path}: the virtual camera did not start; see what it said above.")
-    return made
-
-
-def _work(listening: socket.socket, filming: Filming, shared: Any, ready: Any, parent: int) -> None:
-    """The process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
-    cv2.setNumThreads(1)
-    Renderer(filming.optics, filming.conditions).draw(Scene(), 0.0)  # made before anyone waits
-    gc.freeze()
-    ready.set()
-
-    def look() -> Scene:
-        with shared.get_lock():
-            numbers = list(shared)
-        return as_scene(numbers)
-
-    serve(listening, filming, look, lambda: os.getppid() != parent)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.emulators.camera import Scene
-from tailbeat.emulators.film import CameraProcess
+from tailbeat.emulators.camera_process import CameraProcess
 from tailbeat.emulators.imu import Bno055
 from tailbeat.emulators.line import Line, close_line, open_line
 from tailbeat.emulators.servo import Dynamixel, Shaft, hears

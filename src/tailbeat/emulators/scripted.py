@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from tailbeat.control.observation import wrapped
 from tailbeat.emulators.camera import Scene
-from tailbeat.emulators.film import Filming, start_camera
+from tailbeat.emulators.camera_process import start_camera
+from tailbeat.emulators.film import Filming
 from tailbeat.fish.outline import outline
 from tailbeat.fish.store import load_fish
 from tailbeat.link.places import LENGTH, WIDTH

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from tailbeat.emulators import rig as bench
-from tailbeat.emulators.film import Filming, start_camera
+from tailbeat.emulators.camera_process import start_camera
+from tailbeat.emulators.film import Filming
 from tailbeat.fish.store import load_fish
 from tailbeat.link.addresses import address
 from tailbeat.link.datagrams import read_key

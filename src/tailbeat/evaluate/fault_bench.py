@@ -5,15 +5,12 @@ The emulated devices (`emulators.faults`) run in one process, and the loop, the 
 """
 
 import math
-import multiprocessing
 import os
 import signal
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from multiprocessing import forkserver
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -23,6 +20,7 @@ import numpy as np
 from tailbeat.emulators.faults import serve_broken
 from tailbeat.fish.description import Fish
 from tailbeat.link import datagrams as link
+from tailbeat.processes import fork_server, temporary
 from tailbeat.robot.ports import Ports
 from tailbeat.robot.session import DriveConfig
 
@@ -121,10 +119,8 @@ class Bench:
 def open_bench(fish: Fish, preload: list[str], patience: float = 1.0) -> Iterator[Bench]:
     """A bench that can be broken, in a process of its own; `preload` names what the loop's
     processes import once."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([*preload, "tailbeat.robot.loop", "tailbeat.robot.log"])
-    _start_server()
-    with tempfile.TemporaryDirectory(prefix="tailbeat-") as name:
+    context = fork_server([*preload, "tailbeat.robot.loop", "tailbeat.robot.log"])
+    with temporary() as name:
         folder = Path(name)
         link.make_key(folder / "key")
         ours, theirs = context.Pipe()
@@ -136,19 +132,6 @@ def open_bench(fish: Fish, preload: list[str], patience: float = 1.0) -> Iterato
         yield Bench(ours, folder, folder / "key", context, patience)
         ours.send(("over",))
         process.join(5)
-
-
-def _start_server() -> None:
-    """The processes' common parent; one fish needs no pool of threads, which would wait for each
-    other on a busy machine."""
-    before = os.environ.get("NUMBA_NUM_THREADS")
-    os.environ["NUMBA_NUM_THREADS"] = "1"
-    try:
-        forkserver.ensure_running()
-    finally:
-        del os.environ["NUMBA_NUM_THREADS"]
-        if before is not None:
-            os.environ["NUMBA_NUM_THREADS"] = before
 
 
 @dataclass(eq=False)
