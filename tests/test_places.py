@@ -21,20 +21,20 @@ def test_a_place_may_lie_at_the_wall(text):
 
 @pytest.mark.parametrize("text", ["2.76,0", "-2.76,0", "0,1.36", "0,-1.36", "nan,0", "0,nan"])
 def test_a_place_beyond_the_wall_is_refused_with_the_ends_it_may_have(text):
-    with pytest.raises(BadInput, match=r"--target .*: outside .* x = 2\.75 and y = 1\.35\."):
+    with pytest.raises(BadInput, match=r"--target .*: outside .* to 2\.75 m, y .* to 1\.35 m"):
         place(text)
 
 
 def test_a_place_is_held_against_the_pool_that_is_given():
     assert place("4.9,-1.9", pool=(10.0, 4.0)) == (4.9, -1.9)
-    with pytest.raises(BadInput, match=r"--to 4\.9,-1\.9: .* x = 4 and y = 3\."):
+    with pytest.raises(BadInput, match=r"--to 4\.9,-1\.9: .* to 4 m, y .* to 3 m"):
         place("4.9,-1.9", "--to", (8.0, 6.0))
 
 
 def test_while_the_pool_is_not_known_a_place_may_lie_in_the_largest():
     assert place("4,-3", pool=ANY_POOL) == (4.0, -3.0)
     for text in ("50.1,0", "0,nan", "inf,0"):
-        with pytest.raises(BadInput, match=r"outside the pool, .* x = 50 and y = 50\."):
+        with pytest.raises(BadInput, match=r"outside the pool: .* to 50 m, y .* to 50 m"):
             place(text, pool=ANY_POOL)
 
 
