@@ -18,7 +18,7 @@ ALONE = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # one fish needs one
 
 
 def start(words: Sequence[str], **more: Any) -> "subprocess.Popen[Any]":
-    """Start `python words` in a session of its own, so that Ctrl-C reaches this process alone.
+    """Start `python words` in its own session, so that Ctrl-C reaches only this process.
     `more` goes to `subprocess.Popen`."""
     return subprocess.Popen([sys.executable, *words], start_new_session=True, **more)
 

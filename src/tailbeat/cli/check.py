@@ -20,7 +20,7 @@ from tailbeat.cli.options import (
 from tailbeat.files import BadInput, need, new_file, refuse_existing, write_json
 from tailbeat.link.places import LENGTH, WIDTH, pool_size
 
-SAFE_AFTER_KILL = 0.5  # s, asked for
+SAFE_AFTER_KILL = 0.5  # s, required
 
 
 def faults(

@@ -6,7 +6,7 @@ SHOWN = 5  # times that a line names
 
 
 def sentences(rows: list[dict[str, Any]]) -> list[str]:
-    """A line of the terminal for every recording, column and kind; the first times alone."""
+    """A line for every recording, column and kind, with the first times [s] only."""
     return [_line(row) for row in rows if row["kind"] != "gap"]  # a camera has gaps every second
 
 

@@ -86,8 +86,8 @@ def velocity_spectrum(time: Array, angle: Array, highest: float = HIGHEST) -> Sp
     trend = np.polynomial.polynomial.polyfit(clock, angle, 1, w=np.sqrt(window + 1e-12))
     still = angle - np.polynomial.polynomial.polyval(clock, trend)
     waves = np.exp(-2j * np.pi * np.outer(frequency, clock))
-    # Not `@`: the robot's loop calls this, and the threads of a linear algebra library wait up to
-    # 100 ms for each other if another process uses a core.
+    # Not `@`: the robot's loop calls this. Threads of a linear algebra library wait up to 100 ms
+    # for each other if another process uses a core.
     lines = (waves * (window * still)).sum(axis=1)
     power = 2 * np.square(np.abs(lines) * 2 * np.pi * frequency) / np.square(window).sum()
     return Spectrum(frequency, power * np.median(np.gradient(time)))

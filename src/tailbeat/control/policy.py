@@ -200,8 +200,8 @@ def _check_golden(path: Path, policy: Policy) -> None:
 def check_fits(
     contract: Contract, fish: str, digest: str, band: tuple[float, float], period: float
 ) -> None:
-    """Raises BadInput, which names each difference, if a policy was trained for another fish,
-    another description of it (`digest`), another band [Hz] or another control period [s]."""
+    """Raises BadInput if a policy was trained for another fish, another description of it
+    (`digest`), another band [Hz] or another control period [s]. It names each difference."""
     wrong = []
     if contract.fish != fish:
         wrong.append(f"fish is {contract.fish}, here {fish}")

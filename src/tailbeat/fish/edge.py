@@ -35,9 +35,10 @@ HOLD = 0.02  # s between two updates of the coefficients: the control period
 class Chords:
     """Where the wet parts of a compiled fish are, to compute how each moves.
 
-    `geom` (g,) are geom indices, `link` (g,) the number of hinges ahead of each (0: head), `place`
-    (g, 3) its centre in the frame of its body [m], `origin` (links,) x of each hinge in the frame
-    of the body ahead of it [m]. `root` is the number of the root's velocities (3, 6 or 0).
+    `geom` (g,) are geom indices; `link` (g,) is the number of hinges ahead of each (0: head).
+    `place` (g, 3) is its centre in the frame of its body [m]. `origin` (links,) is the x of each
+    hinge in the frame of the body ahead of it [m]. `root` is the number of the root's velocities
+    (3, 6 or 0).
     """
 
     geom: NDArray[np.int64]

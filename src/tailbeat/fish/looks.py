@@ -1,4 +1,4 @@
-"""What a fish looks like: hulls lofted from the description, or the user's own STL. Looks only.
+"""Meshes for pictures of a fish: hulls lofted from the description, or the user's own STL.
 
 No mesh here has mass, contact or water force; the physics is in `twin.py`.
 """
@@ -13,10 +13,10 @@ from tailbeat.fish.description import Body, Fish, Part
 
 Array = NDArray[np.float64]
 
-RING = 28  # points round a section
+RING = 28  # points around a section
 STATIONS = 40  # sections along a hull
 OVERLAP = 0.014  # m that a link's hull reaches ahead of its hinge, chosen
-NOSE = 0.35  # share of the head's length over which the nose rounds off, chosen
+NOSE = 0.35  # fraction of the head's length that is rounded off as the nose, chosen
 DRY = [0.80, 0.83, 0.86, 1.0]
 
 
@@ -70,7 +70,7 @@ def _dress(
     colours: tuple[list[float], list[float]],
     taper: Array,
 ) -> None:
-    """`colours` are the hull's and the fin's."""
+    """Add the meshes of one body. `colours` are the hull's and the fin's."""
     rgba, fin = colours
     if described.mesh is not None:
         _add_stl(spec, body, described, x0, rgba)
@@ -87,10 +87,10 @@ def _dress(
 
 
 def hull_mesh(parts: list[Part], taper: Array, front: float) -> tuple[Array, Array]:
-    """Loft elliptic sections along x round boxes. Returns vertices (n, 3) [m] and faces (m, 3).
+    """Loft elliptic sections along x around boxes. Returns vertices (n, 3) [m] and faces (m, 3).
 
-    `taper` (stations, 2) scales width and height from front to rear; the hull reaches forward to
-    the x of `front` at least, so that a bent tail shows no gap.
+    `taper` (stations, 2) scales width and height from front to rear. The hull reaches forward at
+    least to x = `front` [m], so that a bent tail shows no gap.
     """
     boxes = np.array([[*p.position, *p.size] for p in parts])
     start, end = boxes[:, 0] + boxes[:, 3] / 2, boxes[:, 0] - boxes[:, 3] / 2
@@ -176,7 +176,7 @@ def _add_mesh(
     mesh = spec.add_mesh(name=f"{name}-look")
     mesh.uservert = (vertices - [x0, 0, 0]).ravel().tolist()
     mesh.userface = faces.ravel().tolist()
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # looks carry no mass anyway
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # these meshes have no mass
     _add_look(body, mesh.name, rgba)
 
 

@@ -1,7 +1,7 @@
 """Added mass that acts across a part and not along it.
 
-The engine's body mass is one number, so a part's added mass m_A in its inertia resists motion along
-the chord as much as across it. Water does not: along the chord only s m_A acts, with s the fish's
+The engine's body mass is one number. A part's added mass m_A in it resists motion along the chord
+as much as across it. Water does not: along the chord only s m_A acts, with s the fish's
 `added_along`. Let e = (1 - s) m_A be the excess, u, v the part's velocity along and across, and w
 its spin. Kirchhoff's equations of a body with m_A across and s m_A along are the engine's, plus
 

@@ -36,8 +36,8 @@ HEAVY = Servo(  # undelayed, unlimited, without friction
 # Size of a massless ellipsoid; with it the engine's inertia-box drag does not act on a dry body.
 SPECK = 1e-6
 # Constraint that stands for inextensible tendons: time constant [s] and damping ratio, impedance.
-# The engine softens a constraint by the inertia it sees, so a replayed twin's tail would be half a
-# percent stiffer than the same tail on its servo; `TAUT_SHARE` of that softness is kept.
+# The engine softens a constraint by the inertia at it. A replayed twin's tail would be half a
+# percent stiffer than the same tail on its servo; so only `TAUT_SHARE` of that softness is kept.
 TAUT_SOLREF = [0.008, 1.0]
 TAUT_SOLIMP = [0.9999, 0.9999, 0.001]
 TAUT_SHARE = 0.01

@@ -31,8 +31,8 @@ class Folder:
 
 @dataclass(frozen=True)
 class Drawings:
-    """Functions that draw the figure of each stage, and `page`, which returns the text of the page
-    from the report and the stem of the outputs' names."""
+    """Functions that draw the figure of each stage. `page` returns the page's text from the report
+    and the stem of the outputs' names."""
 
     tail: DrawTail
     servo: DrawServo
@@ -82,11 +82,11 @@ class ChainPaths:
 
 @dataclass(frozen=True)
 class Summary:
-    """The main numbers: the tail's stiffness `k_eff` [N m/rad] and damping `c_eff` [N m s/rad] at
-    the shaft, and mean absolute errors on held-out recordings, of the servo's angle [deg] and of
-    the swims' speed [m/s] (None without any). Of each held-out swim: position error as a fraction
-    of the path length, and heading error [deg] (None without a heading). `verdict` must be read
-    first; `trusted` is false if one of the three fits should not be used."""
+    """The main numbers: stiffness `k_eff` [N m/rad] and damping `c_eff` [N m s/rad] at the shaft.
+    Mean absolute errors on held-out recordings, of the servo's angle [deg] and of the swims' speed
+    [m/s] (None without any). Of each held-out swim: position error as a fraction of the path
+    length, and heading error [deg] (None without a heading). `verdict` must be read first;
+    `trusted` is false if one of the three fits should not be used."""
 
     k_eff: float
     c_eff: float

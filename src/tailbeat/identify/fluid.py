@@ -70,9 +70,9 @@ STAND_IN = 4.0
 
 
 def fluid_space(fish: Fish, zones: int) -> tuple[Parameter, ...]:
-    """The free numbers: five coefficients, one set for all zones (`zones` 1) or one for each (3),
-    the trailing edge's if the fish has one, and those that the description lists as uncertain.
-    Raises BadInput if an uncertain number is outside its range."""
+    """The free numbers: five coefficients, one set for all zones (`zones` 1) or one for each (3).
+    The trailing edge's are added if the fish has one, and those that the description lists as
+    uncertain. Raises BadInput if an uncertain number is outside its range."""
     groups = ["*"] if zones == 1 else list(fish.zones)
     room = 1.0 if fish.added_inertia > 0 else STAND_IN
     found = [

@@ -178,7 +178,7 @@ def beat_frequency(time: Array, signal: Array, band: tuple[float, float], name: 
 def steady_beat(time: Array, signal: Array, band: tuple[float, float]) -> float:
     """Beat frequency [Hz] up to twice the band's upper edge; NaN if there is no steady beat.
 
-    A beat is steady if there are two or more, and one sine on a slow drift explains half of the
+    Steady means: there are two beats or more, and one sine on a slow drift explains half of the
     variance of the signal's rate. The rate is used because in the signal one large turn of the
     motor outweighs many small beats.
     """

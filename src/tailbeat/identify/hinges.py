@@ -1,7 +1,7 @@
 """From the shaft to the hinges and back: k = r^2 / sum(d_i^2 / k_i) with k_i ~ h_i / L_i.
 
-Paper: the tendon's force F bends hinge i by phi_i = F d_i / k_i, the length wound is r theta = sum
-d_i phi_i, and the torque on the shaft is tau = F r. With one modulus and one thickness
+Paper: the tendon's force F bends hinge i by phi_i = F d_i / k_i. The wound length is r theta =
+sum d_i phi_i, and the torque on the shaft is tau = F r. With one modulus and one thickness
 (Euler-Bernoulli), k_i is proportional to strip height over strip length. Each hinge's damping is in
 proportion to its stiffness.
 """
@@ -47,8 +47,8 @@ def spread(radius: float, arms: Array, pattern: Array, k_eff: float) -> Array:
 
 
 def hinges_for(fish: Fish, k_eff: float, c_eff: float) -> Hinges:
-    """Distribute a measured stiffness `k_eff` [N m/rad] and damping `c_eff` [N m s/rad] at the
-    shaft over a fish's hinges, and read the result back from the compiled twin."""
+    """Distribute the measured stiffness `k_eff` [N m/rad] and damping `c_eff` [N m s/rad] at the
+    shaft over a fish's hinges. The result is read back from the compiled twin."""
     twin = compile_twin(fish, Options(root="fixed"))
     data = mujoco.MjData(twin.model)
     mujoco.mj_forward(twin.model, data)

@@ -37,7 +37,7 @@ from tailbeat.identify.trust import Contest, Verdict, share_left_out, verdict
 
 Array = NDArray[np.float64]
 NAMED = 8  # most swims that every identified number names; if there are more, the heading does
-Progress = Callable[[int, str, float, float], None]  # seed, stage, share done, best cost
+Progress = Callable[[int, str, float, float], None]  # seed, stage, fraction done, best cost
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 class Compared:
     """One quantity on the held-out swims: the twin's error and each naive predictor's, in `unit`.
 
-    It is the mean absolute error of the speed, the median position error as a fraction of the path
-    length, or the mean marker error of the body wave.
+    Errors are: of the speed the mean absolute error, of the path the median position error as a
+    fraction of its length, of the body wave the mean marker error.
     """
 
     quantity: str

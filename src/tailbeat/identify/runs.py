@@ -6,8 +6,8 @@ at the beat frequency of the tracks, from the recorded speed. The steady gait is
 crank's unknown phase has no effect.
 
 A replayed run needs no beat: without a steady one, the numbers of its gait are NaN. It needs no
-`yaw_rad` either. Still water is the same in every direction, so the twin starts along the path's
-first direction, and its path is then turned about the first position onto the recorded one
+`yaw_rad` either: still water is the same in every direction. The twin then starts along the path's
+first direction, and its path is turned about the first position onto the recorded one
 (`camera_track`). A run that starts while moving is assumed to start nose first.
 """
 

@@ -20,7 +20,7 @@ from tailbeat.identify.estimate import Estimate
 
 Array = NDArray[np.float64]
 Residuals = Callable[[Array], Array]
-Progress = Callable[[str, float, float], None]  # stage, share done, best cost so far
+Progress = Callable[[str, float, float], None]  # stage, fraction done, best cost so far
 
 FAILED = 1e12  # cost of a candidate that diverged
 STEP = 0.02  # finite difference in z

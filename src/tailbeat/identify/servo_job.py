@@ -38,7 +38,7 @@ from tailbeat.identify.servo import (
 from tailbeat.identify.shaft import Bench, free_run
 
 Array = NDArray[np.float64]
-Progress = Callable[[int, str, float, float], None]  # seed, stage, share done, best cost
+Progress = Callable[[int, str, float, float], None]  # seed, stage, fraction done, best cost
 MODEL = ("kp", "kv", "armature", "damping", "friction", "force_limit", "delay")
 SATURATED = 0.9  # fraction of the time at the limit; above it nothing else can be identified
 AT_LEAST = 0.002  # a smaller friction of the gears counts as none

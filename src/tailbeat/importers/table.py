@@ -1,7 +1,7 @@
 """Read any CSV, JSON or Parquet table as a recording; the user names its columns and units.
 
-A JSON file is a list of objects, an object of lists, or an object in which one field holds the list
-of objects and the other fields are the header.
+A JSON file is a list of objects, or an object of lists, or an object with a header: one field holds
+the list of objects, and the other fields are the header.
 """
 
 import csv
