@@ -204,7 +204,7 @@ def test_protocols_and_bad_benches(tmp_path):
     assert done.returncode == 0, done.stderr
     assert len(list((tmp_path / "p").glob("servo-*.csv"))) == 5
     for words, refusal in (
-        (("protocol", "wings", "--fish", "pulley-fish", "--out", tmp_path), "give one of tail"),
+        (("protocol", "wings", "--fish", "pulley-fish", "--out", tmp_path), "allowed are tail"),
         (("protocol", "tail", "--fish", "crank-fish", "--out", tmp_path), "cannot swing"),
         (
             ("identify", "tail", EXAMPLES / "servo-beat.csv", "--fish", "pulley-fish", "--out",

@@ -147,7 +147,7 @@ def test_a_folder_without_a_bench_is_refused(folder, tmp_path):
         )
     with pytest.raises(BadInput, match="exist already"):
         record("tail", "pulley-fish", folder, 0)
-    with pytest.raises(BadInput, match="give one of tail, servo, fluid"):
+    with pytest.raises(BadInput, match="allowed are tail, servo, fluid"):
         record("wings", "pulley-fish", tmp_path, 0)
 
 

@@ -160,7 +160,7 @@ def step(space: ActionSpace, state: ActionState, action: Array, dt: float) -> Ac
 
 
 def bound(values: Array, low: float, high: float) -> Array:
-    """`np.clip` without its checks, in a third of its time for few values."""
+    """`np.clip` of any shape without its checks, in a third of its time for few values."""
     return np.minimum(np.maximum(values, low), high)
 
 

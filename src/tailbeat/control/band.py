@@ -94,7 +94,8 @@ def velocity_spectrum(time: Array, angle: Array, highest: float = HIGHEST) -> Sp
 
 
 def share_below(time: Array, angle: Array, edge: float) -> float:
-    """Fraction of an angle's velocity power at or below `edge` [Hz]; see `velocity_spectrum`."""
+    """Fraction of an angle's velocity power at or below `edge` [Hz]. Raises BadInput as
+    `velocity_spectrum` does."""
     return velocity_spectrum(time, angle).share_below(edge)
 
 

@@ -82,7 +82,7 @@ class Twin:
 
     @cached_property
     def marker_sites(self) -> Array:
-        """Site indices of the description's markers, in its order."""
+        """Site indices (m,) of the description's markers, in its order."""
         names = [marker.name for marker in self.fish.markers]
         return np.array([self.model.site(f"marker-{name}").id for name in names], dtype=int)
 
@@ -147,7 +147,7 @@ def _add_root(head: mujoco.MjsBody, root: Root) -> None:
 
 
 def inertial(body: Body, added: float = 0.0) -> Inertial:
-    """Mass, centre and inertia about the centre of a body; x, y, z are taken as principal axes.
+    """Mass [kg], centre [m] and inertia about it [kg m^2]; x, y, z are taken as principal axes.
 
     From `body.inertial` if given, else from its parts as uniform boxes (parallel axes). `added`
     times each part's added mass is distributed over the part's box and included.

@@ -62,8 +62,8 @@ def _without(recording: Recording, limits: dict[str, Limits]) -> Cleaned:
 
 
 def of_bandwidth(signal: Array) -> Limits:
-    """Limits of a signal that has no power above `BANDWIDTH`, from the span of most of its samples
-    (Bernstein's bounds on slope and curvature)."""
+    """Limits of a `signal` (n,) that has no power above `BANDWIDTH`, from the span of most of its
+    samples (Bernstein's bounds on slope and curvature)."""
     span = float(np.ptp(np.quantile(signal, [0.02, 0.98])))
     omega = 2 * np.pi * BANDWIDTH
     return Limits(omega * span / 2, omega**2 * span / 2, NOISY * span + 1e-12)

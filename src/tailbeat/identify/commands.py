@@ -18,7 +18,7 @@ def write_protocol(kind: str, fish: str, out: Path, speed: float) -> list[Path]:
     kind, a crank, a speed that is not above 0, or a file that exists.
     """
     if kind not in PROTOCOLS:
-        raise BadInput(f"protocol {kind!r}: unknown; give one of {', '.join(PROTOCOLS)}.")
+        raise BadInput(f"protocol {kind!r}: allowed are {', '.join(PROTOCOLS)}.")
     described = load_fish(fish)
     limit = protocol.limits(described, speed)
     if kind == "tail":

@@ -122,7 +122,7 @@ def way(track: Track) -> float:
 
 
 def last_seconds(track: Track, seconds: float) -> Track:
-    """The last `seconds` of a track."""
+    """The last `seconds` [s] of a track."""
     first = int(np.searchsorted(track.time, track.time[-1] - seconds))
     return track.cut(first, track.time.size)
 
@@ -153,8 +153,8 @@ def _basis(time: Array, frequency: float, harmonics: int) -> Array:
 
 
 def amplitude(time: Array, signal: Array, frequency: float) -> complex:
-    """Complex amplitude c of a beat: signal ~ Re(c exp(2 pi i f t)). NaN if over half of the
-    samples are unseen."""
+    """Complex amplitude c, in the unit of `signal` (k,), of a beat at `frequency` f [Hz]: signal ~
+    Re(c exp(2 pi i f t)). NaN if over half of the samples are unseen (NaN)."""
     seen = np.isfinite(signal)
     if seen.mean() < 0.5:
         return complex("nan")
@@ -176,7 +176,7 @@ def beat_frequency(time: Array, signal: Array, band: tuple[float, float], name: 
 
 
 def steady_beat(time: Array, signal: Array, band: tuple[float, float]) -> float:
-    """Beat frequency [Hz] up to twice the band's upper edge; NaN if there is no steady beat.
+    """Beat frequency [Hz] of `signal` (k,), up to twice the band's upper edge; NaN without one.
 
     Steady means: there are two beats or more, and one sine on a slow drift explains half of the
     variance of the signal's rate. The rate is used because in the signal one large turn of the

@@ -39,7 +39,7 @@ class Hinges:
 
 
 def spread(radius: float, arms: Array, pattern: Array, k_eff: float) -> Array:
-    """Hinge stiffnesses (n,) in proportion to `pattern` that give `k_eff` at the shaft.
+    """Hinge stiffnesses (n,) [N m/rad] in proportion to `pattern` (n,) that give `k_eff` [N m/rad].
 
     `radius` of the pulley and moment `arms` (n,) need the same unit. Formula: see above.
     """
@@ -87,7 +87,8 @@ def tail_values(stiffness: Array, k_eff: float, c_eff: float) -> dict[str, float
 
 
 def with_stiffness(fish: Fish, stiffness: Array, k_eff: float, c_eff: float) -> Fish:
-    """The fish with an identified tail."""
+    """The fish with hinge stiffnesses (n,) [N m/rad], and `k_eff` [N m/rad] and `c_eff` [N m s/rad]
+    at the shaft."""
     return with_values(fish, tail_values(stiffness, k_eff, c_eff))
 
 

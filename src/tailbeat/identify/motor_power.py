@@ -28,8 +28,8 @@ def spectra(rates: Iterable[Array], period: float) -> Iterator[Spectrum]:
 
 
 def central(frequency: Array, energy: Array) -> tuple[float, float]:
-    """Lowest and highest frequency [Hz] of the central `CENTRAL` of the energy, wider by half a
-    spectral line at both ends."""
+    """Lowest and highest frequency [Hz] of the central fraction `CENTRAL` of the energy (k,), wider
+    by half a spectral line at both ends."""
     below = np.cumsum(energy) / energy.sum()
     first, last = np.searchsorted(below, [(1 - CENTRAL) / 2, (1 + CENTRAL) / 2])
     half = (frequency[1] - frequency[0]) / 2

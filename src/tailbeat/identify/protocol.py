@@ -30,7 +30,7 @@ class ServoLimits:
 
 
 def limits(fish: Fish, speed: float = 4.0) -> ServoLimits:
-    """The fish's limits. `speed` 4 rad/s: an X430's no-load speed at 12 V is 5.5 rad/s.
+    """The fish's limits. `speed` [rad/s]: an X430's no-load speed at 12 V is 5.5 rad/s.
 
     Raises BadInput for a motor without a range (a crank, which turns without end) and for a speed
     that is not above 0.

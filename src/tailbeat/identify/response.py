@@ -100,7 +100,7 @@ def check_angle(name: str, column: str, angle: Array, most: float) -> None:
 
 
 def check_clipping(name: str, column: str, signal: Array) -> None:
-    """Raises BadInput for a signal whose peaks are cut off at one value."""
+    """Raises BadInput for a signal (k,) whose peaks are cut off at one value."""
     resolution = _resolution(signal)
     for extreme in (signal.max(), signal.min()):
         share = float(np.mean(signal == extreme))
@@ -120,7 +120,7 @@ def _resolution(signal: Array) -> float:
 
 
 def drive_frequency(time: Array, angle: Array) -> float:
-    """Frequency [Hz] of the strongest line in a windowed angle, over uneven samples."""
+    """Frequency [Hz] of the strongest line in a windowed angle (k,), over uneven times (k,) [s]."""
     span = np.ptp(time)
     even = np.linspace(time[0], time[-1], time.size)
     spectrum = np.abs(np.fft.rfft(np.hanning(time.size) * _detrended(even, time, angle)))

@@ -68,7 +68,7 @@ class Run:
 
 
 def as_runs(recording: Recording, fish: Fish) -> list[Run]:
-    """`as_run` of every part of a recording in which time rises."""
+    """`as_run` of every part of a recording in which time rises. Raises BadInput as it does."""
     return [as_run(part, fish) for part in stretches(recording)]
 
 
@@ -199,7 +199,7 @@ def _root_pose(fish: Fish, tracked: Array) -> Array:
 
 
 def tracked_pose(fish: Fish, root: Array) -> Array:
-    """Pose of the tracked point (…, 3) from the pose of the fish frame."""
+    """Pose (…, 3) x, y [m], yaw [rad] of the tracked point from that of the fish frame, `root`."""
     return _shift(fish, root, 1.0)
 
 
@@ -294,7 +294,7 @@ def twin_gait(fish: Fish, run: Run, done: Swim, cruise: Cruise = Cruise()) -> Ga
 
 
 def last_beats(track: Track, frequency: float, beats: int, skip: int = 0) -> Track:
-    """The last `beats` beats of a track, without the `skip` beats at its end."""
+    """The last `beats` beats of `frequency` [Hz], without the `skip` beats at the track's end."""
     period = track.time[1] - track.time[0]
     stop = track.time.size - round(skip / frequency / period)
     return track.cut(max(stop - round(beats / frequency / period) - 1, 0), stop)

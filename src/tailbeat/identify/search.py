@@ -46,13 +46,13 @@ class Parameter:
     log: bool = True
 
     def to_z(self, value: float) -> float:
-        """Distance of a value from the prior, in spreads."""
+        """Distance of a value [`unit`] from the prior, in spreads."""
         if self.log:
             return float(np.log(value / self.prior) / self.spread)
         return (value - self.prior) / self.spread
 
     def from_z(self, z: float) -> float:
-        """The value at a distance from the prior, clipped to the range."""
+        """The value [`unit`] at `z` spreads from the prior, clipped to the range."""
         raw = self.prior * np.exp(z * self.spread) if self.log else self.prior + z * self.spread
         return float(np.clip(raw, self.low, self.high))
 
@@ -85,7 +85,7 @@ class Fit:
 
 
 def values(space: tuple[Parameter, ...], z: Array) -> dict[str, float]:
-    """Field -> value of one candidate."""
+    """Field -> value of one candidate `z` (p,), in each parameter's unit."""
     return {p.path: p.from_z(float(c)) for p, c in zip(space, z, strict=True)}
 
 
@@ -154,7 +154,7 @@ def search_once(
 
 
 def noise_level(found: Array, free: int) -> float:
-    """The residuals' own standard deviation, clipped to 0.3 to 1.
+    """Standard deviation of the residuals (r,) of a fit with `free` numbers, clipped to 0.3 to 1.
 
     The floor is about the error of a twin's integration and replay, for any camera.
 
@@ -216,7 +216,7 @@ def _restore(checkpoint: Path | None) -> cma.CMAEvolutionStrategy | None:
 
 
 def bounds(space: tuple[Parameter, ...]) -> tuple[Array, Array]:
-    """Lowest and highest z of each parameter."""
+    """Lowest and highest z of each parameter, (p,) each."""
     low = np.array([p.to_z(p.low) for p in space])
     high = np.array([p.to_z(p.high) for p in space])
     return low, high
@@ -230,7 +230,8 @@ def polish(
     progress: Progress = lambda stage, share, best: None,
     central: bool = False,
 ) -> Array:
-    """Levenberg-Marquardt with the prior as extra residuals; several dampings per batched call."""
+    """Levenberg-Marquardt from `z` (p,), with the prior as extra residuals; several dampings per
+    batched call. Returns the best z (p,)."""
     # `mujoco.minimize.least_squares` was tried: costs within 0.15 % of these on two servos, with a
     # third of the candidates; on one seed of the tests' curve it took 103 calls instead of 14. This
     # one stays, so that identified fish of fixed seeds do not change. A fluid fit was not tried.

@@ -60,7 +60,7 @@ PRIORS: dict[str, tuple[float, float, float, float, str, bool]] = {
 
 
 def as_benches(recording: Recording, fish: Fish, kind: str | None = None) -> list[Bench]:
-    """`as_bench` of every part of a recording in which time rises."""
+    """`as_bench` of every part of a recording in which time rises. Raises BadInput as it does."""
     return [as_bench(part, fish, kind) for part in stretches(recording)]
 
 
@@ -109,7 +109,8 @@ def _check_radians(name: str, column: str, values: Array) -> None:
 
 
 def load_of(recording: Recording, fish: Fish, kind: str | None = None) -> Load:
-    """The load on the shaft: `kind`, else from the metadata, else the fish's tail."""
+    """The load on the shaft: `kind`, else from the metadata, else the fish's tail. Raises BadInput
+    for an unknown kind, wrong metadata, or a tail without `k_eff`."""
     meta = recording.meta
     kind = kind or meta.get("load") or ("pendulum" if "load_mass_kg" in meta else "tail")
     if kind == "pendulum":
@@ -212,7 +213,7 @@ def described_servo(servo: Servo) -> dict[str, Array]:
 
 
 def compared(bench: Bench) -> NDArray[np.int_]:
-    """Indices of the samples that are compared: about `COMPARED`, evenly spaced, no glitches."""
+    """Indices (c,) of the compared samples: about `COMPARED`, evenly spaced, without glitches."""
     every = np.arange(0, bench.time.size, _thinning(bench))
     return every[bench.good[every]]
 

@@ -118,7 +118,7 @@ def import_table(path: str | Path, config: TableConfig) -> Recording:
 
 
 def read_table(file: Path, rows: str | None = None) -> Table:
-    """Columns and header of a CSV, JSON or Parquet file."""
+    """Columns and header of a .json, .parquet or CSV file. Raises BadInput if it is no table."""
     if not file.is_file():
         raise BadInput(f"{file}: no such file; give a table as .csv, .json or .parquet.")
     if file.suffix == ".json":
