@@ -137,7 +137,7 @@ def test_a_drive_by_itself_ends_with_what_is_wrong_with_its_target(swimming):
     loop.poses.target, station.tag, station.sender.pool = (1.5, 0.5), (0.5, 0.2), (2.0, 1.0)
     swimming.ticks(lambda: loop.devices.receiver.room == (2.0, 1.0))
     swimming.ticks(lambda: bool(loop.poses.seen) and loop.sensors.servo is not None)
-    with pytest.raises(BadInput, match=r"--target: the target is outside .* x = 1 and y = 0\.5"):
+    with pytest.raises(BadInput, match=r"--target: the target is outside .* to 1 m, .* to 0\.5 m"):
         session._begin(loop, since=2.0)
 
 

@@ -335,11 +335,11 @@ def test_no_fish_is_lost_in_a_random_year():
 
 
 def test_what_the_plant_cannot_carry_is_refused():
-    with pytest.raises(BadInput, match=r"step 20 ms; allowed is up to"):
+    with pytest.raises(BadInput, match=r"step 20 ms; at most"):
         build_plant(FISH, dt=0.02)
     zones = FISH.model_dump()
     zones["tail"]["links"][-1]["parts"][-1]["zone"] = "tail"
-    with pytest.raises(BadInput, match="no part is in zone fin"):
+    with pytest.raises(BadInput, match="no part has zone fin"):
         build_chain(type(FISH).model_validate(zones))
     with pytest.raises(BadInput, match="give one of each"):
         build_plant(FISH, ensemble(3, 0), around=[stirred(0), stirred(1)])

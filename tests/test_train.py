@@ -380,7 +380,7 @@ def test_of_episodes_cut_by_an_interruption_the_arrivals_do_not_count_either(run
 
 def test_a_finished_run_goes_on_in_a_stage_asked_for_alone(run, tmp_path):
     copy = copied(run, tmp_path, finished=True)
-    with pytest.raises(BadInput, match="passed its stages"):
+    with pytest.raises(BadInput, match="passed all its stages"):
         train(planned_for(copy), True, print)
     progress = train(planned_for(copy, hours=1e-5), True, print, stage="full noise")
     assert progress.stage == 2 and not progress.finished
@@ -409,7 +409,7 @@ def test_a_checkpoint_is_whole(run):
 
 
 def test_other_settings_are_named_and_full_folders_refused(run):
-    with pytest.raises(BadInput, match="holds another run"):
+    with pytest.raises(BadInput, match="contains another run"):
         train(planned_for(run), False, print)
     low, high = FISH.motor.range or (-1.0, 1.0)
     other = planned_for(run, seed=3, actions=Direct(low, high))

@@ -1,1 +1,1 @@
-"""What is the task? World, reward, sensors, randomisation, and the faces that libraries know."""
+"""The task: world, reward, sensors, randomisation, and its interfaces to gymnasium and SB3."""

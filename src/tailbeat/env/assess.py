@@ -1,4 +1,4 @@
-"""A policy's greedy swims to seeded targets in the twin: who arrives, when, by what way."""
+"""A policy's greedy swims to seeded targets in the twin: success rate, times and path lengths."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,8 +18,9 @@ AT_ONCE = 250  # fish in one batch
 
 @dataclass(frozen=True)
 class Summary:
-    """Of some swims: number of targets, fraction reached, and of those that arrived the median time
-    [s] and the median path length over the distance at the start; NaN if none arrived."""
+    """Summary of swims: number of targets, fraction reached, and over the arrivals the median time
+    [s] and the median path length over the distance at the start. The medians are NaN if none
+    arrived."""
 
     targets: int
     reached: float
@@ -29,8 +30,12 @@ class Summary:
 
 @dataclass(frozen=True, eq=False)
 class Swims:
-    """Of n swims (n,): `reached`, time to the end [s], way swum and first distance [m], bearing of
-    the target at the start [rad], nearest approach [m]; and some observations made (k, 24)."""
+    """Results of n swims (n,).
+
+    `reached`; time to the end `seconds` [s]; path length `way` [m]; `distance` to the target at the
+    start [m]; `bearing` of the target at the start [rad]; closest approach `nearest` [m]. `seen`
+    (k, 24) are some of the observations.
+    """
 
     reached: NDArray[np.bool_]
     seconds: Array
@@ -41,7 +46,7 @@ class Swims:
     seen: NDArray[np.float32]
 
     def summary(self) -> Summary:
-        """The four figures of all swims."""
+        """Summarise all swims."""
         hits = self.reached
         ratio = self.way[hits] / self.distance[hits]
         return Summary(
@@ -53,8 +58,8 @@ class Swims:
 
 
 def assess(decide: Decide, build: Build, count: int, seed: int) -> Swims:
-    """Swim to `count` targets, each fish once, in worlds built from seeds; the same seed draws the
-    same targets, noise and physics."""
+    """Swim to `count` targets, each fish once, in worlds that `build` makes from seeds. The same
+    `seed` draws the same targets, noise and physics."""
     seeds = seeds_from(seed, count)
     parts = [
         _together(decide, build(seeds[first : first + AT_ONCE]))

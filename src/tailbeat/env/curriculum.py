@@ -1,9 +1,9 @@
-"""Ten stages in three phases: sensors, physics, targets; then one of targets that go on moving.
+"""The curriculum: ten stages in three phases (sensors, physics, targets), and one of moving
+targets.
 
-Data, and what follows from a stage. The paper gives the three phases, the rule of promotion and the
-learning rate; where the difficulty of a stage stands between nothing and everything is chosen, and
-named here. The eleventh stage is ours, and by hand: no policy has passed it, and what it costs of
-the ten before it is not known.
+The paper gives the three phases, the rule of promotion and the learning rate. The numbers of each
+stage are chosen here. The eleventh stage is ours and is entered only by name: no policy has passed
+it, and its effect on the ten stages before is not known.
 """
 
 from dataclasses import dataclass, replace
@@ -17,20 +17,20 @@ from tailbeat.env.sensors import SensorModel
 from tailbeat.env.task import Settings, Task
 
 CONE = np.radians(30)  # half angle of the "narrow forward cone" (chosen)
-FALL = 0.3  # of the learning rate, per stage within a phase (paper)
-LOWEST = 3e-5  # the rate falls no further: at 1e-5 the tenth stage stood still, at 5e-5 unlearnt
-FASTEST = 0.18  # m/s of targets that go on: half of what the fish swims (chosen)
-FAR = 9.0  # m from the start at which a follower counts as lost (chosen)
-PROMOTED = 0.95  # rolling share of targets acquired (paper)
+FALL = 0.3  # factor on the learning rate per stage within a phase (paper)
+LOWEST = 3e-5  # lowest rate: with 1e-5 stage ten did not improve, with 5e-5 it got worse
+FASTEST = 0.18  # m/s of moving targets: half of the fish's speed (chosen)
+FAR = 9.0  # m from the start at which a fish that follows a target is lost (chosen)
+PROMOTED = 0.95  # rolling success rate for promotion (paper)
 Figures = TypeVar("Figures", SensorModel, Randomisation)
-RATES = ("frame_rate",)  # figures of a sensor model that are no errors
+RATES = ("frame_rate",)  # numbers of a sensor model that are not errors
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage: `noise` and `physics` are shares of the full figures, `arc` [rad] the half angle
-    of the targets' bearings, `following` the share of targets that go on moving; `by_hand` it is
-    entered when asked for by name alone."""
+    """One stage. `noise` and `physics` are fractions of the full values; `arc` [rad] is the half
+    angle of the targets' bearings; `following` is the fraction of episodes whose target keeps
+    moving. A stage `by_hand` is entered only if it is requested by name."""
 
     name: str
     phase: int
@@ -75,14 +75,14 @@ def settings_of(
 
 
 def scaled(figures: Figures, share: float) -> Figures:
-    """Every error or width times `share`."""
+    """Multiply every error or width by `share`."""
     small = {name: share * size for name, size in vars(figures).items() if name not in RATES}
     return replace(figures, **small)
 
 
 def learning_rate(stages: tuple[Stage, ...], index: int, first: tuple[float, ...]) -> float:
-    """The phase's `first` rate, times `FALL` with every stage in it (paper), and not below
-    `LOWEST`."""
+    """Learning rate of a stage: the phase's `first` rate times `FALL` for every earlier stage of
+    the phase (paper), at least `LOWEST`."""
     phase = stages[index].phase
     before = sum(stage.phase == phase for stage in stages[:index])
     return max(float(first[phase - 1] * FALL**before), LOWEST)

@@ -1,8 +1,7 @@
-"""Physics drawn anew for every episode: one function per quantity, none of which accumulates.
+"""Physics drawn for every episode, one function per quantity; draws do not accumulate.
 
-Each function takes the episode's draw and the nominal model, and writes one fish's row of the
-batch's own copy of a field; `set_const` follows once for all that need it. Ranges are the paper's
-where it states them, else chosen.
+Each function uses the nominal model and writes one fish's row of the batch's field; `set_const`
+follows once for all fields that need it. Ranges are the paper's where it gives them, else chosen.
 """
 
 from dataclasses import dataclass, replace
@@ -21,35 +20,36 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Randomisation:
-    """Half widths of uniform draws, as shares of the nominal value unless a unit is given."""
+    """Half widths of uniform draws, as fractions of the nominal value unless a unit is given."""
 
     head_mass: float = 0.05  # paper
     head_inertia: float = 0.05  # paper
     head_centre: float = 0.005  # m, paper
     tail_stiffness: float = 0.15  # paper
     tail_damping: float = 0.15  # paper
-    fluid: float = 0.20  # of every coefficient, each on its own: paper
-    servo_gain: float = 0.15  # chosen: unit-to-unit transfer costs others a factor of two
+    fluid: float = 0.20  # of every coefficient, independently: paper
+    servo_gain: float = 0.15  # chosen: others measured up to a factor of two between servos
     servo_damping: float = 0.15  # chosen
     servo_limit: float = 0.10  # chosen
     servo_delay: float = 0.004  # s, chosen
     density: float = 0.01  # chosen: temperature, salt
     push: float = 0.3  # N rms, force pulses of a fifth of a second; chosen (paper's extension)
-    push_share: float = 0.02  # of control steps that begin one; chosen
+    push_share: float = 0.02  # fraction of control steps at which a pulse starts; chosen
     current: float = 0.03  # m/s rms of a steady current; chosen (paper's extension)
 
 
 def none() -> Randomisation:
-    """The nominal twin, every episode."""
+    """No randomisation: the nominal twin in every episode."""
     return replace(Randomisation(), **dict.fromkeys(Randomisation.__annotations__, 0.0))
 
 
 def check(ranges: Randomisation) -> None:
-    """Raises BadInput for widths below 0, or of 1 and more where a value would lose its sign."""
+    """Check the widths. Raises BadInput for a width below 0, or a relative width of 1 or more."""
     for name, width in vars(ranges).items():
         absolute = name in ("head_centre", "servo_delay", "push", "current")
         if width < 0 or (not absolute and width >= 1):
-            raise BadInput(f"randomisation: {name} = {width:g}; allowed is 0 up to below 1.")
+            most = "" if absolute else " and less than 1"
+            raise BadInput(f"randomisation: {name} = {width:g}; allowed is 0 or more{most}.")
 
 
 FIELDS = (
@@ -65,13 +65,13 @@ FIELDS = (
     "actuator_delay",
     "opt.density",
     "opt.wind",
-    "tendon_invweight0",  # not drawn: it follows from the masses
+    "tendon_invweight0",  # not drawn, computed from the masses
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Physics:
-    """The batch's own fields (n, …), live, and their nominal values."""
+    """The batch's own fields (n, …), which the engine uses, and their nominal values."""
 
     twin: Twin
     pool: batch.Batch
@@ -80,7 +80,7 @@ class Physics:
 
 
 def expand(twin: Twin, pool: batch.Batch) -> Physics:
-    """Give every fish its own copy of what is drawn."""
+    """Give every fish its own copy of the fields that are drawn."""
     fields = {name: pool.expand(name) for name in FIELDS}
     nominal = {name: np.array(values[0]) for name, values in fields.items()}
     return Physics(twin, pool, fields, nominal)
@@ -122,7 +122,8 @@ def _scale(physics: Physics, name: str, fish: int, part: Any, factor: float) -> 
 
 
 def _fluid(physics: Physics, width: float, fish: int, rng: np.random.Generator) -> None:
-    """Every zone's five coefficients on their own; parts of a zone keep together."""
+    """Scale every zone's five coefficients independently; parts of one zone keep the same
+    factors."""
     coefficients = physics.nominal["geom_fluid"][:, 1:6]
     labelled = np.column_stack([coefficients, physics.twin.zones])
     kinds, zone = np.unique(labelled, axis=0, return_inverse=True)
@@ -144,8 +145,8 @@ def _servo(physics: Physics, ranges: Randomisation, fish: int, rng: np.random.Ge
 
 
 def refresh(physics: Physics, fish: NDArray[np.int64]) -> None:
-    """What the engine derives from masses, for the fish that were drawn."""
+    """Recompute what the engine derives from masses, for the fish that were drawn."""
     physics.pool.set_const(fish)
-    # the engine derives again what `compile_twin` had edited
+    # the engine overwrites what `compile_twin` had changed
     physics.fields["geom_fluid"][fish, :, 6:] = physics.nominal["geom_fluid"][:, 6:]
     physics.fields["tendon_invweight0"][fish] *= physics.twin.taut_share

@@ -1,4 +1,4 @@
-"""The environments as gymnasium makes them: `gymnasium.make("tailbeat/Reach-v0", fish=…)`."""
+"""The environments for `gymnasium.make("tailbeat/Reach-v0", fish=…)`."""
 
 from pathlib import Path
 

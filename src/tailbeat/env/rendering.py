@@ -1,4 +1,4 @@
-"""Pictures of a world: from above with path and target, and the twin in three dimensions."""
+"""Pictures of a world: from above with path and target, and the twin in 3-D."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,7 +25,7 @@ FILM_RATE, SPEED = 12.5, 8.0  # frames per second, seconds swum per second shown
 
 
 def from_above(world: World, fish: int, path: Array, pixels: int = 480) -> NDArray[np.uint8]:
-    """One fish, its path (k, 3) and its target: an image (pixels, pixels, 3)."""
+    """Draw one fish, its path (k, 3) and its target from above: an image (pixels, pixels, 3)."""
     figure = Figure(figsize=(4, 4), dpi=pixels / 4, layout="constrained")
     canvas, axes = FigureCanvasAgg(figure), figure.subplots()
     axes.plot(path[:, 0], path[:, 1], color="0.7", lw=1)
@@ -42,7 +42,7 @@ def from_above(world: World, fish: int, path: Array, pixels: int = 480) -> NDArr
 
 
 def from_beside(world: World, fish: int) -> NDArray[np.uint8]:
-    """One fish as the engine renders it, looks and all, by a camera that follows it."""
+    """Render one fish in 3-D with its textures, by a camera that follows it."""
     twin = compile_twin(world.fish, Options(looks=True))
     images, _ = frames(twin, world.simulator.qpos[fish : fish + 1].copy())
     return next(images)
@@ -55,7 +55,7 @@ def film(
     path: Path,
     seeds: tuple[int, ...] = (1, 2),
 ) -> None:
-    """An MP4 of one greedy episode per seed from above, at eight times real speed."""
+    """Write an MP4 of one greedy episode per seed from above, at eight times real speed."""
     every = round(SPEED / FILM_RATE / PERIOD)
     with (
         new_file(path, overwrite=True) as beside,

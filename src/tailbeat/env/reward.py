@@ -1,4 +1,5 @@
-"""The reward: once, for the steps of a world and for the swims that a replay buffer relabels."""
+"""The reward, defined once, for the steps of a world and for targets that the replay buffer
+relabels."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,14 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-NEAR = 1.0  # m from a target that goes on, within which nearness pays: beyond the fish's own circle
+NEAR = 1.0  # m, reach of `nearness` about a moving target: larger than the fish's turning circle
 
 
 @dataclass(frozen=True)
 class Reward:
-    """r = -distance - effort ||a|| + bonus [distance < arrival] (paper). With a target that goes on
-    `nearness` (1 - distance / 1 m), above 0, stands for the bonus (ours: some seconds beside the
-    target are worth what an arrival is)."""
+    """r = -distance - effort ||a|| + bonus [distance < arrival] (paper).
+
+    With a target that keeps moving, nearness * max(1 - distance / 1 m, 0) replaces the bonus (ours:
+    some seconds beside the target are worth as much as an arrival).
+    """
 
     distance: float = 1.0
     effort: float = 0.1
@@ -39,15 +42,15 @@ TERMS = ("distance", "effort", "bonus")
 
 
 def of_action(weights: Reward, action: Array) -> Array:
-    """The effort's term (n,) of actions (n, size); what exceeds [-1, 1] does not count."""
+    """The effort's term (n,) of actions (n, size), which are clipped to [-1, 1]."""
     return np.asarray(-weights.effort * np.sqrt((np.clip(action, -1.0, 1.0) ** 2).sum(axis=1)))
 
 
 def of_target(weights: Reward, distance: Any, arrived: Any, goes_on: Any) -> tuple[Any, Any]:
     """The distance's and the bonus's term of steps that end at `distance` [m] from the target.
 
-    The three arrays broadcast: distance (…,), whether the fish arrived, and whether the target goes
-    on moving. The terms have the precision of `distance`; where it is NaN they are NaN.
+    The arrays broadcast: `distance` (…,), whether the fish `arrived`, and whether the target
+    `goes_on` moving. The terms have the dtype of `distance`; where it is NaN they are NaN.
     """
     nearness = weights.nearness * np.maximum(1 - distance / NEAR, 0.0) * goes_on
     bonus = (weights.bonus * arrived + nearness).astype(distance.dtype)

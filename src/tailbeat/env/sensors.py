@@ -1,6 +1,6 @@
-"""What the robot's sensors make of the truth: counts, noise, latency, dropped frames, staleness.
+"""Model of the robot's sensors: counts, noise, latency, dropped frames, staleness.
 
-Every figure stands in `SensorModel` with its source, or "chosen, rounded up". A fish's noise for a
+Every number is in `SensorModel` with its source, or "chosen, rounded up". A fish's noise for a
 whole episode is drawn at its start from its own random generator, so the readings are the same
 alone or in a batch.
 """
@@ -17,33 +17,33 @@ from numpy.typing import NDArray
 from tailbeat.control.actions import PERIOD
 
 Array = NDArray[np.float64]
-KEPT = 16  # frames held while they travel: a quarter of a second at 60 fps
+KEPT = 16  # frames kept until they arrive: a quarter of a second at 60 fps
 PER_STEP = 2  # frames that can fall into one control step of 20 ms
 DRAWS = 4 + 6 * PER_STEP  # random numbers per control step
 
 
 @dataclass(frozen=True)
 class SensorModel:
-    """Figures of encoder, IMU and camera; SI."""
+    """Parameters of encoder, IMU and camera; SI units."""
 
     encoder_count: float = 2 * np.pi / 4096  # rad, X-series manual
     velocity_count: float = 0.02398  # rad/s, 0.229 rpm, X-series manual
-    encoder_age: float = 0.004  # s, largest: a read lies anywhere in its bus cycle; chosen
+    encoder_age: float = 0.004  # s, largest: a read is at any time of its bus cycle; chosen
     yaw_rate_noise: float = 0.02  # rad/s rms: BNO055, 0.3 deg/s in its band, rounded up; chosen
     yaw_rate_bias: float = 0.02  # rad/s rms per episode: BNO055 data sheet 1 deg/s
     yaw_rate_drift: float = 0.01  # rad/s over an episode, rms; chosen
-    spike_share: float = 0.001  # of samples; bit flips and bus errors, chosen
+    spike_share: float = 0.001  # fraction of samples; bit flips and bus errors, chosen
     spike_size: float = 5.0  # rad/s; chosen
     frame_rate: float = 60.0  # Hz
     latency: float = 0.030  # s: exposure, transfer, detection, link; chosen, rounded up
     latency_jitter: float = 0.015  # s, uniform on top; chosen
-    dropped: float = 0.03  # share of frames without a tag; chosen, rounded up
+    dropped: float = 0.03  # fraction of frames without a tag; chosen, rounded up
     position_noise: float = 0.003  # m: refraction and corners at 3 m; rounded up
     yaw_noise: float = 0.01  # rad: 0.6 degrees; rounded up
-    stamp_noise: float = 0.002  # s, of the clocks' offset; chosen
+    stamp_noise: float = 0.002  # s, error of the clock offset; chosen
 
 
-# numba reads named tuples, no dataclasses
+# numba reads named tuples, but not dataclasses
 Figures: Any = namedtuple("Figures", list(SensorModel.__annotations__))  # type: ignore[misc]
 
 
@@ -54,8 +54,9 @@ def quiet() -> SensorModel:
 
 
 class SensorState(NamedTuple):
-    """n fish: episode noise (n, steps, DRAWS), yaw-rate bias and drift (n,), camera phase (n,) s,
-    and the frames on their way (n, KEPT, 7): pose, target x, y, stamp, arrival [s]."""
+    """Sensor state of n fish: episode noise (n, steps, DRAWS), yaw-rate bias and drift (n,), camera
+    phase (n,) [s], and the frames not yet arrived (n, KEPT, 7): pose, target x, y, stamp, arrival
+    [s]."""
 
     noise: NDArray[np.float32]
     bias: Array
@@ -65,9 +66,11 @@ class SensorState(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What truly happened in one control step of n fish: the tag's poses `before` and `after` it
-    (n, 3); at its end the target's place (n, 2), motor angle [rad], its velocity and the yaw rate
-    [rad/s] (n,)."""
+    """True motion of n fish in one control step.
+
+    The tag's poses `before` and `after` it (n, 3); at its end the target's position (n, 2), motor
+    angle [rad], its velocity and the yaw rate [rad/s] (n,).
+    """
 
     before: Array
     after: Array
@@ -78,8 +81,8 @@ class Motion(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """What the loop has at hand: motor angle [rad] and velocity [rad/s], yaw rate [rad/s] (n,), and
-    the three newest frames (n, 3, 6): fish x, y, yaw, target x, y, staleness."""
+    """What the loop reads: motor angle [rad] and velocity [rad/s], yaw rate [rad/s] (n,), and the
+    three newest frames (n, 3, 6): fish x, y, yaw, target x, y, staleness."""
 
     motor_angle: Array
     motor_velocity: Array
@@ -88,7 +91,8 @@ class Readings(NamedTuple):
 
 
 def empty(count: int, steps: int) -> SensorState:
-    """Sensors before their first `begin`."""
+    """Empty sensor state of `count` fish, for episodes of `steps` control steps; call `begin`
+    next."""
     return SensorState(
         np.zeros((count, steps, DRAWS), dtype=np.float32),
         np.zeros(count),
@@ -106,7 +110,7 @@ def begin(
     target: Array,
     rng: np.random.Generator,
 ) -> None:
-    """Draw one fish's episode, in place; frames before the start show the start."""
+    """Draw one fish's episode noise, in place; frames before the start show the start."""
     steps = state.noise.shape[1]
     state.noise[fish] = rng.standard_normal((steps, DRAWS), dtype=np.float32)
     bias, drift, phase = rng.normal(), rng.normal(), rng.uniform()
@@ -128,13 +132,13 @@ def sense(
 
 @cache
 def figures(model: SensorModel) -> Any:
-    """A model's figures as a named tuple, for compiled code."""
+    """A model's numbers as a named tuple, for compiled code."""
     return Figures(**vars(model))
 
 
 @njit(cache=True)
 def _sense(figures, state, step, motion, period):  # type: ignore[no-untyped-def]
-    """For each fish: film what falls into the step, then read encoder and IMU."""
+    """For each fish: take the frames of the step, then read encoder and IMU."""
     count = len(step)
     angle, velocity, yaw_rate = np.empty(count), np.empty(count), np.empty(count)
     found = np.empty((count, 3, 6))
@@ -155,7 +159,7 @@ def _sense(figures, state, step, motion, period):  # type: ignore[no-untyped-def
 
 @njit(cache=True)
 def _film(figures, state, motion, i, step, period):  # type: ignore[no-untyped-def]
-    """Take the frames of fish `i` that fall into the step."""
+    """Take the frames of fish `i` in this step."""
     draws, frames, phase = state.noise[i, step], state.frames[i], state.phase[i]
     before, after, now = motion.before[i], motion.after[i], (step + 1) * period
     first = int(np.floor((now - period - phase) * figures.frame_rate + 1e-9)) + 1

@@ -1,7 +1,7 @@
-"""What swims in a `World`: the twin's batch. The pool's plant has the same four verbs.
+"""The simulator of a `World`: the twin's batch. The pool's plant has the same four methods.
 
-A body holds n fish; `qpos`, `qvel` are live (n, …) arrays that begin with x, y, yaw of the head and
-have the motor at `motor`.
+A simulator has n fish. `qpos` and `qvel` are live (n, …) arrays: they begin with x, y, yaw of the
+head, and have the motor at index `motor`.
 """
 
 from typing import Protocol
@@ -26,7 +26,7 @@ Flags = NDArray[np.bool_]
 
 
 class Simulator(Protocol):
-    """n fish in some water."""
+    """Interface of a simulator: n fish in some water."""
 
     qpos: Array
     qvel: Array
@@ -39,22 +39,25 @@ class Simulator(Protocol):
         """Draw the physics of one fish's next episode."""
 
     def ready(self, chosen: NDArray[np.int64]) -> None:
-        """All physics are drawn: derive what follows from them."""
+        """Compute what follows from the drawn physics."""
 
     def advance(self, setpoint: Array, push: Array) -> Flags:
-        """One control period under setpoints (n,) rad and pushes (n, 2) N on the head; which fish
-        left the finite (n,)."""
+        """Step one control period with setpoints (n,) [rad] and pushes (n, 2) [N] on the head.
+        Returns which fish diverged (n,)."""
 
 
 class TwinSimulator:
-    """The twin's batch: per-fish model fields, all cores, no interpreter lock while it steps."""
+    """The twin's batch: model fields per fish, all cores, interpreter lock released while it
+    steps."""
 
     def __init__(self, fish: Fish, count: int, threads: int = 0) -> None:
         twin = compile_twin(fish)
         step = twin.model.opt.timestep
         self.substeps = round(PERIOD / step)
         if abs(self.substeps * step - PERIOD) > 1e-9:
-            raise BadInput(f"{fish.name}: step {1e3 * step:g} ms does not divide 20 ms.")
+            raise BadInput(
+                f"{fish.name}: step {1e3 * step:g} ms does not divide 20 ms; choose one that does."
+            )
         self.count, self.motor = count, twin.motor
         self.batch = batch.Batch(twin.model, count, nthread=threads, persistent=True)
         self.physics = randomize.expand(twin, self.batch)
@@ -66,16 +69,16 @@ class TwinSimulator:
         self.warned = np.zeros(count)
 
     def rest(self, chosen: NDArray[np.int64]) -> None:
-        """Also forgets the pushes."""
+        """Put fish at rest and remove their pushes."""
         self.batch.reset(chosen, stage=randomize.NO_FORWARD)
         self.force[chosen] = 0.0
 
     def draw(self, fish: int, ranges: Randomisation, rng: np.random.Generator) -> None:
-        """From the nominal twin, never from the last draw."""
+        """Draw from the nominal twin, not from the last draw."""
         randomize.randomize(self.physics, ranges, fish, rng)
 
     def ready(self, chosen: NDArray[np.int64]) -> None:
-        """What the engine derives from masses; the drawn coefficients of lift."""
+        """Recompute what the engine derives from masses, and the drawn lift coefficients."""
         randomize.refresh(self.physics, chosen)
         if self.water is not None and (lift := self.water.lift) is not None:
             lift.nominal[chosen] = self.physics.fields["geom_fluid"][chosen][
@@ -85,7 +88,8 @@ class TwinSimulator:
             surge.begin(self.water.relief, chosen)
 
     def advance(self, setpoint: Array, push: Array) -> Flags:
-        """A divergence warns; the engine resets that fish, and it counts as lost."""
+        """Step one control period. If a fish diverges, the engine warns and resets it, and it
+        counts as lost."""
         self.ctrl[:, 0] = setpoint
         self.force[:, self.head, :2] = push
         if self.water is not None and (relief := correct(self.water)) is not None:

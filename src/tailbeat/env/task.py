@@ -1,4 +1,4 @@
-"""What the fish are asked to do: targets and ends, reward, sensors, physics of the episodes."""
+"""The task: targets and ends of episodes, reward, sensors, physics."""
 
 from dataclasses import dataclass, field
 
@@ -21,11 +21,12 @@ Array = NDArray[np.float64]
 class Task:
     """Where targets are and when an episode ends.
 
-    `nearest`, `farthest` [m] and `arc` (half angle about straight ahead) [rad]; `arrival` [m] is
-    the paper's; `seconds` until time-out; `limit` [m] from the start at which the fish counts as
-    lost; `walls` (length, width) [m] of a pool about the start, or None; `target_speed` [m/s] of
-    targets that move, each on its own straight way. A share `following` of episodes has a target
-    that moves at up to that speed, on a bend, and goes on until time-out: then the others stand.
+    Targets are drawn at `nearest` to `farthest` [m] and within `arc` [rad], the half angle about
+    straight ahead. `arrival` [m] is the paper's. `seconds` until time-out; `limit` [m] from the
+    start at which the fish is lost; `walls` (length, width) [m] of a pool about the start, or None.
+    `target_speed` [m/s] of targets that move in straight lines. In a fraction `following` of
+    episodes the target moves along a bend at up to that speed, and continues until time-out; in the
+    others it stands still.
     """
 
     nearest: float = 0.5
@@ -41,12 +42,12 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Given beginnings and targets instead of drawn ones, for trials.
+    """Given starts and targets instead of drawn ones, for trials.
 
-    `start` (n, 3) x, y, yaw of the fish frame and `velocity` (n, 3) of it, in world axes; `target`
-    (n, k, 2): where each target is at the start and after every control step, the last one kept.
-    A target waits where it is while its fish is farther than `lead` (n,) [m] away; infinite: it
-    goes by the clock.
+    `start` (n, 3) x, y, yaw of the fish frame; `velocity` (n, 3) of it, in world axes. `target` (n,
+    k, 2): position of each target at the start and after every control step; the last one is kept.
+    A target waits while its fish is farther than `lead` (n,) [m] away; with infinite `lead` it
+    moves on a fixed schedule.
     """
 
     start: Array
@@ -55,14 +56,14 @@ class Scene:
     lead: Array
 
     def at(self, step: NDArray[np.int64]) -> Array:
-        """Places (n, 2) of the targets after `step` (n,) control steps."""
+        """Positions (n, 2) of the targets after `step` (n,) control steps."""
         last = self.target.shape[1] - 1
         return np.asarray(self.target[np.arange(len(step)), np.minimum(step, last)])
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Everything that an environment is made of, beside the fish."""
+    """Settings of an environment, except the fish."""
 
     actions: ActionSpace | None = None  # None: the generator over the motor's range
     task: Task = field(default_factory=Task)
@@ -72,14 +73,15 @@ class Settings:
 
 
 def check_settings(fish: Fish, settings: Settings) -> ActionSpace:
-    """The action space; raises BadInput for settings that contradict each other."""
+    """Check the settings; returns the action space. Raises BadInput for settings that
+    contradict."""
     low, high = fish.motor.range or (-np.pi, np.pi)
     space = settings.actions or Generator(low, high)
     act.check_space(space)
     if space.low < low or space.high > high:
         raise BadInput(
-            f"actions: range {space.low:g} to {space.high:g} rad; {fish.name}'s motor allows"
-            f" {low:g} to {high:g}."
+            f"actions: range {space.low:g} to {space.high:g} rad; the motor of {fish.name} allows"
+            f" {low:g} to {high:g} rad."
         )
     act.check_band(space, fish.band[1])
     randomize.check(settings.physics)
@@ -94,13 +96,15 @@ def _check_task(task: Task) -> None:
             f" {task.arrival:g} m; allowed is arrival < nearest <= farthest."
         )
     if task.farthest > task.limit:
-        raise BadInput(f"task: farthest {task.farthest:g} m lies beyond limit {task.limit:g} m.")
+        raise BadInput(
+            f"task: farthest {task.farthest:g} m is above limit {task.limit:g} m; reduce it."
+        )
     if task.walls is not None and task.nearest > min(task.walls) / 2:
         raise BadInput(
-            f"task: no target at {task.nearest:g} m or more fits into walls {task.walls}; widen"
-            f" them or bring the targets nearer."
+            f"task: no target at {task.nearest:g} m or more fits into walls {task.walls}; use a"
+            f" larger pool or nearer targets."
         )
     if not 0 <= task.arc <= np.pi or not task.seconds > 0:
         raise BadInput(
-            f"task: arc {task.arc:g} rad, {task.seconds:g} s; allowed are 0 to pi, above 0 s."
+            f"task: arc {task.arc:g} rad, {task.seconds:g} s; allowed are 0 to pi, and above 0 s."
         )

@@ -1,7 +1,6 @@
-"""The faces of `world.World`: gymnasium's vector environment, its single one, and SB3's.
+"""Interfaces to `world.World`: gymnasium's vector environment, its single environment, and SB3's.
 
-They hold no behaviour of their own beyond what their interfaces ask for: which fish begin anew
-after an end, and where the last observation goes.
+They add only what their interfaces require: restarts after an end, and the last observation.
 """
 
 from collections.abc import Sequence
@@ -29,19 +28,20 @@ POSE = [0, 1, 2, 5]  # of a frame: x, y, yaw, staleness
 
 
 def observation_space(count: int | None = None) -> gymnasium.spaces.Box:
-    """24 numbers without bound, or a batch of them."""
+    """The observation space: 24 unbounded numbers, or a batch of them."""
     shape = (OBSERVED,) if count is None else (count, OBSERVED)
     return gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
 
 
 def action_space(size: int, count: int | None = None) -> gymnasium.spaces.Box:
-    """Actions in [-1, 1]."""
+    """The action space: actions in [-1, 1]."""
     shape = (size,) if count is None else (count, size)
     return gymnasium.spaces.Box(-1.0, 1.0, shape, np.float32)
 
 
 class FishVectorEnv(VectorEnv):
-    """n fish; an ended fish begins anew within the same step (`final_obs` has the last sight)."""
+    """n fish; a fish whose episode ends restarts in the same step (`final_obs` has its last
+    observation)."""
 
     def __init__(
         self,
@@ -63,13 +63,13 @@ class FishVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin every fish anew; with a seed, from it."""
+        """Restart every fish; `seed` reseeds the generators."""
         if seed is not None:
             self.world.reseed(seeds_from(seed, self.num_envs))
         return self.world.reset(), {}
 
     def step(self, actions: Array) -> Any:
-        """Gymnasium's five; reward terms and `reached` in the info."""
+        """Gymnasium's five results; reward terms and `reached` are in the info."""
         done = self.world.step(actions)
         ended = done.terminated | done.truncated
         info: dict[str, Any] = {"reward_terms": vars(done.terms), "reached": done.reached}
@@ -83,8 +83,8 @@ class FishVectorEnv(VectorEnv):
 class FishEnv(gymnasium.Env):
     """One fish: a world of one.
 
-    `render_mode` "rgb_array" draws fish, path and target from above; with `view` "beside" it is the
-    engine's three-dimensional picture instead (drawn from above where no GL library works).
+    `render_mode` "rgb_array" draws fish, path and target from above. With `view` "beside" it is the
+    engine's 3-D picture (from above if no GL library works).
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012 (gymnasium's)
@@ -107,7 +107,7 @@ class FishEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin anew; with a seed, from it."""
+        """Restart; `seed` reseeds the generator."""
         super().reset(seed=seed)
         if seed is not None:
             self.world.reseed(seeds_from(seed, 1))
@@ -116,7 +116,7 @@ class FishEnv(gymnasium.Env):
         return seen, {}
 
     def step(self, action: Array) -> Any:
-        """Gymnasium's five."""
+        """Gymnasium's five results."""
         done = self.world.step(np.asarray(action, float)[None])
         self.path.append(self.world.pose[0].copy())
         terms = {name: float(values[0]) for name, values in vars(done.terms).items()}
@@ -139,8 +139,8 @@ class FishEnv(gymnasium.Env):
 
 @dataclass(frozen=True, eq=False)
 class Behind:
-    """What lay behind one step of n fish: frames before and after (n, 3, 4) x, y, yaw, staleness;
-    the tag's true place after it (n, 2); effort earned (n,)."""
+    """What one step of n fish was computed from: frames before and after (n, 3, 4) x, y, yaw,
+    staleness; the tag's true position after it (n, 2); the effort's reward term (n,)."""
 
     frames: Array
     next_frames: Array
@@ -149,8 +149,8 @@ class Behind:
 
 
 class FishVecEnv(VecEnv):
-    """SB3's face: the same world, no copies, no processes. Rewards are times `reward_scale`;
-    `last` is what lay behind the last step."""
+    """Interface to SB3: the same world, without copies or processes. Rewards are multiplied by
+    `reward_scale`; `last` has the data of the last step."""
 
     def __init__(
         self,
@@ -170,7 +170,7 @@ class FishVecEnv(VecEnv):
         super().__init__(count, observation_space(), action_space(act.size(self.world.space)))
 
     def reset(self) -> NDArray[np.float32]:
-        """Begin every fish anew."""
+        """Restart every fish."""
         if any(seed is not None for seed in self._seeds):
             self.world.reseed([int(seed or 0) for seed in self._seeds])
             self._reset_seeds()
@@ -182,7 +182,8 @@ class FishVecEnv(VecEnv):
         self.actions = actions
 
     def step_wait(self) -> Any:
-        """SB3's four; an ended fish's last sight, return and length in its info."""
+        """SB3's four results; the info of an ended fish has its last observation, return and
+        length."""
         before = self.world.frames[..., POSE]
         done = self.world.step(self.actions)
         self._count(done)
@@ -211,7 +212,7 @@ class FishVecEnv(VecEnv):
             self.sums[name] += values
 
     def _forget(self, which: Flags) -> None:
-        """Begin new sums."""
+        """Reset the sums."""
         self.returns[which], self.lengths[which] = 0.0, 0
         for values in self.sums.values():
             values[which] = 0.0
@@ -224,20 +225,20 @@ class FishVecEnv(VecEnv):
         return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set for all: the fish share one world."""
+        """Set for all fish: they share one world."""
         setattr(self, attr_name, value)
 
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Call once, answer for every fish asked about."""
+        """Call once; the result is returned for every fish in `indices`."""
         found = getattr(self, method_name)(*args, **kwargs)
         return [found] * len(list(self._get_indices(indices)))
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """No fish is."""
+        """Always False."""
         return [False] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """The first fish from above."""
+        """A picture of the first fish from above."""
         return [rendering.from_above(self.world, 0, self.world.pose[:1])]

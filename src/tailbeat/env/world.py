@@ -24,13 +24,13 @@ from tailbeat.identify.runs import tracked_pose
 
 Array = NDArray[np.float64]
 PUSH_STEPS = 10  # control steps that a pulse lasts
-TIGHTEST = 0.6  # m, radius of a moving target's bend: as tight as the fish turns (chosen)
-BESIDE, KEPT = 0.4, 0.8  # m from it that count as kept, share of the second half (chosen)
+TIGHTEST = 0.6  # m, smallest radius of a moving target's bend: as tight as the fish turns (chosen)
+BESIDE, KEPT = 0.4, 0.8  # m from a moving target, and fraction of the second half (chosen)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One control step of n fish: observation (n, 24) and the frames behind it (n, 3, 6), reward
+    """Results of one control step of n fish: observation (n, 24) and its frames (n, 3, 6), reward
     and its terms (n,), ends (n,)."""
 
     observation: NDArray[np.float32]
@@ -43,12 +43,12 @@ class Outcome:
 
 
 def seeds_from(seed: int | None, count: int) -> list[int]:
-    """One seed per fish, all from one."""
+    """One seed per fish, from one seed."""
     return [int(s) for s in np.random.SeedSequence(seed).generate_state(count, np.uint64)]
 
 
 class World:
-    """The batch and what lies between two steps. `reset` some fish, `step` all."""
+    """A batch of fish and their state between steps. `reset` some fish, `step` all."""
 
     def __init__(
         self,
@@ -68,10 +68,10 @@ class World:
         self.seen = sensors.empty(self.count, self.steps_per_episode)
         self.pushes = np.zeros((self.count, self.steps_per_episode, 2), dtype=np.float32)
         self.age = np.zeros(self.count, dtype=np.int64)
-        self.along = np.zeros(self.count, dtype=np.int64)  # how far a scene's target has come
+        self.along = np.zeros(self.count, dtype=np.int64)  # index of the present target of a scene
         self.target, self.drift = np.zeros((self.count, 2)), np.zeros((self.count, 2))
         self.turn, self.goes_on = np.zeros(self.count), np.zeros(self.count, bool)
-        self.near = np.zeros(self.count)  # steps of an episode's second half beside the target
+        self.near = np.zeros(self.count)  # steps of the second half spent near the target
         self.pose = np.zeros((self.count, 3))
         self.state = act.reset(self.space, self.count)
         self.commands = np.zeros((self.count, COMMANDS, 2))
@@ -80,22 +80,24 @@ class World:
         self.walls = np.array(settings.task.walls or (np.inf, np.inf)) / 2
 
     def reseed(self, seeds: list[int]) -> None:
-        """New generators; takes effect at the next reset."""
+        """Set new generators, used from the next reset on."""
         self.rngs = [np.random.default_rng(seed) for seed in seeds]
 
     def change(self, settings: Settings) -> None:
-        """Other sensors, physics and targets from each fish's next reset on (the noise at once);
-        actions and the length of an episode stay."""
+        """Change sensors, physics and targets from each fish's next reset on (the noise at once).
+        Actions and the length of an episode stay. Raises BadInput."""
         check_settings(self.fish, settings)
         if round(settings.task.seconds / PERIOD) != self.steps_per_episode:
-            raise BadInput(f"task: {settings.task.seconds:g} s; the world's episodes have others.")
+            raise BadInput(
+                f"task: {settings.task.seconds:g} s; a world's episode length cannot change."
+            )
         self.settings, self.task = settings, settings.task
         self.walls = np.array(settings.task.walls or (np.inf, np.inf)) / 2
 
     # ---- beginning ------------------------------------------------------------------------------
 
     def reset(self, which: Flags | None = None) -> NDArray[np.float32]:
-        """Begin new episodes for the fish in `which` (all by default); observation (n, 24)."""
+        """Start new episodes for the fish in `which` (all by default); observation (n, 24)."""
         chosen = np.flatnonzero(np.ones(self.count, bool) if which is None else which)
         if chosen.size:
             self.simulator.rest(chosen)
@@ -122,7 +124,7 @@ class World:
         sensors.begin(settings.sensors, self.seen, fish, self.pose[fish], self.target[fish], rng)
 
     def _draw_motion(self, fish: int, rng: np.random.Generator) -> None:
-        """Whether and where to a target moves: per control step, [m] and [rad]."""
+        """Draw whether and how a target moves: [m] and [rad] per control step."""
         task, direction = self.task, rng.uniform(0, 2 * np.pi)
         step, self.near[fish] = task.target_speed * PERIOD, 0.0
         self.turn[fish], self.goes_on[fish] = 0.0, False
@@ -133,7 +135,7 @@ class World:
         self.drift[fish] = step * np.cos(direction), step * np.sin(direction)
 
     def _draw_target(self, rng: np.random.Generator) -> Array:
-        """A place by range and bearing from the tag; inside the walls, if there are any."""
+        """Draw a target by distance and bearing from the tag, inside the walls if there are any."""
         start = tracked_pose(self.fish, np.zeros(3))[:2]
         while True:
             distance = rng.uniform(self.task.nearest, self.task.farthest)
@@ -151,7 +153,7 @@ class World:
         self.commands[chosen] = act.command(self.space, fresh)[chosen][:, None]
 
     def _first_readings(self) -> sensors.Readings:
-        """Readings without a step: the motor as it is, the frames that have arrived."""
+        """Readings before the first step: the motor's state, the frames that have arrived."""
         simulator = self.simulator
         motor = simulator.qpos[:, simulator.motor].copy(), simulator.qvel[:, simulator.motor].copy()
         frames = sensors.newest(self.seen, np.asarray(self.age * PERIOD, dtype=np.float64))
@@ -160,7 +162,8 @@ class World:
     # ---- stepping -------------------------------------------------------------------------------
 
     def step(self, action: Array) -> Outcome:
-        """One control step of every fish under actions (n, size). Ended fish want a `reset`."""
+        """Step every fish by one control period under actions (n, size). Ended fish need a
+        `reset`."""
         before, action = self.pose, np.asarray(action, float)
         self.state = act.step(self.space, self.state, action, PERIOD)
         age, simulator = np.minimum(self.age, self.steps_per_episode - 1), self.simulator
@@ -199,10 +202,10 @@ class World:
         )
 
     def _judge(self, action: Array, seen: NDArray[np.float32], lost: Flags) -> Outcome:
-        """Reward and ends, from the exact distance (paper: only the reward sees it).
+        """Reward and ends, from the exact distance (paper: only the reward uses it).
 
-        A diverged fish counts as `limit` away. Out of range counts as a truncation: every step
-        costs its distance, so an end without a sequel would be worth fleeing to.
+        A diverged fish counts as `limit` away. Out of range counts as a truncation, not as an end:
+        every step costs its distance, so a policy would learn to leave the range to end the costs.
         """
         weights, task = self.settings.reward, self.task
         away = np.where(lost, task.limit, np.hypot(*(self.target - self.pose[:, :2]).T))
@@ -222,7 +225,7 @@ class World:
         return np.asarray((np.hypot(*place.T) > self.task.limit) | outside)
 
     def _kept(self, beside: Flags) -> Flags:
-        """Which targets that go on have been kept so far, through the episode's second half."""
+        """Which moving targets have been followed so far, in the episode's second half."""
         half = self.steps_per_episode / 2
         self.near = self.near + (beside & self.goes_on & (self.age > half))
         return np.asarray(self.near >= KEPT * half)

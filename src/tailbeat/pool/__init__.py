@@ -1,1 +1,1 @@
-"""What stands in for water? An independent, unsteady plant, its protocols and recorders."""
+"""The virtual pool: an independent, unsteady plant, its protocols and recorders."""

@@ -1,7 +1,7 @@
-"""The fish as the plant sees it: bodies, strips, fins, tendons and springs, named.
+"""The fish as the plant uses it: bodies, strips, fins, tendons and springs.
 
 The same tree as the twin's, from the same description: planar root (x, y, yaw), motor, one hinge
-per link, in that order. Lengths along a body are x towards the nose from the body's own origin
+per link, in that order. Positions along a body are x towards the nose from the body's own origin
 (the fish frame's for the head, the hinge for a link).
 """
 
@@ -22,8 +22,8 @@ from tailbeat.pool.tendons import tendon_lengths
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.void]
-LONGEST = 0.06  # m, of a strip: four to six on a head
-TIE = 3e5  # N/m: an inextensible pair, 0.5 % softer at the shaft than none
+LONGEST = 0.06  # m, longest strip: a head has four to six
+TIE = 3e5  # N/m, for inextensible tendons: 0.5 % softer at the shaft than rigid
 TIE_DAMPING = 30.0  # N s/m
 FIN_ZONE = "fin"  # zone whose parts carry circulation
 
@@ -31,7 +31,7 @@ FIN_ZONE = "fin"  # zone whose parts carry circulation
 # ratio; 1 to 3 were checked against a vortex-ring lattice.
 ASPECT = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 10.0])
 HEAVE = np.array([0.579, 0.690, 0.757, 0.830, 0.872, 0.897, 0.947])
-PITCH = np.array([0.83, 0.89, 0.92, 0.95, 0.96, 0.97, 0.98])  # beyond 3 extended by eye
+PITCH = np.array([0.83, 0.89, 0.92, 0.95, 0.96, 0.97, 0.98])  # above 3: extrapolated by eye
 
 
 # Rows of a `Chain`; lengths and places [m], places along a body from its own origin.
@@ -48,15 +48,15 @@ TENDON = np.dtype([*LAW, ("tied", bool)])
 
 
 class Chain(NamedTuple):
-    """A fish as the compiled step takes it.
+    """A fish as the compiled step uses it.
 
     `bodies` (b,) head, then links: x of the origin behind the parent's, mass [kg], x of the centre,
     inertia [kg m^2]. `strips` (s,) and `fins` (f,): body, x, length or chord, height; for a fin its
     lift slope over 2 pi and the factors of `fin_factors` on added mass. `hinges` (links,):
     stiffness [N m/rad], damping [N m s/rad]. `guides` (2, g) of left and right tendon: body, x, y.
-    `motor` and `tendon` (1,): see `MOTOR`, `TENDON`; stiffness [N/m], damping [N s/m].
-    `neutral` (2,): tendon lengths of the straight fish [m]. `nose`, `rear`: x of the nose on the
-    head, of the fin's rear edge on the last body.
+    `motor` and `tendon` (1,): see `MOTOR`, `TENDON`; stiffness [N/m], damping [N s/m]. `neutral`
+    (2,): tendon lengths of the straight fish [m]. `nose`, `rear`: x of the nose on the head, and of
+    the fin's rear edge on the last body.
     """
 
     bodies: Rows
@@ -77,14 +77,14 @@ def dofs(chain: Chain) -> int:
 
 
 def build_chain(fish: Fish) -> Chain:
-    """The chain of a description. Raises BadInput where the plant cannot carry it."""
+    """Build the chain of a description. Raises BadInput if no part is a fin."""
     bodies = (fish.head, *fish.tail.links)
     hinges = np.array([0.0, *(link.hinge for link in fish.tail.links)])
     strips = [row for b, body in enumerate(bodies) for row in _strips(b, body, hinges[b])]
     fins = [row for b, body in enumerate(bodies) for row in _fins(b, body, hinges[b])]
     if not fins:
         raise BadInput(
-            f"{fish.name}: no part is in zone fin; the plant needs a fin to shed a wake."
+            f"{fish.name}: no part has zone fin; the virtual pool needs one. Set it in the file."
         )
     chain = Chain(
         _bodies(bodies, hinges),
@@ -132,7 +132,7 @@ def _wet(body: Body) -> list[Part]:
 
 
 def _strips(number: int, body: Body, x0: float) -> list[tuple[float, ...]]:
-    """Slices of a body along x: where parts overlap, the tallest counts, once."""
+    """Slices of a body along x. Where parts overlap, only the tallest counts."""
     parts = [p for p in _wet(body) if p.zone != FIN_ZONE]
     ends = [(p.position[0] - p.size[0] / 2, p.position[0] + p.size[0] / 2) for p in parts]
     cuts = sorted({round(x, 6) for pair in ends for x in pair})
@@ -154,8 +154,8 @@ def _fins(number: int, body: Body, x0: float) -> list[tuple[float, ...]]:
 
 
 def fin_factors(chord: float, height: float) -> tuple[float, float, float]:
-    """Lift slope over 2 pi (Helmbold), and what finite span leaves of a fin's added mass, in heave
-    and in pitch."""
+    """Lift slope over 2 pi (Helmbold), and the factors of a finite span on added mass in heave and
+    pitch."""
     aspect = height / chord
     slope = aspect / (2 + np.sqrt(aspect**2 + 4))
     heave, pitch = np.interp(aspect, ASPECT, HEAVE), np.interp(aspect, ASPECT, PITCH)

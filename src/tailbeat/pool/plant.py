@@ -1,7 +1,7 @@
-"""The pool: many fish in many waters, each stepped by `dynamics.step`; deterministic.
+"""The virtual pool's plant: many fish, each in its own water, stepped by `dynamics.step`.
 
-What the twin, the trainer and the controller may have of it is what a recorder writes. State is
-data: copy it, store it, go on from it.
+Deterministic. Twin, trainer and controller get only what a recorder writes. A `State` can be
+copied, stored and continued.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from tailbeat.pool.water import Water, rows
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.void]
-LONGEST_DELAY = 0.2  # s, of a servo's description
+LONGEST_DELAY = 0.2  # s, longest delay of a servo's description
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Surroundings:
 
 
 def stirred(seed: int, size: float = 0.03, count: int = 6, scale: float = 1.0) -> Surroundings:
-    """Stirred water: `count` slow waves of random direction, rms speed `size` [m/s] in all, wave
-    length about `scale` [m]. Free of divergence; the same seed is the same water."""
+    """Stirred water: `count` slow waves of random direction, rms speed `size` [m/s] together, wave
+    length about `scale` [m]. Free of divergence; the same seed gives the same water."""
     rng = np.random.default_rng(seed)
     modes = []
     for _ in range(count):
@@ -54,9 +54,11 @@ def stirred(seed: int, size: float = 0.03, count: int = 6, scale: float = 1.0) -
 
 
 class State(NamedTuple):
-    """n fish: `q`, `v` and last accelerations `a` (n, nv), the fins' wakes (n, f), held-back
-    commands (n, h), and `clock` (2,), the same for all fish: the index of the newest command in
-    `history`, and the steps taken. `step_plant` moves it on in place.
+    """State of n fish; `step_plant` changes it in place.
+
+    `q`, `v` and last accelerations `a` (n, nv), the fins' wakes (n, f), delayed commands `history`
+    (n, h). `clock` (2,) is the same for all fish: the index of the newest command in `history`, and
+    the steps taken.
     """
 
     q: Array
@@ -67,18 +69,18 @@ class State(NamedTuple):
     clock: NDArray[np.int64]
 
     def part(self, chosen: NDArray[np.int64]) -> "State":
-        """A copy of some fish."""
+        """A copy of the state of the fish with these indices."""
         *each, clock = self
         return State._make([*(values[chosen] for values in each), clock.copy()])
 
     def put(self, chosen: NDArray[np.int64], part: "State") -> None:
-        """Put some fish's state in place of what they had."""
+        """Replace the state of the fish with these indices."""
         for values, new in zip(self[:-1], part[:-1], strict=True):
             values[chosen] = new
         self.clock[:] = part.clock
 
     def copy(self) -> "State":
-        """A state to go on from later."""
+        """A copy, to continue from later."""
         return State._make(values.copy() for values in self)
 
 
@@ -94,7 +96,7 @@ class Plant:
 
     @cached_property
     def each(self) -> Around:
-        """What differs from fish to fish, one row a fish."""
+        """What differs between fish, one row each."""
         half = [(w[0] / 2, w[1] / 2) if (w := a.walls) else (0.0, 0.0) for a in self.around]
         return Around(
             rows(self.water),
@@ -118,10 +120,11 @@ def build_plant(
     around: Sequence[Surroundings] = (Surroundings(),),
     dt: float = 0.002,
 ) -> Plant:
-    """A pool of n fish, n the longest of the lists; shorter ones of length 1 are repeated.
+    """Build a pool of n fish; n is the length of the longest list, and lists of length 1 are
+    repeated.
 
-    `servo` is the description's own by default. Raises BadInput for a description that the plant
-    cannot carry, or a step too long for its stiffness.
+    `servo` is the description's own by default. Raises BadInput for a description without a fin,
+    lists of other lengths, or a step `dt` [s] that is too long for the servo.
     """
     chain = build_chain(fish)
     chosen = servo or fish.servos[fish.servo]
@@ -140,13 +143,13 @@ def build_plant(
 
 
 def _check_step(fish: Fish, servo: Rows, dt: float) -> None:
-    """Springs are implicit, so the step is bounded by what must be resolved: the servo's loop."""
-    inertia = servo["armature"] + 1e-3  # what a tail adds at the least
+    """Check the step. Springs are implicit, so only the servo's loop limits it."""
+    inertia = servo["armature"] + 1e-3  # the least inertia that a tail adds
     fastest = np.sqrt(servo["kp"] / inertia).max()
     largest = float(min(0.01, 2.0 / fastest))
     if not 0 < dt <= largest:
         raise BadInput(
-            f"{fish.name}: step {1e3 * dt:g} ms; allowed is up to {1e3 * largest:.2g} ms for a"
+            f"{fish.name}: step {1e3 * dt:g} ms; at most {1e3 * largest:.2g} ms is allowed for a"
             f" servo of kp {servo['kp'].max():g} N m/rad."
         )
 
@@ -164,8 +167,8 @@ def at_rest(plant: Plant, start: Array | None = None) -> State:
 
 @dataclass(frozen=True, eq=False)
 class Swum:
-    """What the fish did: time (k,) s, q and v (n, k, nv), actuator torque (n, k) N m; sample 0 is
-    the start. `lost` (n,) marks fish whose numbers left the finite."""
+    """What the fish did: time (k,) [s], q and v (n, k, nv), actuator torque (n, k) [N m]. Sample 0
+    is the start. `lost` (n,) marks fish with numbers that are not finite."""
 
     time: Array
     q: Array
@@ -175,10 +178,10 @@ class Swum:
 
 
 def step_plant(plant: Plant, state: State, commands: Array, every: int = 1) -> Swum:
-    """Step every fish through its commands (n, steps) rad, moving `state` on in place.
+    """Step every fish through its commands (n, steps) [rad], changing `state` in place.
 
-    Sample j is the state after j * every steps. The command is the setpoint in force during each
-    step; the servo gets it its delay later.
+    Sample j is the state after j * every steps. The command is the setpoint during each step; the
+    servo gets it after its delay.
     """
     n, steps = commands.shape
     samples = steps // every + 1
@@ -194,7 +197,8 @@ def step_plant(plant: Plant, state: State, commands: Array, every: int = 1) -> S
 
 
 def _filled(lists: Sequence[Sequence[Sequence[float]]], kind: np.dtype[np.void], one: str) -> Rows:
-    """Ragged rows as (n, longest) of `kind`, filled with rows of zeros whose column `one` is 1."""
+    """Lists of different lengths as an array (n, longest) of `kind`, filled up with rows of zeros
+    whose column `one` is 1."""
     found = np.zeros((len(lists), max(map(len, lists))), kind)
     found[one] = 1.0  # a wave number: no division by zero
     for i, items in enumerate(lists):
@@ -227,7 +231,7 @@ def _advance(state, played, chain, each, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def _swim(i, state, played, chain, each, out):  # type: ignore[no-untyped-def]
-    """Fish i through all its steps; the servo gets each command its delay later."""
+    """Step fish i through all its steps; the servo gets each command after its delay."""
     dt, every, slots = played.dt, played.every, state.history.shape[1]
     servo = each.servo[i]
     fish = Moving(state.q[i], state.v[i], state.a[i], state.wakes[i])

@@ -1,7 +1,7 @@
-"""Bench and pool experiments, played in the plant and recorded as a lab would.
+"""Bench and pool experiments, played in the plant and recorded as in a lab.
 
-The command recordings are those of `identify.protocol`, the same a lab plays, or given ones; what
-comes out is a recording of the same columns, with the water's fingerprint in its metadata.
+Commands are those of `identify.protocol`, which a lab plays too, or given ones. The recordings have
+a lab's columns, and the water's fingerprint in their metadata.
 """
 
 from collections.abc import Iterator, Sequence
@@ -40,9 +40,9 @@ from tailbeat.recording import Recording, require
 Array = NDArray[np.float64]
 SENSORS, WATER = Sensors(), Water()
 DT = 0.002  # s
-AIR = 1.2e-3  # of the water's density
-MARGIN = 0.35  # m: a recording ends where the fish comes so near a wall
-# The bench's drive for the tail: stiff, and upstream of the torque sensor.
+AIR = 1.2e-3  # density of air over that of water
+MARGIN = 0.35  # m: a recording ends when the fish is this close to a wall
+# The test bench's drive for the tail: stiff, and on the motor's side of the torque sensor.
 DRIVE = Servo(kp=300.0, kv=3.0, armature=1e-6, damping=0.0, force_limit=50.0, delay=0.0)
 
 
@@ -53,7 +53,7 @@ def record_tail(
     water: Water = WATER,
     commands: Sequence[Recording] = (),
 ) -> Iterator[Recording]:
-    """Sweep and slow pull in air: `angle_rad` and `torque_nm` of the shaft."""
+    """Record sweep and slow pull in air: `angle_rad` and `torque_nm` of the shaft."""
     limit = limits(fish)
     played = commands or (tail_sweep(fish, limit), tail_static(limit))
     for number, command in enumerate(_checked(fish, played)):
@@ -65,7 +65,7 @@ def record_tail(
         label = labels[_in_force(command, time)]
         columns = {
             "angle_rad": encoder(_at(swum, swum.q[0, :, 3], time)),
-            # the torque of a step belongs to its middle
+            # the torque of a step is that at its middle
             "torque_nm": torque_cell(
                 np.interp(time, swum.time[1:] - 0.0005, swum.torque[0, 1:]), sensors, rng
             ),
@@ -80,7 +80,8 @@ def record_servo(
     water: Water = WATER,
     commands: Sequence[Recording] = (),
 ) -> Iterator[Recording]:
-    """The servo on its tail in air: `command_rad` as sent and `angle_rad` as read, pass by pass."""
+    """Record the servo with its tail in air: `command_rad` as sent, `angle_rad` as read, at the
+    same times."""
     played = commands or tuple(servo_commands(fish, limits(fish)).values())
     for number, command in enumerate(_checked(fish, played)):
         rng = np.random.default_rng([seed, 100 + number])
@@ -99,10 +100,11 @@ def record_fluid(
     water: Water = WATER,
     commands: Sequence[Recording] = (),
 ) -> Iterator[Recording]:
-    """Free swims down the pool, from rest or launched: encoder and tag, at the frames' times.
+    """Record free swims along the pool, from rest or launched: encoder and tag at the frames'
+    times.
 
     Cut where the fish comes near a wall. The encoder is read at the loop's rate and interpolated to
-    the frames, as a recorder that joins two logs would do.
+    the frames, as a recorder that joins two logs does.
     """
     played = commands or _swims(fish)
     for number, command in enumerate(_checked(fish, played)):
@@ -126,21 +128,22 @@ def record_fluid(
 
 
 def _swims(fish: Fish) -> list[Recording]:
-    """The protocol's commands, for a fish whose motor can be swung."""
+    """The protocol's commands, for a fish whose motor has a range."""
     limit = limits(fish)
     return [*fluid_runs(fish, limit).values(), *manoeuvres(fish, limit).values()]
 
 
 def _begin(command: Recording, surge: float) -> float:
-    """x [m] at which a swim begins: at the pool's end, or where its command says; a fish launched
-    backward gets room behind it."""
+    """Start x [m] of a swim: the pool's end, or the middle if the command says so. A fish launched
+    backward starts farther from the end."""
     if command.meta.get(BEGIN) == "middle":
         return 0.0
     return -LENGTH / 2 + (1.4 if surge < 0 else 0.8)
 
 
 def _checked(fish: Fish, commands: Sequence[Recording]) -> Sequence[Recording]:
-    """Refuse what the motor may not do, before anything is played."""
+    """Check that commands stay inside the motor's range, before anything is played. Raises
+    BadInput."""
     low, high = fish.motor.range or (-np.inf, np.inf)
     for command in commands:
         (angle,) = require(command, ["command_rad"])
@@ -148,7 +151,7 @@ def _checked(fish: Fish, commands: Sequence[Recording]) -> Sequence[Recording]:
         if not low <= angle[row] <= high:
             raise BadInput(
                 f"{command.name}: column command_rad, row {row + 1}: {angle[row]:.3f} is outside"
-                f" motor.range {low:.3f} to {high:.3f} of {fish.name}; take one of"
+                f" motor.range {low:.3f} to {high:.3f} of {fish.name}; use one of"
                 f" `tailbeat protocol`."
             )
     return commands
@@ -168,8 +171,8 @@ def _play(
     start: Array | None = None,
     launch: Array | None = None,
 ) -> Swum:
-    """A command recording played to its end, held from its own sample to the next; `launch` (3,)
-    is the head's velocity at the start, in the fish frame."""
+    """Play a command recording to its end; each setpoint is held until the next. `launch` (3,) is
+    the head's velocity at the start, in the fish frame."""
     plant = build_plant(fish, [water], servo, [around], dt)
     edges = np.asarray(dt * np.arange(int(command.time[-1] / dt) + 3), dtype=np.float64)
     held = mean_held(command.time, command.columns["command_rad"], edges)
@@ -182,7 +185,7 @@ def _play(
 
 
 def _smooth(command: Recording, dt: float) -> Recording:
-    """What a motion controller makes of a command: no steps every 20 ms."""
+    """Interpolate a command as a motion controller does: no steps every 20 ms."""
     time = np.arange(command.time[0], command.time[-1], dt)
     curve = CubicSpline(command.time, command.columns["command_rad"])(time)
     return Recording(command.name, np.asarray(time), {"command_rad": np.asarray(curve)})
@@ -194,12 +197,12 @@ def _in_force(command: Recording, time: Array) -> NDArray[np.int64]:
 
 
 def _at(swum: Swum, values: Array, time: Array) -> Array:
-    """Values of the plant between its steps."""
+    """Interpolate the plant's values between its steps."""
     return np.asarray(CubicSpline(swum.time, values)(np.minimum(time, swum.time[-1])))
 
 
 def _until_wall(time: Array, pose: Array) -> float:
-    """Seconds until the tag comes within the margin of a wall, or all."""
+    """Time [s] until the tag comes within the margin of a wall, or the whole time."""
     near = np.maximum(np.abs(pose[:, 0]) - LENGTH / 2, np.abs(pose[:, 1]) - WIDTH / 2) > -MARGIN
     return float(time[np.argmax(near)] if near.any() else time[-1])
 

@@ -17,12 +17,12 @@ RECORDERS: dict[str, Callable[..., Iterator[Recording]]] = {
 
 
 def record(kind: str, fish: str, out: Path, seed: int, commands: Sequence[Path] = ()) -> list[Path]:
-    """Play one bench's protocol (or given commands) in the virtual pool; writes its recordings,
-    returns their paths."""
+    """Play a protocol, or given commands, in the virtual pool. Writes its recordings and returns
+    their paths. Raises BadInput."""
     if kind not in RECORDERS:
         raise BadInput(f"record {kind!r}: allowed are {', '.join(RECORDERS)}.")
     if any(present_name(path.stem).startswith(f"{kind}-") for path in out.glob("*.csv")):
-        raise BadInput(f"{out}: {kind} recordings exist already; give another folder.")
+        raise BadInput(f"{out}: {kind} recordings exist already; give an empty folder.")
     paths = []
     given = [read_recording(path) for path in commands]
     for recording in RECORDERS[kind](load_fish(fish), seed, commands=given):

@@ -1,7 +1,7 @@
-"""What a lab's recorder would have written: counts, noise, latency, drops, uneven clocks.
+"""The lab's recorder: counts, noise, latency, dropped frames, uneven sample times.
 
-Every figure is chosen, rounded up from what the parts' makers and others' measurements say; the
-plant's own numbers go no further than this room.
+Every number is chosen, rounded up from data sheets and published measurements. Only recordings with
+this noise leave the room.
 """
 
 from dataclasses import dataclass
@@ -25,10 +25,10 @@ class Sensors:
     loop_rate: float = 100.0  # Hz, of a loop that writes the goal and reads the encoder
     jitter: float = 0.1  # of a period, uniform
     frame_rate: float = SensorModel().frame_rate  # Hz, of the camera
-    position_noise: float = 0.0015  # m: tag corners at 3 m, 0.1-0.5 px, with refraction left over
-    yaw_noise: float = 0.004  # rad: 0.2 degrees of a 4 px module tag
-    stamp_noise: float = 0.001  # s, of a frame's time after its latency was taken off
-    dropped: float = 0.02  # share of frames without a tag
+    position_noise: float = 0.0015  # m: tag corners at 3 m, 0.1-0.5 px, with some refraction left
+    yaw_noise: float = 0.004  # rad: 0.2 degrees, for a tag with modules of 4 px
+    stamp_noise: float = 0.001  # s, error of a frame's time without its latency
+    dropped: float = 0.02  # fraction of frames without a tag
 
 
 def clock(seconds: float, rate: float, jitter: float, rng: np.random.Generator) -> Array:
@@ -39,18 +39,18 @@ def clock(seconds: float, rate: float, jitter: float, rng: np.random.Generator) 
 
 
 def encoder(angle: Array) -> Array:
-    """Angle in counts [rad]."""
+    """Round an angle to encoder counts [rad]."""
     return np.asarray(np.round(angle / COUNT) * COUNT)
 
 
 def torque_cell(torque: Array, sensors: Sensors, rng: np.random.Generator) -> Array:
-    """Torque with noise, in counts [N m]."""
+    """Add noise to a torque and round it to counts [N m]."""
     noisy = torque + sensors.torque_noise * rng.normal(size=torque.shape)
     return np.asarray(np.round(noisy / sensors.torque_count) * sensors.torque_count)
 
 
 def frames(seconds: float, sensors: Sensors, rng: np.random.Generator) -> Array:
-    """Times of the frames in which the tag was found [s]; the first always is."""
+    """Times of the frames in which the tag was found [s]; always the first."""
     time = np.arange(0, seconds, 1 / sensors.frame_rate)
     seen = rng.uniform(size=time.size) >= sensors.dropped
     seen[0] = True
@@ -58,6 +58,6 @@ def frames(seconds: float, sensors: Sensors, rng: np.random.Generator) -> Array:
 
 
 def camera(pose: Array, sensors: Sensors, rng: np.random.Generator) -> Array:
-    """Poses (k, 3) x, y [m], yaw [rad] as the tag gives them."""
+    """Add noise to poses (k, 3): x, y [m], yaw [rad]."""
     scale = np.array([sensors.position_noise, sensors.position_noise, sensors.yaw_noise])
     return np.asarray(pose + scale * rng.normal(size=pose.shape))

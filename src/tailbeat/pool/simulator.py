@@ -1,6 +1,6 @@
-"""The plant as a `env.world` body: the same sensors, targets and policy, in unsteady water.
+"""The plant as a simulator of `env.world`: the same sensors, targets and policy, in unsteady water.
 
-The world sees of it what a camera, an encoder and an IMU see; water, fins and lags stay here.
+The world gets only what camera, encoder and IMU measure.
 """
 
 from collections.abc import Sequence
@@ -28,8 +28,8 @@ STRAIGHT = (Surroundings(),)
 
 
 class PoolSimulator:
-    """n fish, each in a water of its own. `draw` and pushes are the twin's; here they do nothing:
-    what varies is given by `water` and `around` (see `plant.build_plant`)."""
+    """n fish, each in its own water. `draw` and pushes of the twin have no effect here: `water` and
+    `around` give what varies (see `plant.build_plant`)."""
 
     def __init__(
         self,
@@ -41,32 +41,35 @@ class PoolSimulator:
         self.plant = build_plant(fish, water, servo, around)
         self.steps = round(PERIOD / self.plant.dt)
         if len(self.plant.water) != len(water):
-            raise BadInput(f"{len(water)} waters for {len(self.plant.water)} surroundings.")
+            raise BadInput(
+                f"{len(water)} waters for {len(self.plant.water)} surroundings; give equal numbers."
+            )
         self.state = at_rest(self.plant)
         self.qpos, self.qvel, self.motor = self.state.q, self.state.v, 3
-        self.energy = np.zeros(len(water))  # J that the actuator put in, since the last rest
+        self.energy = np.zeros(len(water))  # J, put in by the actuator since the last rest
         self.only: tuple[NDArray[np.int64], Plant] | None = None
 
     def rest(self, chosen: NDArray[np.int64]) -> None:
-        """Straight and still, fins attached, nothing on its way to the servo."""
+        """Reset fish: straight and at rest, flow attached, no delayed commands."""
         for values in (self.state.q, self.state.v, self.state.a, self.state.history):
             values[chosen] = 0.0
         self.state.wakes[chosen] = UNDISTURBED
         self.energy[chosen] = 0.0
 
     def draw(self, fish: int, ranges: Randomisation, rng: np.random.Generator) -> None:
-        """The plant is what it is."""
+        """No effect: the plant is not randomised."""
 
     def ready(self, chosen: NDArray[np.int64]) -> None:
-        """Nothing to derive."""
+        """No effect: nothing is derived from drawn values."""
 
     def keep(self, going: NDArray[np.bool_]) -> None:
-        """Step only these fish from now on; the others stay as they are, and cost nothing."""
+        """Step only these fish from now on; the others do not change and take no time."""
         chosen = np.flatnonzero(going)
         self.only = (chosen, self.plant.part(chosen))
 
     def advance(self, setpoint: Array, push: Array) -> NDArray[np.bool_]:
-        """One control period; fish whose numbers left the finite are lost and put to rest."""
+        """Step one control period. Fish with numbers that are not finite are lost and put to
+        rest."""
         commands = np.repeat(np.asarray(setpoint, float)[:, None], self.steps, axis=1)
         if self.only is None:
             return self._settle(
@@ -79,7 +82,7 @@ class PoolSimulator:
         return self._settle(chosen, swum)
 
     def _settle(self, chosen: NDArray[np.int64], swum: Swum) -> NDArray[np.bool_]:
-        """Count the energy, put lost fish to rest; which were lost, of all."""
+        """Count the energy and put lost fish to rest; returns which of all fish were lost."""
         power = swum.torque[:, 1:] * swum.v[:, 1:, self.motor]
         self.energy[chosen] += np.maximum(power, 0.0).sum(axis=1) * self.plant.dt
         lost = np.zeros(len(self.energy), dtype=bool)

@@ -1,7 +1,8 @@
-"""The pool's water as numbers: textbook values, their sources, an ensemble around them, ablations.
+"""Parameters of the pool's water: textbook values, their sources, an ensemble around them,
+ablations.
 
-Nothing here was fitted to the twin or to a result. [R] marks a textbook value that was recalled
-and not read again in its source.
+Nothing here was fitted to the twin or to a result. [R] marks a textbook value that was quoted from
+memory and not checked in its source.
 """
 
 import hashlib
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 # Wagner lag (A, b) pairs of R. T. Jones (NACA TR 681) [R]: section, aspect ratio 6, aspect ratio 3.
 LAGS: dict[str, tuple[float, float, float, float]] = {
     "section": (0.165, 0.0455, 0.335, 0.300),
-    # Own least squares to the exact C(k), 0.05 < k < 20: where linear theory is the judge.
+    # Own least squares fit to the exact C(k), 0.05 < k < 20, for comparison with linear theory.
     "section, fitted": (0.2478, 0.0746, 0.2522, 0.3859),
     "aspect 6": (0.361, 0.381, 0.0, 0.0),
     "aspect 3": (0.283, 0.540, 0.0, 0.0),
@@ -31,8 +32,8 @@ class Water:
     """
 
     density: float = 1000.0  # kg/m^3, fresh water
-    lag: str = "aspect 3"  # of the fin's circulation: fins of aspect ratio 1.2-2.5
-    suction: float = 0.6  # eta: 0.9 rounded foil, 0-0.6 a thin sharp plate (its upper end)
+    lag: str = "aspect 3"  # lag of the fin's circulation, aspect ratio 1.2-2.5
+    suction: float = 0.6  # eta: 0.9 rounded foil, 0-0.6 thin sharp plate (upper end)
     vortex: float = 1.0  # K_v, Polhamus: lost suction becomes normal force
     fin_drag: float = 1.25  # C_n of a plate of aspect ratio 1.5 across the flow [R]
     fin_friction: float = 0.03  # C_d0, plate of Re 1e4 with its edges [R: 0.02-0.05]
@@ -42,7 +43,7 @@ class Water:
     added_mass: float = 1.0  # scale of all added mass
     lag_pressure: float = 1.7  # T_p, semichords: Leishman-Beddoes, NACA0012 [R]
     lag_separation: float = 3.0  # T_f, semichords: the same
-    stall_angle: float = 10.0  # deg: where the separation point leaves the trailing edge
+    stall_angle: float = 10.0  # deg: above it, the separation point leaves the trailing edge
     stall_before: float = 3.0  # S_1, deg
     stall_after: float = 2.5  # S_2, deg
     edge_vortices: float = 0.0  # Keulegan-Carpenter term: unvalidated at Re 2e4, a variant only
@@ -55,7 +56,7 @@ LAG_NAMES = ("a1", "b1", "a2", "b2")
 NAMES = (*(f.name for f in fields(Water) if f.name != "lag"), *LAG_NAMES)
 ROW = np.dtype([(name, float) for name in NAMES])  # a water as the compiled code takes it
 
-# Variants of one number at a time, the ranges of the notes the plant was built from.
+# Values of every number in the ensemble.
 ENSEMBLE: dict[str, tuple[float | str, ...]] = {
     "suction": (0.0, 0.3, 0.6, 0.9),
     "body_friction": (0.03, 0.05, 0.08),
@@ -68,7 +69,7 @@ STALL_SCALES = (0.5, 1.0, 2.0)  # of both separation times
 
 
 def ensemble(count: int, seed: int) -> list[Water]:
-    """Plausible pools: every number drawn from its variants; the first is the default."""
+    """Plausible pools: every number is drawn from its values; the first pool is the default."""
     rng = np.random.default_rng(seed)
     pools = [Water()]
     for _ in range(count - 1):
@@ -88,7 +89,7 @@ def ensemble(count: int, seed: int) -> list[Water]:
 
 
 def ablations() -> dict[str, Water]:
-    """The full water and what is left when one piece of physics is taken out."""
+    """The full water, and the water without one piece of physics at a time."""
     return {
         "full": Water(),
         "no lag": replace(Water(), with_lag=False),

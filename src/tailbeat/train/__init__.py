@@ -1,1 +1,1 @@
-"""How does it learn? Run config, recipes, SAC, replay buffer, callback, checkpoint, export."""
+"""Training: run config, recipes, SAC, replay buffer, callback, checkpoint, export."""

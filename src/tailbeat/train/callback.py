@@ -1,4 +1,4 @@
-"""What happens between updates: count arrivals, promote, report, examine, keep checkpoints."""
+"""The training callback: counts arrivals, promotes, reports, evaluates, writes checkpoints."""
 
 import shutil
 import time
@@ -26,9 +26,9 @@ from tailbeat.train.sac import QuickSAC
 
 REPORT_SECONDS = 5.0
 EXAM_SECONDS = 300.0  # between greedy evaluations
-EXAM, EXAM_SEED = 64, 9_000  # targets of one, always the same
-KEPT = 5  # windows of episodes that are remembered
-RECENT = 24  # rows of the history from which the time to promotion is reckoned
+EXAM, EXAM_SEED = 64, 9_000  # number and seed of an evaluation's targets, always the same
+KEPT = 5  # windows of episodes that are kept
+RECENT = 24  # rows of the history from which the time to promotion is estimated
 
 
 class EpisodeSums(NamedTuple):
@@ -41,7 +41,8 @@ class EpisodeSums(NamedTuple):
 
 
 class TrainingCallback(BaseCallback):
-    """SB3's callback; `progress` is where it left off; setting `stop` ends the training cleanly."""
+    """SB3's callback. `progress` is the state of an earlier session; set `stop` to end the training
+    after the current step."""
 
     model: SAC
 
@@ -50,7 +51,7 @@ class TrainingCallback(BaseCallback):
         self.run, self.progress, self.env, self.report = run, progress, env, report
         self.stop = False
         self.sums: deque[EpisodeSums] = deque(maxlen=run.recipe.window)
-        self.starts: list[int | None] = [None] * env.num_envs  # of episodes begun in this stage
+        self.starts: list[int | None] = [None] * env.num_envs  # episodes started in this stage
 
     # ---- SB3 calls these ------------------------------------------------------------------------
 
@@ -82,23 +83,23 @@ class TrainingCallback(BaseCallback):
     # ---- stages ---------------------------------------------------------------------------------
 
     def _enter(self) -> None:
-        """Put the world and the learning rate into the course's stage."""
+        """Set the world and the learning rate to the present stage."""
         recipe, stage = self.run.recipe, self.progress.stage
         self.env.world.change(self.run.settings(stage))
-        if isinstance(self.model, QuickSAC):  # memory finds competence; later it costs targets
+        if isinstance(self.model, QuickSAC):  # correlated noise helps only at first
             self.model.memory = recipe.memory if stage == 0 else 0.0
         rate = curriculum.learning_rate(recipe.stages, stage, recipe.rates)
         self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
         self._set_pace(self._judged())
-        self.starts = [None] * self.env.num_envs  # fish on their way began in the stage before
+        self.starts = [None] * self.env.num_envs  # running episodes started in the stage before
 
     def _set_pace(self, judged: list[bool]) -> None:
-        """Steps between updates: a verdict takes thirty seconds of swimming and more, and most
-        stages turn out to need no learning at all."""
+        """Set the steps between updates: a decision on promotion takes at least thirty seconds of
+        swimming, and most stages turn out to need no learning."""
         recipe = self.run.recipe
         waiting = recipe.waiting if len(judged) < recipe.window else 1
         pace = TrainFreq(waiting, TrainFrequencyUnit.STEP)
-        self.model.train_freq = pace  # type: ignore[assignment]  # SB3 makes one of what it is given
+        self.model.train_freq = pace  # type: ignore[assignment]  # SB3 converts it
 
     def _count(self, fish: int, info: dict[str, Any]) -> None:
         self.progress.episodes += 1
@@ -111,8 +112,11 @@ class TrainingCallback(BaseCallback):
         self.starts[fish] = self.progress.clock(self.env.num_envs)
 
     def _judged(self) -> list[bool]:
-        """Arrivals of the last episodes whose time is over, by their beginnings. An arrival ends
-        an episode early, so the latest to end are mostly arrivals: those tell nothing yet."""
+        """Arrivals of the last complete episodes, by start time.
+
+        An arrival ends an episode early, so the episodes that ended last are mostly arrivals. An
+        episode counts only once every episode that started as early has ended.
+        """
         known = self.progress.over(self.env.num_envs, self.env.world.steps_per_episode)
         order = sorted(known, key=lambda row: row[0])
         return [arrived for _, arrived in order[-self.run.recipe.window :]]
@@ -127,7 +131,7 @@ class TrainingCallback(BaseCallback):
         self._set_pace(judged)
 
     def _promote(self) -> None:
-        """Examine, write the policy and a film, then go on to the next stage."""
+        """Evaluate, write the policy and a film, then enter the next stage."""
         progress, stages = self.progress, self.run.recipe.stages
         row = replace(self._tell(), greedy=self._examine().summary())
         progress.promotions.append(row)
@@ -144,7 +148,7 @@ class TrainingCallback(BaseCallback):
         self._enter()
         self.keep()
 
-    # ---- what is told and kept ------------------------------------------------------------------
+    # ---- reports and checkpoints ----------------------------------------------------------------
 
     def _decide(self, seen: Any) -> Any:
         return act(self.model, seen)
@@ -159,7 +163,7 @@ class TrainingCallback(BaseCallback):
         return swims
 
     def write_policy(self) -> None:
-        """`policy.onnx` in the run's folder, as the networks are now."""
+        """Write `policy.onnx` with the present networks into the run's folder."""
         if not hasattr(self, "seen"):
             self._examine()
         stage = self.run.recipe.stages[self.progress.stage]
@@ -177,12 +181,12 @@ class TrainingCallback(BaseCallback):
         export(self.model, run.fish, run.space(), self.seen, training, run.out / "policy.onnx")
 
     def keep(self) -> None:
-        """A checkpoint, now."""
+        """Write a checkpoint now."""
         checkpoint.save(self.run.out, self.model, self.env.world, self.progress)
         self.due["keep"] = time.monotonic() + 60 * self.run.checkpoint_minutes
 
     def _tell(self) -> TrainingRow:
-        """One row of the history: reported, logged, kept."""
+        """Make one row of the history, report it and log it."""
         self._check_finite()
         row = self._row()
         self.last = time.monotonic(), row.control_steps, row.updates
@@ -218,16 +222,17 @@ class TrainingCallback(BaseCallback):
         )
 
     def _check_finite(self) -> None:
-        """End a run whose networks left the finite, before they reach a checkpoint."""
+        """End a run whose networks are not finite, before a checkpoint is written. Raises
+        BadInput."""
         if not all(torch.isfinite(p).all() for p in self.model.policy.parameters()):
             raise BadInput(
                 f"{self.run.out}: the training diverged before update {self.model._n_updates}: a"
-                f" network is not finite; the last checkpoint is whole: go on with --resume."
+                f" weight is not finite. The last checkpoint is intact: continue with --resume."
             )
 
     def _promotion_in(self) -> float | None:
-        """Seconds until the rolling fraction passes the mark, by its slope over the last rows; None
-        if it does not rise."""
+        """Estimated time [s] until the rolling success rate allows promotion, from its slope over
+        the last rows; None if it does not rise."""
         rows = [row for row in self.progress.history if row.stage == self.progress.stage + 1]
         if len(rows) < RECENT // 2:
             return None
@@ -238,7 +243,7 @@ class TrainingCallback(BaseCallback):
 
 
 def _fraction(judged: list[bool]) -> float:
-    """Rolling fraction of a stage's targets reached."""
+    """Rolling success rate of a stage."""
     return float(np.mean(judged)) if judged else 0.0
 
 

@@ -1,7 +1,7 @@
-"""A training's whole state on disk: networks, optimisers, entropy, buffer, curriculum, randomness.
+"""A training's whole state on disk: networks, optimisers, entropy, buffer, curriculum, generators.
 
-A checkpoint is a folder, written beside and renamed; the one before is kept until then, so a run
-killed at any moment has one that is whole, and never more than two are on disk.
+A checkpoint is a folder, written beside the last one and renamed. The last one is kept until then:
+a run killed at any moment has a complete checkpoint, and at most two are on disk.
 """
 
 import json
@@ -22,13 +22,13 @@ from tailbeat.train.progress import Progress, TrainingRow
 from tailbeat.train.replay import EXTRA, RelabelBuffer
 
 ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-SPARE = 200e6  # bytes that stay free on the disk
+SPARE = 200e6  # bytes that are left free on the disk
 
 
 @dataclass(frozen=True)
 class Saved:
-    """A checkpoint's counters: progress, decisions and updates so far, and of the replay buffer the
-    next row and whether it is full."""
+    """A checkpoint's counters: progress, decisions and updates so far, and the replay buffer's next
+    row and whether it is full."""
 
     progress: Progress
     decisions: int
@@ -37,7 +37,8 @@ class Saved:
 
 
 def save(folder: Path, model: SAC, world: World, progress: Progress) -> None:
-    """Write `checkpoint` into `folder`; raises BadInput if the disk is full, the last one kept."""
+    """Write `checkpoint` into `folder`. Raises BadInput if the disk is full; the last one is then
+    kept."""
     new, last, old = (folder / f"checkpoint{end}" for end in (".new", "", ".old"))
     buffer = model.replay_buffer
     assert buffer is not None
@@ -46,8 +47,8 @@ def save(folder: Path, model: SAC, world: World, progress: Progress) -> None:
     free = shutil.disk_usage(folder).free
     if free < needed:
         raise BadInput(
-            f"{folder}: {free / 1e6:.0f} MB free, a checkpoint needs {needed / 1e6:.0f}; make room"
-            f" and go on with --resume (the last checkpoint is whole)."
+            f"{folder}: {free / 1e6:.0f} MB free, a checkpoint needs {needed / 1e6:.0f} MB; free"
+            f" space and continue with --resume (the last checkpoint is intact)."
         )
     shutil.rmtree(new, ignore_errors=True)
     new.mkdir(parents=True)
@@ -70,15 +71,15 @@ def _arrays(buffer: Any) -> tuple[str, ...]:
 
 
 def find(folder: Path) -> Path:
-    """The newest whole checkpoint of a run; raises BadInput if there is none."""
+    """The newest complete checkpoint of a run. Raises BadInput if there is none."""
     for name in ("checkpoint", "checkpoint.old"):
         if (folder / name / "random.json").is_file():
             return folder / name
-    raise BadInput(f"{folder}: no checkpoint to resume from; start anew without --resume.")
+    raise BadInput(f"{folder}: no checkpoint to resume; start without --resume.")
 
 
 def read_state(place: Path) -> Saved:
-    """The counters of a checkpoint; raises BadInput if they cannot be read."""
+    """Read the counters of a checkpoint. Raises BadInput if they cannot be read."""
     try:
         held = json.loads((place / "state.json").read_text(encoding="utf-8"))
         progress = _progress(held)
@@ -86,7 +87,7 @@ def read_state(place: Path) -> Saved:
         return Saved(progress, held["decisions"], held["updates"], (position, full))
     except (OSError, ValueError, KeyError, TypeError):
         raise BadInput(
-            f"{place}/state.json: cannot be read; the checkpoint is damaged. Train anew in another"
+            f"{place}/state.json: cannot be read; the checkpoint is damaged. Train again in another"
             f" folder."
         ) from None
 
@@ -103,7 +104,7 @@ def _row(greedy: dict[str, Any] | None = None, **rest: Any) -> TrainingRow:
 
 
 def load(place: Path, model: SAC, world: World) -> Saved:
-    """Put a checkpoint into a fresh model and world; returns its counters."""
+    """Load a checkpoint into a new model and world; returns its counters. Raises BadInput."""
     state = read_state(place)
     buffer = model.replay_buffer
     assert buffer is not None
@@ -140,7 +141,8 @@ def _learned(model: SAC) -> dict[str, Any]:
 
 
 def _random(world: World) -> dict[str, Any]:
-    """The fish's generators, and numpy's global one, from which SB3 draws its batches."""
+    """States of the fish's generators, and of numpy's global one, from which SB3 draws its
+    batches."""
     kind, keys, *rest = np.random.get_state(legacy=True)  # noqa: NPY002 (SB3 draws from it)
     return {"fish": [rng.bit_generator.state for rng in world.rngs], "numpy": [kind, keys, *rest]}
 

@@ -1,4 +1,4 @@
-"""What a training run was asked to do, and whether it can: checked before anything is built."""
+"""Configuration of a training run, and its checks before anything is built."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -16,12 +16,12 @@ from tailbeat.fish.store import digest
 from tailbeat.train.recipes import Recipe, quick
 
 ACTIONS = ("generator", "direct", "filtered")
-WORKING_SET = 1.5e9  # bytes that torch, engine and 64 fish take beside the buffer (measured: 1.1e9)
+WORKING_SET = 1.5e9  # bytes for torch, engine and 64 fish without the buffer (measured: 1.1e9)
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """What `run.json` holds: the fish's name and digest, action space, recipe, seed."""
+    """Contents of `run.json`: the fish's name and digest, action space, recipe, seed."""
 
     fish: str
     fish_digest: str
@@ -34,9 +34,9 @@ class RunRecord:
 class RunConfig:
     """One training run.
 
-    `out` is its folder; `actions` None is the generator up to the fish's band, as the recipe binds
-    it; `hours` is what this session may take, `checkpoint_minutes` lie between two checkpoints;
-    `device` is cpu or cuda.
+    `out` is its folder. `actions` None is the generator up to the fish's band, bound as the recipe
+    says. `hours` is the most time of this session, `checkpoint_minutes` the time between two
+    checkpoints. `device` is cpu or cuda.
     """
 
     fish: Fish
@@ -57,7 +57,7 @@ class RunConfig:
         return settings_of(self.recipe.stages[stage], self.space(), self.recipe.task)
 
     def record(self) -> RunRecord:
-        """What must be the same when the run is resumed."""
+        """What must be equal when the run is resumed."""
         fish = self.fish
         return RunRecord(fish.name, digest(fish), self.space(), self.recipe, self.seed)
 
@@ -65,12 +65,13 @@ class RunConfig:
 def action_space(
     kind: str, fish: Fish, binds: str = "fundamental", floor: float = 0.0
 ) -> ActionSpace:
-    """A fish's action space by name. The generator's ceiling is the band's upper edge, `binds` is
-    what keeps below it, and `floor` [Hz] is the lowest fundamental."""
+    """A fish's action space by name. The generator's ceiling is the band's upper edge; `binds` is
+    what stays below it, fundamental or signal; `floor` [Hz] is the lowest fundamental. Raises
+    BadInput."""
     if kind not in ACTIONS:
         raise BadInput(f"--actions {kind}: allowed are {', '.join(ACTIONS)}.")
     if floor and kind != "generator":
-        raise BadInput(f"--floor {floor:g}: {kind} actions have no floor; leave it out.")
+        raise BadInput(f"--floor {floor:g}: {kind} actions have no floor; omit it.")
     low, high = fish.motor.range or (-3.141592653589793, 3.141592653589793)
     if kind == "direct":
         return Direct(low, high)
@@ -84,23 +85,23 @@ def action_space(
 
 
 def check(run: RunConfig, resume: bool) -> None:
-    """Raises BadInput for a folder, a fish, a device or a memory that will not do."""
+    """Check folder, fish, device and memory. Raises BadInput."""
     if not run.hours > 0:
         raise BadInput(f"--hours {run.hours:g}: give a time above 0.")
     if run.device not in ("cpu", "cuda") or (run.device == "cuda" and not cuda.is_available()):
-        raise BadInput(f"--device {run.device}: allowed are cpu, and cuda where there is one.")
+        raise BadInput(f"--device {run.device}: allowed are cpu, and cuda if this machine has it.")
     check_settings(run.fish, run.settings(0))
     _check_memory(run.recipe)
     if resume:
         _check_same(run)
     elif run.out.exists() and any(run.out.iterdir()):
         raise BadInput(
-            f"{run.out}: holds another run; go on with --resume, or choose a new folder."
+            f"{run.out}: contains another run; continue it with --resume, or choose a new folder."
         )
 
 
 def check_stage(run: RunConfig, stage: str) -> None:
-    """Raises BadInput for a stage that the recipe does not have."""
+    """Check that the recipe has this stage. Raises BadInput."""
     names = [one.name for one in run.recipe.stages]
     if stage not in names:
         raise BadInput(f"--stage {stage!r}: allowed are {', '.join(names)}.")
@@ -111,13 +112,14 @@ def _check_memory(recipe: Recipe) -> None:
     needed = recipe.buffer_bytes + WORKING_SET
     if free < needed:
         raise BadInput(
-            f"training needs {needed / 1e9:.1f} GB of memory, {recipe.buffer_bytes / 1e9:.1f} of it"
-            f" for the replay buffer) and {free / 1e9:.1f} are free; close something."
+            f"training needs {needed / 1e9:.1f} GB of memory ({recipe.buffer_bytes / 1e9:.1f} GB"
+            f" for the replay buffer), but {free / 1e9:.1f} GB are free; close other programs."
         )
 
 
 def _check_same(run: RunConfig) -> None:
-    """The run in the folder must have been asked for the same; names each difference."""
+    """Check that the run in the folder has the same configuration. Raises BadInput naming each
+    difference."""
     path = run.out / "run.json"
     if not path.is_file():
         raise BadInput(
@@ -128,7 +130,7 @@ def _check_same(run: RunConfig) -> None:
     except ValueError:
         raise BadInput(f"{path}: not readable JSON; the run cannot be resumed.") from None
     if held.get("actions.kind") == "generator":
-        held.setdefault("actions.floor", 0.0)  # runs begun before the floor have none
+        held.setdefault("actions.floor", 0.0)  # older runs have no floor
     asked = leaves("", json.loads(json.dumps(asdict(run.record()))))
     wrong = [
         f"{name} was {held.get(name)}, now {asked.get(name)}"
@@ -136,9 +138,11 @@ def _check_same(run: RunConfig) -> None:
         if held.get(name) != asked.get(name)
     ]
     if wrong:
-        raise BadInput(f"{run.out}: another run: {'; '.join(wrong)}. Give what it was begun with.")
+        raise BadInput(
+            f"{run.out}: another run: {'; '.join(wrong)}. Give the options it was started with."
+        )
 
 
 def begin(run: RunConfig) -> None:
-    """Make the folder and note what was asked for."""
+    """Make the folder and write `run.json`."""
     write_json(run.out / "run.json", asdict(run.record()), overwrite=True)

@@ -1,4 +1,4 @@
-"""From SB3's actor to a policy file: the network written out in ONNX, with its contract."""
+"""Export SB3's actor to a policy file: the network in ONNX, with its contract."""
 
 import platform
 from collections.abc import Mapping
@@ -25,15 +25,18 @@ from tailbeat.train.features import TargetFeatures
 Single = NDArray[np.float32]
 Facts = Mapping[str, str | int | float]
 GOLDEN = 16  # pairs
-OPSET, IR = 20, 10  # what onnxruntime 1.31 and a Raspberry Pi's both read
+OPSET, IR = 20, 10  # versions that onnxruntime 1.31 and the one on a Raspberry Pi read
 PRODUCED_BY = ("tailbeat", "mujoco", "torch", "stable-baselines3")
 
 
 def export(
     model: SAC, fish: Fish, actions: ActionSpace, seen: Single, training: Facts, path: Path
 ) -> Policy:
-    """Write the policy and read it back, golden pairs checked; `seen` (k, 24) are observations of
-    real swims, of which the golden ones are taken; `training` says how it was trained."""
+    """Write the policy, read it back and check its golden pairs.
+
+    `seen` (k, 24) are observations of real swims, from which the golden ones are taken. `training`
+    says how the policy was trained. Raises BadInput.
+    """
     golden = seen[np.linspace(0, len(seen) - 1, GOLDEN).astype(int)]
     contract = Contract(
         version=VERSION,
@@ -52,7 +55,7 @@ def export(
 
 
 def versions() -> dict[str, str]:
-    """Of what a policy was made with."""
+    """Versions of the packages that produced a policy."""
     return {name: version(name) for name in PRODUCED_BY} | {
         "python": platform.python_version(),
         "engine": mujoco.__version__,
@@ -60,7 +63,8 @@ def versions() -> dict[str, str]:
 
 
 def act(model: SAC, seen: Single) -> Single:
-    """Deterministic actions of the actor, unscaled, as the exported network gives them."""
+    """Deterministic actions of the actor, before scaling, equal to those of the exported
+    network."""
     with torch.no_grad():
         there = torch.as_tensor(seen, device=model.device)
         found: Single = model.actor(there, deterministic=True).cpu().numpy()
@@ -68,8 +72,8 @@ def act(model: SAC, seen: Single) -> Single:
 
 
 def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
-    """Layers of the actor's mean, ReLU between them, tanh at the end; before them the
-    target features, where the networks have them."""
+    """The actor as ONNX: its layers with ReLU between them and tanh at the end; before them the
+    target features, if the networks have them."""
     actor = model.actor
     layers: list[Any] = [m for m in actor.latent_pi if isinstance(m, torch.nn.Linear)] + [actor.mu]
     nodes, weights, name = _close_up(actor.features_extractor)
@@ -86,7 +90,7 @@ def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
 
 
 def _close_up(extractor: Any) -> tuple[list[Any], list[Any], str]:
-    """Nodes, weights and the name of what the first layer sees."""
+    """Nodes, weights and the name of the first layer's input."""
     if not isinstance(extractor, TargetFeatures):
         return [], [], "observation"
     held = extractor.named_buffers()

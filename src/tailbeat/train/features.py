@@ -1,10 +1,10 @@
-"""What the networks are given beside the observation: the target's bearing where centimetres count.
+"""Target features: inputs of the networks beside the observation, which resolve centimetres.
 
-Distances are observed in units of two metres, so the last ten centimetres, where it is decided
-whether a turn is tight enough, are a twentieth of a unit: a network resolves them late. The newest
-frame's way ahead and to the left are therefore given once more, divided by distance plus `RANGE`:
-far away that is the bearing's cosine and sine, near the target the way in units of `RANGE`.
-It follows from the observation alone, so the policy's contract stays what it is.
+Distances are observed in units of two metres. In the last ten centimetres, a twentieth of a unit,
+it matters whether a turn is tight enough, and a network learns to resolve them late. So the
+target's position ahead and left in the newest frame is given once more, divided by distance plus
+`RANGE`: far away this is the bearing's cosine and sine, near the target the position in units of
+`RANGE`. The features follow from the observation, so the policy's contract does not change.
 """
 
 from typing import Any
@@ -18,14 +18,14 @@ from torch.nn import functional
 from tailbeat.control.observation import SCALES, TABLE
 
 Single = NDArray[np.float32]
-RANGE = 0.1  # m within which a way counts by its length and not by its bearing (chosen)
+RANGE = 0.1  # m, distance below which the features show position, not bearing (chosen)
 NEWEST = "frame 0 (newest): target "
 ADDED = 3  # ahead, left, and 1 - distance / (distance + RANGE)
 
 
 def _matrices() -> dict[str, Single]:
-    """What is added is (`above` o + `constant`) / (`below` o + RANGE) of an observation o (24,):
-    `above` (3, 24), `constant` (3,), `below` (1, 24), `range` (1,)."""
+    """Matrices of the features (`above` o + `constant`) / (`below` o + RANGE) of an observation o
+    (24,): `above` (3, 24), `constant` (3,), `below` (1, 24), `range` (1,)."""
     above, below = np.zeros((ADDED, len(TABLE))), np.zeros((1, len(TABLE)))
     for row, name in enumerate(("ahead", "left")):
         above[row, _column(name)] = SCALES[_column(name)]
@@ -39,7 +39,7 @@ def _column(name: str) -> int:
 
 
 class TargetFeatures(BaseFeaturesExtractor):
-    """Observations (n, 24) to (n, 27), for SB3's `features_extractor_class`; nothing is learnt."""
+    """Observations (n, 24) to (n, 27), for SB3's `features_extractor_class`; no weights."""
 
     above: torch.Tensor
     constant: torch.Tensor
@@ -52,6 +52,6 @@ class TargetFeatures(BaseFeaturesExtractor):
             self.register_buffer(name, torch.as_tensor(matrix), persistent=False)
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
-        """The observation and what is added to it."""
+        """The observation with the features appended."""
         above = functional.linear(seen, self.above, self.constant)
         return torch.cat([seen, above / functional.linear(seen, self.below, self.range)], dim=1)

@@ -1,4 +1,4 @@
-"""How far a training has come: its rows, its state between two sessions, and what came of it."""
+"""Progress of a training: its rows, its state between sessions, its result."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,12 +12,12 @@ class TrainingRow:
     """One report of a training.
 
     `seconds` of training in all sessions; `stage` counts from 1, `name` is its name; `success` is
-    the rolling fraction of the stage's targets reached. `episodes`, `control_steps` (of all fish)
-    and `updates` count from the beginning; the two rates [1/s] are of the time since the last row.
-    `distance`, `effort`, `bonus` are the mean sums of the reward's terms in recent episodes,
-    `episode_seconds` their mean length [s]. `lost` counts fish whose physics diverged.
-    `promotion_in` estimates the time to the next stage [s], None if success does not rise. At a
-    promotion `greedy` is what the policy reached without exploring.
+    the rolling success rate of the stage. `episodes`, `control_steps` (of all fish) and `updates`
+    are totals; the two rates [1/s] are since the last row. `distance`, `effort`, `bonus` are the
+    mean sums of the reward's terms in recent episodes, `episode_seconds` their mean length [s].
+    `lost` counts fish whose physics diverged. `promotion_in` estimates the time to the next stage
+    [s], None if success does not rise. At a promotion, `greedy` is the evaluation without
+    exploration.
     """
 
     seconds: float
@@ -43,14 +43,14 @@ Report = Callable[[TrainingRow], None]
 
 @dataclass
 class Progress:
-    """How far a training has come: what a checkpoint holds beside the networks."""
+    """Progress of a training, saved in a checkpoint beside the networks."""
 
     stage: int = 0
     seconds: float = 0.0  # of training, in all sessions
     control_steps: int = 0  # of all fish
-    stage_began: float = 0.0  # in those seconds
+    stage_began: float = 0.0  # value of `seconds` at the stage's start
     episodes: int = 0
-    # of this stage's episodes: when they began, in control steps, and whether the fish arrived
+    # this stage's episodes: start time in control steps, and whether the fish arrived
     recent: list[tuple[int, bool]] = field(default_factory=list)
     history: list[TrainingRow] = field(default_factory=list)
     promotions: list[TrainingRow] = field(default_factory=list)
@@ -62,21 +62,21 @@ class Progress:
         return self.control_steps // fish
 
     def over(self, fish: int, steps: int) -> list[tuple[int, bool]]:
-        """Those of `recent` that began at least an episode's `steps` ago: every episode that began
-        as early has ended."""
+        """Episodes of `recent` that started at least `steps` ago. Every episode that started as
+        early has ended."""
         latest = self.clock(fish) - steps
         return [(begun, arrived) for begun, arrived in self.recent if begun <= latest]
 
     def passed(self) -> int:
-        """How many stages; one passed twice, by hand, counts once."""
+        """Number of stages passed; a stage passed twice counts once."""
         return len({row.name for row in self.promotions})
 
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """What came of a training: its folder and policy, how many of its stages it passed and whether
-    it passed all, whether the last one took longer than its budget, hours in all sessions, a row
-    for every promotion, and the last row."""
+    """Result of a training: folder and policy, how many of its stages it passed and whether it
+    passed all, whether the last one took longer than its budget, hours in all sessions, a row for
+    every promotion, and the last row."""
 
     folder: Path
     policy: Path

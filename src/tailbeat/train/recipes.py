@@ -1,4 +1,4 @@
-"""How a policy is trained: the paper's way, ours, and a minute's for a smoke test. Data."""
+"""Training recipes: the paper's, ours, and one of a minute for a smoke test."""
 
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -10,30 +10,30 @@ from tailbeat.env.task import Task
 from tailbeat.files import BadInput
 
 WIDTH, DEPTH = 286, 3  # of actor and critics (paper)
-# float32: two observations, action, reward, two ends, and what lay behind
+# float32: two observations, action, reward, two ends, and the data for relabelling
 BYTES_PER_TRANSITION = 4 * (2 * 24 + 6 + 3 + 28)
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Numbers of SAC and of what feeds it.
+    """Parameters of SAC and of the environment.
 
-    `fish` swim at once; after every control step of all come `updates` of `batch`, after every
-    `waiting` steps while too few of a stage's targets are judged for a verdict. `discount` is per
-    control step, `returns` of them make one transition; `reward_scale` keeps the critics'
-    numbers near one; `entropy` is SB3's. `window` episodes make a rolling share; `budget_hours` a
-    stage may last before it counts as stalled.
+    `fish` swim at once. After every control step follow `updates` of `batch`; while too few of a
+    stage's targets are decided for a promotion, only after every `waiting` steps. `discount` is per
+    control step; `returns` steps make one transition; `reward_scale` keeps the critics' values near
+    one; `entropy` is SB3's. The success rate is over `window` episodes. A stage longer than
+    `budget_hours` counts as stalled.
     """
 
     name: str
-    quick: bool  # critics and actor side by side, else SB3's own update
-    relabel: bool  # other targets in the buffer
+    quick: bool  # critics and actor in parallel, else SB3's own update
+    relabel: bool  # replayed transitions get other targets
     fish: int
     updates: int
     returns: int
     batch: int
     discount: float
-    tau: float  # of the target critics
+    tau: float  # update factor of the target critics
     rates: tuple[float, ...]  # the first learning rate of each phase
     entropy: str
     reward_scale: float
@@ -42,29 +42,30 @@ class Recipe:
     window: int
     budget_hours: float
     waiting: int = 1
-    memory: float = 0.0  # of the exploring noise, per control step
-    misses: float = 0.0  # m, by which some replayed targets lie beside the way swum
-    close_up: bool = False  # networks are given the target's bearing where centimetres count
-    rounded: bool = False  # updates multiply in bfloat16 where the processor has units for it
-    binds: Literal["fundamental", "signal"] = "fundamental"  # what the generator's ceiling binds
+    memory: float = 0.0  # correlation of the exploration noise from one control step to the next
+    misses: float = 0.0  # m, distance of some relabelled targets from the path
+    close_up: bool = False  # networks get the target features
+    rounded: bool = False  # updates multiply in bfloat16 if the processor supports it
+    binds: Literal["fundamental", "signal"] = "fundamental"  # what stays below the ceiling
     width: int = WIDTH  # of every layer of actor and critics
     stages: tuple[Stage, ...] = STAGES
     task: Task = field(default_factory=Task)
 
     @property
     def torch_threads(self) -> int | None:
-        """How many threads share one of torch's sums, or None for torch's own number: a quick
-        update runs two threads of its own, on one each; SB3's runs on one and shares its sums."""
+        """Threads of one torch operation, or None for torch's default. A quick update runs two
+        threads of its own with one each; SB3's update runs on one and splits its operations."""
         return 1 if self.quick else None
 
     @property
     def buffer_bytes(self) -> int:
-        """What the replay buffer takes in memory, and in every checkpoint on disk."""
+        """Size of the replay buffer in memory and in every checkpoint [bytes]."""
         return self.buffer * BYTES_PER_TRANSITION
 
 
 def quick() -> Recipe:
-    """Ours: 64 fish, one update per 32 of their steps, five-step returns, replay relabelled."""
+    """Our recipe: 64 fish, one update per 32 of their steps, five-step returns, relabelled
+    replay."""
     return Recipe(
         name="quick",
         quick=True,
@@ -91,8 +92,11 @@ def quick() -> Recipe:
 
 
 def paper() -> Recipe:
-    """Plain SB3 SAC at 50 Hz with SB3's defaults, as far as the paper says; 32 fish, one update
-    per eight transitions, reward times 0.01 (a trial's; the paper gives none of the three)."""
+    """The paper's recipe: SB3's SAC at 50 Hz with SB3's defaults, as far as the paper says.
+
+    32 fish, one update per eight transitions, reward times 0.01: these three are chosen, the paper
+    does not give them.
+    """
     return replace(
         quick(),
         name="paper",
@@ -117,8 +121,8 @@ def paper() -> Recipe:
 
 
 def smoke() -> Recipe:
-    """A minute to see that everything works and, mostly, something is learnt: near and large
-    targets ahead, small networks."""
+    """A recipe of one minute to see that training works, and usually learns: near and large targets
+    ahead, small networks."""
     near = Task(nearest=0.3, farthest=0.5, arrival=0.15, seconds=6.0, limit=3.0)
     ahead = (Stage("ahead", 1, 0.0, 0.0, float(np.radians(20))),)
     return replace(
@@ -131,7 +135,7 @@ RECIPES = {"quick": quick, "paper": paper, "smoke": smoke}
 
 
 def recipe_of(name: str) -> Recipe:
-    """A recipe by its name."""
+    """A recipe by its name. Raises BadInput."""
     if name not in RECIPES:
         raise BadInput(f"--recipe {name}: allowed are {', '.join(RECIPES)}.")
     return RECIPES[name]()

@@ -1,9 +1,8 @@
-"""A replay buffer that uses each swim more than once: other targets for the same path.
+"""A replay buffer that uses each swim more than once, with other targets for the same path.
 
-A swim says what it would have earned for any target, since reward and observation depend on the
-target's place alone. So a part of every batch gets a target that the fish came by later, a part one
-anywhere about. Rewards are the environment's, recomputed; arrivals end a transition as they do
-there.
+Reward and observation depend on the target only through its position, so a swim gives the reward
+for any target. Part of every batch gets a target that the fish reached later, and part one anywhere
+near it. Rewards are recomputed as in the environment; an arrival ends a transition as there.
 """
 
 from dataclasses import dataclass
@@ -19,17 +18,20 @@ from tailbeat.env import reward
 from tailbeat.env.vector_env import FishVecEnv
 
 Single = NDArray[np.float32]
-FIRST = 12  # observed numbers that depend on the target begin here
-AHEAD = 300  # steps within which a later place becomes the target (chosen)
+FIRST = 12  # index of the first observed number that depends on the target
+AHEAD = 300  # steps: a position at most this much later becomes the target (chosen)
 EXTRA = ("frames", "next_frames", "place", "effort", "episode")
 
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """n transitions of up to k steps: first observation (n, 24) and action (n, size), discounted
-    reward (n,), last observation (n, 24), whether the last step ended the episode (n,). Behind
-    them lie the effort's term of every step (n, k), the tag's place after every step (n, k, 2)
-    [m], NaN after the last, and the frames of both observations (n, 3, 4)."""
+    """n transitions of up to k steps.
+
+    First observation `seen` (n, 24) and action (n, size), discounted reward (n,), last observation
+    `next` (n, 24), whether the last step ended the episode (n,). For relabelling: the effort's term
+    of every step (n, k), the tag's position `way` after every step (n, k, 2) [m], NaN after the
+    last, and the frames of both observations (n, 3, 4).
+    """
 
     seen: Single
     next: Single
@@ -43,11 +45,11 @@ class Transitions:
 
 
 class RelabelBuffer(ReplayBuffer):
-    """SB3's buffer with `later` and `anywhere`, shares of a batch that get another target. Half of
-    the `later` ones lie beside the way by about `misses` [m]: places that the fish all but reached.
+    """SB3's buffer, which gives fractions `later` and `anywhere` of a batch another target.
 
-    `returns` steps in a row count as one (n-step returns): the sum of their rewards, each times
-    `discount` for every step before it.
+    Half of the `later` targets are moved off the path by about `misses` [m]. `returns` steps in a
+    row make one transition (n-step returns): the sum of their rewards, each times `discount` for
+    every step before it.
     """
 
     def __init__(
@@ -74,11 +76,11 @@ class RelabelBuffer(ReplayBuffer):
         self.begin_after(-1)
 
     def begin_after(self, episode: int) -> None:
-        """Number the fish's episodes from here on: after a restart none goes on."""
+        """Number episodes from here on; after a restart no old episode continues."""
         self.begun = episode + 1 + np.arange(self.n_envs, dtype=np.int32)
 
     def add(self, obs: Any, next_obs: Any, action: Any, reward: Any, done: Any, infos: Any) -> None:
-        """One step of every fish; what lies behind the observations comes from the source."""
+        """Add one step of every fish; the data for relabelling come from the source."""
         behind, row = self.source.last, self.pos
         self.frames[row], self.next_frames[row] = behind.frames, behind.next_frames
         self.place[row], self.effort[row] = behind.place, behind.effort
@@ -99,11 +101,12 @@ class RelabelBuffer(ReplayBuffer):
         )
 
     def _gather(self, at: Any) -> Transitions:
-        """`returns` steps in a row as one, or fewer where an episode or the buffer ends."""
+        """Join `returns` steps into one transition, or fewer where an episode or the buffer
+        ends."""
         rows = (at[0][:, None] + np.arange(self.returns)) % self.buffer_size
         fish = at[1][:, None]
         same = self.episode[rows, fish] == self.episode[at][:, None]
-        follows = rows - at[0][:, None] == np.arange(self.returns)  # not round the ring
+        follows = rows - at[0][:, None] == np.arange(self.returns)  # not across the end of the ring
         valid = np.logical_and.accumulate(same & follows & self._written(rows), axis=1)
         last = rows[np.arange(len(rows)), valid.sum(axis=1) - 1], at[1]
         return Transitions(
@@ -122,13 +125,13 @@ class RelabelBuffer(ReplayBuffer):
         return rows < (self.buffer_size if self.full else self.pos)
 
     def _other_targets(self, at: Any) -> Single:
-        """Another target (n, 2) for a share of the batch, NaN for the rest."""
+        """Another target (n, 2) for part of the batch, NaN for the rest."""
         draw = np.random.random_sample(len(at[0]))[:, None]  # noqa: NPY002
         anywhere = np.where(draw < self.later + self.anywhere, self._anywhere(at), np.nan)
         return np.where(draw < self.later, self._beside(self._later(at)), anywhere)
 
     def _retarget(self, found: Transitions, targets: Single) -> None:
-        """Give those with a finite target that one instead, in place."""
+        """Replace the targets of transitions for which `targets` is finite, in place."""
         lost = (found.ended > 0) & (found.reward < 0)
         chosen = np.isfinite(targets[:, 0]) & ~lost
         target, world = targets[chosen], self.source.world
@@ -136,7 +139,7 @@ class RelabelBuffer(ReplayBuffer):
         found.next[chosen, FIRST:] = _seen(found.next_frames[chosen], target)
         away = np.linalg.norm(found.way[chosen] - target[:, None], axis=2)
         follows = self._following(len(away))[:, None]
-        hit = (away < world.task.arrival) & ~follows  # NaN after an end: no hit
+        hit = (away < world.task.arrival) & ~follows  # NaN after an end is not a hit
         before = np.cumsum(hit, axis=1) - hit == 0
         distance, bonus = reward.of_target(world.settings.reward, away, hit, follows)
         earned = (distance + found.effort[chosen] + bonus) * before * self.powers
@@ -144,19 +147,20 @@ class RelabelBuffer(ReplayBuffer):
         found.ended[chosen] = hit.any(axis=1)
 
     def _following(self, count: int) -> Any:
-        """Which of the new targets go on after an arrival, as many as in the task."""
+        """Which of the new targets keep moving after an arrival: the same fraction as in the
+        task."""
         share = self.source.world.task.following
         return np.random.random_sample(count) < share if share else np.zeros(count, bool)  # noqa: NPY002
 
     def _later(self, at: Any) -> Single:
-        """Where each fish was some time later in the same episode, else at this step's end."""
+        """Position of each fish some time later in the same episode, else at this step's end."""
         ahead = np.random.randint(0, AHEAD, size=len(at[0]))  # noqa: NPY002
         then = (at[0] + ahead) % self.buffer_size
         same = self.episode[then, at[1]] == self.episode[at]
         return self.place[np.where(same, then, at[0]), at[1]]
 
     def _beside(self, place: Single) -> Single:
-        """Half of the places moved by a normal draw of `misses` along both axes."""
+        """Move half of the positions by a normal draw of `misses` along both axes."""
         if not self.misses:
             return place
         moved = np.random.random_sample(len(place)) < 0.5  # noqa: NPY002
@@ -164,7 +168,7 @@ class RelabelBuffer(ReplayBuffer):
         return (place + offset * moved[:, None]).astype(np.float32)
 
     def _anywhere(self, at: Any) -> Single:
-        """Places about the fish, by range and bearing."""
+        """Positions around the fish, by distance and bearing."""
         task, count = self.source.world.task, len(at[0])
         distance = task.farthest * np.random.random_sample(count)  # noqa: NPY002
         bearing = 2 * np.pi * np.random.random_sample(count)  # noqa: NPY002

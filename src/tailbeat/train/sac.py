@@ -1,11 +1,10 @@
-"""SB3's SAC with its update rearranged for two cores: the same losses, in half the time.
+"""SB3's SAC with its update rearranged for two cores: the same losses in half the time.
 
-Critics and actor take their gradients at the same moment, each on a thread of its own, from the
-same parameters; SB3 lets the actor see the critics one step later. Samples, noise and steps are
-drawn in one thread, so a seed gives one run. The fish explore with noise that is correlated in
-time: white at fifty decisions a second, the generator's lag would average it away (after Eberhard
-et al., "Pink Noise Is All You Need", ICLR 2023; first order here).
-Everything else is `stable_baselines3.SAC`.
+Critics and actor compute their gradients at the same time, each on its own thread, from the same
+parameters; in SB3 the actor uses the critics one step later. Samples, noise and steps are drawn in
+one thread, so a seed gives one run. The exploration noise is correlated in time: with white noise
+at 50 decisions a second, the generator's lag would average it out (after Eberhard et al., "Pink
+Noise Is All You Need", ICLR 2023; first order here). Everything else is `stable_baselines3.SAC`.
 """
 
 from collections.abc import Iterator
@@ -20,15 +19,16 @@ from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
 Tensor = torch.Tensor
-BESIDE = ThreadPoolExecutor(1)  # kept: a new thread for every call makes updates half as fast
+BESIDE = ThreadPoolExecutor(1)  # kept, since a new thread per call halves the update rate
 LOG_TWO_PI = float(np.log(2 * np.pi))
 SMALL = 1e-6  # keeps the squash's log finite, as in SB3
 
 
 class QuickSAC(SAC):
-    """SAC with critics and actor updated side by side. Takes SAC's arguments and `memory`, what the
-    exploring noise keeps of itself from one control step to the next; `rounded` updates multiply
-    matrices in bfloat16 where the processor can.
+    """SAC with critics and actor updated in parallel.
+
+    Takes SAC's arguments. `memory` is the correlation of the exploration noise from one control
+    step to the next. `rounded` updates multiply matrices in bfloat16 if the processor supports it.
     """
 
     def __init__(self, *args: Any, memory: float = 0.0, rounded: bool = False, **rest: Any) -> None:
@@ -42,8 +42,8 @@ class QuickSAC(SAC):
     def _sample_action(
         self, learning_starts: int, action_noise: Any = None, n_envs: int = 1
     ) -> tuple[Any, Any]:
-        """Exploring actions (n, size): uniform before the learning starts, then the policy's own
-        distribution, drawn with noise that remembers."""
+        """Exploration actions (n, size): uniform before learning starts, then from the policy's
+        distribution with correlated noise."""
         fresh = torch.randn(self.noise.shape)
         self.noise = self.memory * self.noise + (1 - self.memory**2) ** 0.5 * fresh
         if self.num_timesteps < learning_starts:
@@ -55,7 +55,7 @@ class QuickSAC(SAC):
         return action.numpy(), action.numpy()
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """`gradient_steps` updates; called by `learn`."""
+        """Do `gradient_steps` updates; called by `learn`."""
         self.policy.set_training_mode(True)
         if self.ent_coef_optimizer is None or self.log_ent_coef is None:
             raise ValueError("QuickSAC learns its entropy coefficient: give ent_coef='auto'.")
@@ -69,7 +69,7 @@ class QuickSAC(SAC):
         self._record(np.mean(losses, axis=0))
 
     def _update(self, batch_size: int) -> tuple[float, ...]:
-        """One update; losses of critic and actor, and the entropy coefficient."""
+        """One update; returns the losses of critic and actor, and the entropy coefficient."""
         assert self.replay_buffer is not None and self.log_ent_coef is not None
         data = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
         noise = torch.randn((2, *data.actions.shape), device=self.device)
@@ -103,7 +103,8 @@ class QuickSAC(SAC):
         return loss.detach(), log_prob.detach(), gradient
 
     def _act(self, observations: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Squashed actions (n, size) and their log-probability (n, 1), from given noise."""
+        """Squashed actions (n, size) and their log-probability (n, 1), computed with given
+        noise."""
         mean, log_std, _ = self.actor.get_action_dist_params(observations)
         action = torch.tanh(mean + log_std.exp() * noise)
         normal = -0.5 * (noise.square() + LOG_TWO_PI) - log_std
@@ -124,8 +125,8 @@ def rounds() -> bool:
 
 @contextmanager
 def _products(rounded: bool) -> Iterator[None]:
-    """Meanwhile matrices are multiplied in bfloat16, sums kept in float32, if `rounded`; what
-    the networks decide and what is exported stays float32."""
+    """Inside, multiply matrices in bfloat16 with float32 sums, if `rounded`. Decisions and exported
+    networks stay float32."""
     before = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("medium" if rounded else before)
     try:

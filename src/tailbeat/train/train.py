@@ -1,4 +1,4 @@
-"""From a fish to a policy: build, resume, learn, write. `config` says what, `callback` watches."""
+"""Train a policy for a fish: build, resume, learn, write."""
 
 import signal
 from collections.abc import Iterator
@@ -33,11 +33,11 @@ def silent(row: TrainingRow) -> None:
 def train(
     run: RunConfig, resume: bool = False, report: Report = silent, stage: str | None = None
 ) -> Progress:
-    """Train until the last stage is passed, the hours are over, a stage stalls or Ctrl-C. With a
-    `stage` the run goes on in that one, whatever it has passed.
+    """Train until the last stage is passed, the hours are over, a stage stalls or Ctrl-C.
 
-    Leaves `policy.onnx`, a checkpoint and `curve.json` in the folder whatever ended it. Raises
-    BadInput before anything is built if the config will not do, and when the disk is full.
+    With a `stage` the run continues in that stage, whatever it has passed. However it ends, it
+    writes `policy.onnx`, a checkpoint and `curve.json` into the folder. Raises BadInput for a bad
+    config before anything is built, and if the disk is full.
     """
     config.check(run, resume)
     if stage is not None:
@@ -55,7 +55,7 @@ def train(
     if stage is not None:
         _put_into(stage, run, progress)
     elif progress.finished:
-        raise BadInput(f"{run.out}: this run has passed its stages; nothing to resume.")
+        raise BadInput(f"{run.out}: this run has passed all its stages; choose one with --stage.")
     callback = TrainingCallback(run, progress, env, report)
     model.set_logger(configure(str(run.out / "tensorboard"), ["tensorboard"]))
     with _stopped_by_signals(callback):
@@ -69,7 +69,7 @@ def train(
 
 
 def result(run: RunConfig, progress: Progress) -> TrainingResult:
-    """What came of a run."""
+    """Result of a run."""
     return TrainingResult(
         folder=run.out,
         policy=run.out / "policy.onnx",
@@ -84,7 +84,7 @@ def result(run: RunConfig, progress: Progress) -> TrainingResult:
 
 
 def environment(run: RunConfig) -> FishVecEnv:
-    """The run's fish in its first stage."""
+    """The run's environment in its first stage."""
     recipe = run.recipe
     return FishVecEnv(
         run.fish,
@@ -134,19 +134,19 @@ def learner(run: RunConfig, env: FishVecEnv) -> SAC:
 
 
 def _restored(place: Path, model: SAC, env: FishVecEnv) -> Progress:
-    """Put a checkpoint into model and world; the progress so far."""
+    """Load a checkpoint into model and world; returns the progress."""
     state = checkpoint.load(place, model, env.world)
     model.num_timesteps, model._n_updates = state.decisions, state.updates
     progress = state.progress
-    # fish still on their way are lost with the world: what is left of their time is arrivals
+    # running episodes are lost with the world; those that ended early are mostly arrivals
     progress.recent = progress.over(env.num_envs, env.world.steps_per_episode)
     progress.stage_began = progress.seconds if progress.stalled else progress.stage_began
-    progress.stalled = False  # it may have another budget's time
+    progress.stalled = False  # it gets the time of another budget
     return progress
 
 
 def _put_into(stage: str, run: RunConfig, progress: Progress) -> None:
-    """Begin a stage by hand; the stages passed stay what they were."""
+    """Enter a stage by name; the stages passed are kept."""
     names = [one.name for one in run.recipe.stages]
     progress.stage, progress.stage_began = names.index(stage), progress.seconds
     progress.finished = False
