@@ -80,7 +80,7 @@ def check_settings(fish: Fish, settings: Settings) -> ActionSpace:
     act.check_space(space)
     if space.low < low or space.high > high:
         raise BadInput(
-            f"actions: range {space.low:g} to {space.high:g} rad; the motor of {fish.name} allows"
+            f"actions: range {space.low:g} to {space.high:g} rad; {fish.name}'s motor allows"
             f" {low:g} to {high:g} rad."
         )
     act.check_band(space, fish.band[1])
