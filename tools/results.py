@@ -128,7 +128,8 @@ def collect(name: str, entry: Entry) -> dict[str, Any]:
 
 
 def origin(name: str, entry: Entry) -> dict[str, Any]:
-    """How, when and where a result was made; `seconds` are those of each step."""
+    """How, when and where a result was made; `seconds` are those of each step, and of a step that
+    was interrupted those of its last part."""
     made = provenance()
     return {
         "steps": list(entry.steps),
