@@ -65,7 +65,7 @@ def _beside(target: Path) -> Path:
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=".", suffix=target.suffix, dir=target.parent)
     except OSError as error:
-        raise BadInput(f"{target}: {error.strerror}; choose a folder that you can write.") from None
+        raise BadInput(f"{target}: {error.strerror}; choose a folder you can write to.") from None
     os.close(handle)
     os.chmod(name, 0o644)  # mkstemp's own mode hides the file from others
     return Path(name)

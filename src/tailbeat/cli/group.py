@@ -56,7 +56,7 @@ def tree() -> Any:
     app = typer.Typer(
         name="tailbeat",
         cls=Group,
-        help="From test bench recordings of a soft robotic fish to a twin that swims like it.",
+        help="Identify a soft robotic fish from recordings, and train a policy that swims.",
         epilog="Example: tailbeat swim --headless",
         rich_markup_mode=PLAIN,
     )

@@ -38,7 +38,7 @@ def identify_fluid(
     fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit.")],
     out: OutFish,
     validate: Annotated[
-        list[Path] | None, typer.Option("--validate", help="Recordings held out.")
+        list[Path] | None, typer.Option("--validate", help="Recordings to test on; not fitted.")
     ] = None,
     zones: Annotated[int, typer.Option(help="1: one set of coefficients; 3: one per zone.")] = 3,
     seeds: Annotated[
@@ -99,7 +99,7 @@ def identify_servo(
     fit: Annotated[list[Path], typer.Option("--fit", help="Recordings to fit.")],
     out: OutFish,
     validate: Annotated[
-        list[Path] | None, typer.Option("--validate", help="Recordings held out.")
+        list[Path] | None, typer.Option("--validate", help="Recordings to test on; not fitted.")
     ] = None,
     load: Annotated[
         str | None,

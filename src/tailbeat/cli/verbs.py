@@ -264,7 +264,7 @@ PANELS = {
     ),
 }
 HEADS = {
-    "import": "Convert other people's files to recordings.",
+    "import": "Convert files of other formats to recordings.",
     "identify": "Fit a fish's parameters to recordings.",
     "policy": "Inspect, compare and try policies.",
 }

@@ -1,1 +1,1 @@
-"""Read other people's files as recordings."""
+"""Read files of other formats as recordings."""

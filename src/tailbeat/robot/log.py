@@ -115,7 +115,7 @@ def start(path: Path, notes: Mapping[str, str]) -> Log:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("wb", buffering=0)
     except OSError as error:
-        raise BadInput(f"{path}: {error.strerror}; choose a folder that you can write.") from None
+        raise BadInput(f"{path}: {error.strerror}; choose a folder you can write to.") from None
     log = Log(path, file, queue.Queue(WAITING))
     log.thread = threading.Thread(target=_write, args=(log, dict(notes)), daemon=True)
     log.thread.start()
