@@ -119,7 +119,7 @@ def identify_servo(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Fit the servo to recorded commands and encoder angles, with a known load on the shaft."""
+    """Fit the servo to recorded commands and encoder angles. The load on the shaft is known."""
     from tailbeat.identify import servo_job, servo_report, stages
     from tailbeat.report import bench_figures
 
