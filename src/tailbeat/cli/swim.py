@@ -20,9 +20,9 @@ from tailbeat.cli.options import (
     SeedOption,
     TwinOption,
 )
-from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.files import BadInput, need, refuse_existing, write_json
 from tailbeat.link.addresses import address
-from tailbeat.link.places import ANY_POOL, POOL, TARGET, place
+from tailbeat.link.places import ANY_POOL, LENGTH, POOL, TARGET, WIDTH, place, pool_size
 from tailbeat.robot.ports import Ports
 
 if TYPE_CHECKING:
@@ -209,11 +209,11 @@ def _given(servo: str, imu: str, listen: str, station: str, key: Path | None, pa
 
 
 def station(
-    robot: Annotated[str, typer.Option("--robot", help="host:port where the fish listens.")],
-    key: Annotated[Path, typer.Option("--key", help="File of the shared key.")],
+    robot: Annotated[str, typer.Option("--robot", help="host:port where the fish listens.")] = "",
+    key: Annotated[Path | None, typer.Option("--key", help="File of the shared key.")] = None,
     listen: Annotated[
         str, typer.Option("--listen", help="host:port on which to listen to the fish.")
-    ],
+    ] = "",
     page: PageOption = "127.0.0.1:8080",
     camera: Annotated[
         str, typer.Option("--camera", help="Camera: /dev/video0 or unix:/path.")
@@ -244,9 +244,23 @@ def station(
     json: Annotated[
         Path | None, typer.Option("--json", help="Write the tour's result here as JSON.")
     ] = None,
+    replay: Annotated[
+        Path | None,
+        typer.Option("--replay", help="Show this log on the operator page, without a fish: .mcap."),
+    ] = None,
+    pool: Annotated[
+        str, typer.Option("--pool", help="Length,width of the pool of a replay [m].")
+    ] = f"{LENGTH:g},{WIDTH:g}",
 ) -> None:
     """Run the poolside station: find the fish, send its pose, show the operator page. Exit code 1
-    if a tour was not finished."""
+    if a tour was not finished. With --replay: play a finished run from its log on the page."""
+    if replay is not None:
+        given = {"--robot": robot, "--key": key, "--listen": listen, "--camera": camera,
+                 "--tour": targets, "--begin": begin, "--json": json}  # fmt: skip
+        _replay(replay, page, fish, pool, [name for name, value in given.items() if value])
+        return
+    if key is None or not (robot and listen):
+        raise BadInput("station: give --robot, --key and --listen, or a log to --replay.")
     from tailbeat.operator import station as work
     from tailbeat.operator.leader import chosen_leader
 
@@ -268,3 +282,13 @@ def station(
         write_json(json, {"targets": rows, "armed_anew": leader.rearmed if leader else 0})
     if tour is not None and tour.target is not None:
         raise typer.Exit(1)
+
+
+def _replay(log: Path, page: str, fish: str, pool: str, given: list[str]) -> None:
+    """Serve the operator page with a log behind it; `given` are options that need a fish."""
+    if given:
+        raise BadInput(f"{given[0]}: a replay has no fish and no camera; leave it out.")
+    need("a replay", "mcap", "fastapi", "uvicorn", "websockets")
+    from tailbeat.operator.replay_server import ReplayConfig, replay
+
+    replay(ReplayConfig(log, page, fish, pool_size(pool)), output.say)

@@ -11,7 +11,8 @@ import select
 import socket
 import subprocess
 import time
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 from ipaddress import ip_address
 from typing import Any
 
@@ -21,7 +22,8 @@ from tailbeat.link.addresses import address
 from tailbeat.link.datagrams import Order
 from tailbeat.link.places import POOL
 from tailbeat.link.sender import Sender
-from tailbeat.operator.snapshot import snapshot
+from tailbeat.link.status import Status
+from tailbeat.operator.snapshot import Change, snapshot
 from tailbeat.processes import start
 
 EVERY = 0.05  # s between two snapshots
@@ -29,6 +31,7 @@ LARGEST = 180_000  # bytes of a datagram, so of a picture
 AGAIN = 5.0  # s before a server that died is started anew
 READY = 60.0  # s that it may take to start
 COMMANDS = 20  # read at once
+CHANGES = 8  # of the state that the page lists
 
 
 @dataclass(eq=False)
@@ -45,6 +48,16 @@ class OperatorClient:
     picture: bytes = b""  # the last that was shown
     due: float = 0.0
     again: float = 0.0
+    changes: deque[Change] = field(default_factory=lambda: deque(maxlen=CHANGES))
+
+    def note(self, status: Status | None, at: float) -> None:
+        """Keep a state or a reason that differs from the last; `at` is the time of day [s since
+        1970]."""
+        if status is None:
+            return
+        last = self.changes[-1] if self.changes else None
+        if last is None or (last.state, last.reason) != (status.state.value, status.text):
+            self.changes.append(Change(at, status.state.value, status.text))
 
     def show(self, snapshot: dict[str, Any], picture: bytes) -> None:
         """Show what is, and a JPEG where it is a new one; both are dropped where the server is
@@ -91,8 +104,7 @@ class OperatorClient:
             pass_fds=handles,
         )
         assert self.process.stdin is not None
-        host = self.listening.getsockname()[0]
-        hosts = [host, "localhost"] if is_local(host) else ["*"]
+        hosts = allowed_hosts(self.listening)
         words = {"token": self.token, "room": self.room, "hosts": hosts}
         self.process.stdin.write(json.dumps(words).encode() + b"\n")  # not for all to see in `ps`
         self.process.stdin.flush()
@@ -110,18 +122,7 @@ def open_page(page: str, pool: tuple[float, float] = POOL) -> OperatorClient | N
 def open_client(at: tuple[str, int], room: tuple[float, float]) -> OperatorClient:
     """Open the operator page at host and port (0: any free one) for a pool of this size [m]. Raises
     BadInput where the address cannot be had. Returns when the page can be seen."""
-    if at[0] in ("", "0.0.0.0"):
-        raise BadInput("--page: give the address of one network, not all of them.")
-    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listening.bind(at)
-    except OSError as error:
-        listening.close()
-        raise BadInput(
-            f"--page {at[0]}:{at[1]}: {error.strerror}; choose another address or port."
-        ) from None
-    listening.listen()
+    listening = listen(at)
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     for one in (ours, theirs):
         one.setblocking(False)
@@ -136,6 +137,30 @@ def open_client(at: tuple[str, int], room: tuple[float, float]) -> OperatorClien
         client.close()
         raise BadInput("the operator page's server did not start; see what it said above.")
     return client
+
+
+def listen(at: tuple[str, int]) -> socket.socket:
+    """A socket that listens for browsers at host and port (0: any free one). Raises BadInput where
+    the address cannot be had."""
+    if at[0] in ("", "0.0.0.0"):
+        raise BadInput("--page: give the address of one network, not all of them.")
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind(at)
+    except OSError as error:
+        listening.close()
+        raise BadInput(
+            f"--page {at[0]}:{at[1]}: {error.strerror}; choose another address or port."
+        ) from None
+    listening.listen()
+    return listening
+
+
+def allowed_hosts(listening: socket.socket) -> list[str]:
+    """The names by which browsers may call a server: its own on this machine, else any."""
+    host = listening.getsockname()[0]
+    return [host, "localhost"] if is_local(host) else ["*"]
 
 
 def is_local(host: str) -> bool:
@@ -166,10 +191,12 @@ def turn(
     about the camera, `picture` its newest JPEG."""
     for command in client.commands():
         _attend(sender, command, now)
+    client.note(sender.status, time.time())
     if now >= client.due:
         client.due = now + EVERY
         client._keep(now)
-        client.show(snapshot(sender, fish, client.room, now, note), picture)
+        seen = snapshot(sender, fish, client.room, now, note)
+        client.show({**seen, "changes": tuple(client.changes)}, picture)
 
 
 def _attend(sender: Sender, command: dict[str, Any], now: float) -> None:

@@ -7,7 +7,7 @@ const STEP = 0.05; // m for an arrow key
 const EDGE = 0.12; // m around the pool
 const map = document.getElementById("map");
 const target = document.getElementById("target");
-const path = [];
+let path = []; // places x, y [m] with the time [ms] at which the fish was there, oldest first
 let room = null, held = null, last = null, moved = -Infinity;
 
 const element = (name, attributes) => {
@@ -64,9 +64,13 @@ function rounded(corners) {
 function drawFish(fish) {
   document.getElementById("fish").classList.toggle("old", fish.age > 0.3);
   set("fish", { d: flanks(fish.body) });
+}
+
+// A live fish's path is what this page saw; a log's comes with each moment, as it may jump in time.
+function drawTrail(fish, trail) {
   const now = performance.now();
-  const before = path.at(-1);
-  if (!before || now - before.time > 150) path.push({ time: now, x: fish.pose[0], y: fish.pose[1] });
+  if (trail) path = trail.map(([age, x, y]) => ({ time: now - 1000 * age, x, y }));
+  else if (fish && !(now - path.at(-1)?.time <= 150)) path.push({ time: now, x: fish.pose[0], y: fish.pose[1] });
   while (path.length && now - path[0].time > TRAIL) path.shift();
   const pieces = [];
   for (let k = 0; k + 1 < path.length; k += 20) {
@@ -85,8 +89,11 @@ function place([x, y]) {
 export function draw(now) {
   if (!room || room[0] !== now.room[0] || room[1] !== now.room[1]) drawPool(now.room);
   if (now.fish) drawFish(now.fish);
+  else if (now.trail) set("fish", { d: "" }); // at this time of the log no pose was known
+  if (now.fish || now.trail) drawTrail(now.fish, now.trail);
   if (performance.now() - moved > NEWS) last = now.target ?? last ?? [0, 0];
   target.classList.toggle("ghost", !now.target);
+  target.toggleAttribute("hidden", Boolean(now.trail) && !now.target); // nobody can drag one there
   if (!held) place(last);
   const aim = now.status?.target;
   document.getElementById("aim").toggleAttribute("hidden", !aim);

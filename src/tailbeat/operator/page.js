@@ -1,6 +1,9 @@
 // The operator's page: hears snapshots, shows them, sends orders. It decides nothing.
+// Behind it is a station with a fish, or the log of a finished run.
 
+import { list, mark } from "./changes.js";
 import { draggable, draw } from "./map.js";
+import { answered as replayed, open, seek, toggle } from "./replay.js";
 
 const SILENT = 1.0; // s without a word from the fish, or from the station
 const MOVES = 50; // ms between two places of a dragged target
@@ -16,6 +19,7 @@ const ICONS = {
 const byId = (id) => document.getElementById(id);
 const body = document.body;
 let socket = null, now = null, heard = 0, may = false, stopping = 0, pictures = false;
+let replay = null; // the run that is replayed, or null with a fish
 let token = new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
 
 // ---- what goes out ----
@@ -26,6 +30,7 @@ function send(command) {
 }
 
 function stop() {
+  if (replay) return; // there is nothing to stop
   stopping = performance.now() + 3000;
   if (socket?.readyState === WebSocket.OPEN) socket.send('{"do": "stop"}');
   else fetch("stop", { method: "POST" }).catch(() => say("STOP not sent: no connection to the station", true));
@@ -53,7 +58,9 @@ byId("stop").addEventListener("click", stop);
 document.addEventListener("keydown", (event) => {
   if (event.code !== "Space") return;
   event.preventDefault(); // it presses no other button
-  if (!event.repeat) stop();
+  if (event.repeat) return;
+  if (replay) toggle();
+  else stop();
 }, true);
 document.addEventListener("keyup", (event) => { if (event.code === "Space") event.preventDefault(); }, true);
 for (const order of ["arm", "swim", "disarm", "tag"]) byId(order).addEventListener("click", () => send({ do: order }));
@@ -81,7 +88,7 @@ function answered(text) {
 }
 
 function entitle() {
-  byId("key").hidden = may;
+  byId("key").hidden = may || Boolean(replay);
   body.classList.toggle("watching", !may);
 }
 
@@ -93,11 +100,32 @@ function connect() {
     heard = performance.now();
     pictures = message.camera;
     message.said.forEach(answered);
+    if (message.replay) rerun(message.replay);
     if (message.now) show(message.now);
-    socket.send("drawn");
+    if (replay) replayed();
+    else socket.send("drawn");
   });
   socket.addEventListener("close", () => setTimeout(connect, 1000));
 }
+
+// A log is behind the page: a player instead of orders.
+function rerun(run) {
+  replay = run;
+  may = false;
+  body.classList.add("replay");
+  document.title = `${run.name} · tailbeat`;
+  byId("player").hidden = byId("replayed").hidden = false;
+  byId("replayed").textContent = `replay of ${run.name}${run.whole ? "" : " · cut off: it ends where the log ends"}`;
+  byId("stop").disabled = true;
+  byId("what").textContent = "not in a replay: no fish is connected";
+  say("A replay takes no orders: no fish is connected.");
+  list(run.changes, seconds, seek);
+  open(run, (at) => { if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ do: "at", at })); });
+  entitle();
+}
+
+const seconds = (at) => `${at.toFixed(1)} s`;
+const timeOfDay = (at) => new Date(1000 * at).toLocaleTimeString("en-GB");
 
 let told = null;
 function show(snapshot) {
@@ -105,6 +133,8 @@ function show(snapshot) {
   draw(now);
   if (told !== null && now.said !== told) say(now.said, now.said.includes("not taken"), "sent");
   told = now.said;
+  if (replay) mark(replay.changes.findLastIndex((one) => one.at <= now.at));
+  else list(now.changes.toReversed(), timeOfDay);
   state();
   gauges();
 }
@@ -119,7 +149,7 @@ function state() {
   body.classList.toggle("silent", silent);
   byId("icon").setAttribute("d", ICONS[status?.state ?? "none"]);
   byId("state").textContent = status?.state ?? "no fish";
-  byId("reason").textContent = cut ? "no connection to the station: this is the last that came"
+  byId("reason").textContent = cut ? `no connection to the ${replay ? "replay" : "station"}: this is the last that came`
     : !status ? "the fish has not answered yet"
     : silent ? `nothing from the fish for ${status.age.toFixed(1)} s; it was: ${status.reason}` : status.reason;
   countdown(status);
@@ -128,10 +158,15 @@ function state() {
   may_("swim", "armed");
   may_("disarm", "armed", "run", "hold", "stop");
   byId("tag").disabled = !may || !now?.operator;
-  byId("where").textContent = !now?.target ? "no target seen: drag it to where the fish shall go"
-    : `target ${now.operator ? "by hand" : "by its tag"} at x ${now.target[0].toFixed(2)}, y ${now.target[1].toFixed(2)} m`;
+  byId("where").textContent = where();
 }
 setInterval(state, 250);
+
+function where() {
+  const at = now?.target && `at x ${now.target[0].toFixed(2)}, y ${now.target[1].toFixed(2)} m`;
+  if (replay) return at ? `target ${at}` : "no target: the log holds it while the fish swims";
+  return at ? `target ${now.operator ? "by hand" : "by its tag"} ${at}` : "no target seen: drag it to where the fish shall go";
+}
 
 const poseAge = (status) => (status.pose_age ?? Infinity) + Math.max(status.age - SLACK, 0);
 
@@ -144,30 +179,31 @@ function countdown(status) {
 
 // ---- readings ----
 
-const number = (value, digits, unit) => (value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`);
+const known = (value) => value !== null && value !== undefined;
+const number = (value, digits, unit) => (!known(value) ? "–" : `${value.toFixed(digits)} ${unit}`);
 const ms = (value, digits = 1) => (Number.isFinite(value) ? `${(1000 * value).toFixed(digits)} ms` : "–");
-const percent = (value) => (value === null ? "–" : `${(100 * value).toFixed(value < 0.1 ? 1 : 0)} %`);
-const degrees = (value) => (value === null ? "–" : `${(value * 180 / Math.PI).toFixed(0)}°`);
+const percent = (value) => (!known(value) ? "–" : `${(100 * value).toFixed(value < 0.1 ? 1 : 0)} %`);
+const degrees = (value) => (!known(value) ? "–" : `${(value * 180 / Math.PI).toFixed(0)}°`);
 
 // Name, text, part of a bar that is full (or nothing), whether to warn.
 function readings(status, limits) {
   const age = poseAge(status), hold = status.pose_hold;
   const limit = { run: ` · HOLD at ${ms(hold, 0)}`, armed: ` · STOP at ${ms(status.pose_stop, 0)}`, hold: ` · STOP at ${ms(status.pose_stop, 0)}` };
+  const lost = Math.max(status.loss ?? 0, now.loss_back ?? 0);
   const volts = status.voltage, [low, high] = [limits.voltage_low, limits.voltage_high];
   return [
     ["Pose age", ms(age, 0) + (limit[status.state] ?? ""), age / hold, age > 0.5 * hold],
-    ["Poses lost", percent(status.loss), status.loss, status.loss > 0.3],
-    ["Status lost", percent(now.loss_back), now.loss_back, now.loss_back > 0.3],
+    ["Poses lost, status lost", replay ? "–" : `${percent(status.loss)}, ${percent(now.loss_back)}`, lost, lost > 0.3],
     ["Loop late, longest", ms(status.late), status.late / 0.02, status.late > 0.005],
     ["Loop busy, longest", ms(status.busy), status.busy / 0.02, status.busy > 0.015],
-    ["Periods missed", `${status.missed} in the last second`, status.missed / limits.overruns_hold, status.missed > 0],
+    ["Periods missed", `${status.missed ?? "–"} in the last second`, status.missed / limits.overruns_hold, status.missed > 0],
     ["Beat inside the band", percent(status.band_share), status.band_share, status.band_share !== null && status.band_share < 0.8],
     ["Servo temperature", number(status.temperature, 0, "°C"), status.temperature / limits.temperature_stop, status.temperature >= limits.temperature_hold - 10],
     ["Servo voltage", number(volts, 1, "V"), (volts - low) / (high - low), volts !== null && (volts < low + 0.5 || volts > high - 0.5)],
     ["Servo current", number(status.current, 2, "A"), Math.abs(status.current) / limits.current_stop, Math.abs(status.current) > limits.current_stop / 2],
-    ["Motor → setpoint", `${degrees(status.angle)} → ${degrees(status.setpoint)}`],
-    ["Clocks known to", ms(status.clock_doubt), status.clock_doubt / limits.clock_doubt, !Number.isFinite(status.clock_doubt) || status.clock_doubt > limits.clock_doubt / 2],
-    ["Datagrams refused", `${status.rejects}`, undefined, status.rejects > 0],
+    ["Clocks known to", ms(status.clock_doubt), status.clock_doubt / limits.clock_doubt, !known(status.clock_doubt) || status.clock_doubt > limits.clock_doubt / 2],
+    ["Motor → setpoint", `${degrees(status.angle)} → ${degrees(status.setpoint)}`, undefined, false],
+    ["Datagrams refused", `${status.rejects ?? "–"}`, undefined, status.rejects > 0],
   ];
 }
 

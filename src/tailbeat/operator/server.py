@@ -30,6 +30,8 @@ PAGES = {
     "/page.css": ("page.css", "text/css"),
     "/page.js": ("page.js", "text/javascript"),
     "/map.js": ("map.js", "text/javascript"),
+    "/changes.js": ("changes.js", "text/javascript"),
+    "/replay.js": ("replay.js", "text/javascript"),
 }
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self';"
@@ -177,8 +179,7 @@ def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
     app = FastAPI(lifespan=listening, openapi_url=None)
     # a page of elsewhere whose name now points to this machine (DNS rebinding) is none of ours
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=hosts)
-    for path, (name, kind) in PAGES.items():
-        app.add_api_route(path, _page(Path(__file__).with_name(name), kind))
+    add_pages(app)
 
     @app.get("/camera.jpg")
     async def camera() -> Response:
@@ -212,6 +213,12 @@ async def serve(browser: Browser, shown: Shown) -> None:
         telling.cancel()
         with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
             await telling
+
+
+def add_pages(app: FastAPI) -> None:
+    """Let a server give the page's files."""
+    for path, (name, kind) in PAGES.items():
+        app.add_api_route(path, _page(Path(__file__).with_name(name), kind))
 
 
 def _page(path: Path, kind: str) -> Callable[[], Awaitable[Response]]:

@@ -3,7 +3,7 @@
 Lengths in metres, angles in radians, times in seconds, as everywhere; the page chooses its units.
 """
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,16 @@ from tailbeat.robot.safety import SafetyLimits
 Array = NDArray[np.float64]
 FIN = 0.005  # m, half of a fin's thickness as drawn
 HEAD = ((0.1, 0.7), (0.35, 1.0), (0.7, 0.95))  # as drawn: where from nose to first hinge, how wide
+
+
+@dataclass(frozen=True)
+class Change:
+    """A state of the fish and its reason, and when it began [s]: the time of day for a live fish,
+    since the first row for a log."""
+
+    at: float
+    state: str
+    reason: str
 
 
 def snapshot(

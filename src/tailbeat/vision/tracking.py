@@ -14,6 +14,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.processes import start
@@ -23,7 +24,8 @@ from tailbeat.vision.tags import FISH, TARGET
 from tailbeat.vision.tracker import Picture, Sighting, Tracker, TrackerLimits
 
 PREVIEW = 0.1  # s between two pictures for the operator page
-PREVIEW_SIZE = (640, 360)
+PREVIEW_SIZE = (640, 360)  # px of each of its two halves, the fish close up and the whole pool
+CLOSE = 3  # times larger than in the whole picture
 QUALITY = 70  # of their JPEG
 SILENT = 5.0  # s without a word from a process that has spoken: it hangs; cameras give up earlier
 STARTING = 60.0  # the same for its first word
@@ -72,7 +74,7 @@ class TrackerProcess:
             return self.seen if fresh else None
 
     def picture(self) -> bytes:
-        """The last preview, a JPEG of half the camera's width, or b"" before the first."""
+        """The last preview, see `preview`, or b"" before the first."""
         return self.shown
 
     @property
@@ -198,20 +200,36 @@ def _watch(made: Watching, speak: Connection) -> None:
     camera = open_camera(
         made.camera, made.calibration.lens.size, made.rate, made.exposure, made.latency
     )
-    due = 0.0
+    due, middle = 0.0, np.array(made.calibration.lens.size) / 2
     try:
         while True:
             image, stamp = camera.read()
-            speak.send(tracker.see(image, stamp))
+            sighting = tracker.see(image, stamp)
+            speak.send(sighting)
+            if made.ids[0] in sighting.corners:
+                middle = sighting.corners[made.ids[0]].mean(axis=0)
             if time.monotonic() >= due:
                 due = time.monotonic() + PREVIEW
-                speak.send(preview(image))
+                speak.send(preview(image, middle))
     finally:
         camera.close()
 
 
-def preview(image: Picture) -> bytes:
-    """A small JPEG of a frame."""
+def preview(image: Picture, middle: NDArray[np.float64]) -> bytes:
+    """A small JPEG for the operator page: the surroundings of `middle` (x, y) [px], where the fish
+    was seen last, and below them the whole frame, in which a line frames them."""
+    rows, columns = image.shape
+    size = np.array([columns, rows]) // (2 * CLOSE)  # half of it
+    x, y = np.clip(np.asarray(middle, int), size, np.array([columns, rows]) - size).tolist()
+    half, high = size.tolist()
+    part = image[y - high : y + high, x - half : x + half]
+    close = cv2.resize(part, PREVIEW_SIZE, interpolation=cv2.INTER_LINEAR)
     small = cv2.resize(image, PREVIEW_SIZE, interpolation=cv2.INTER_AREA)
-    _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    scale = np.array(PREVIEW_SIZE) / [columns, rows]
+    ends = [
+        tuple(np.round(scale * [x + s * half, y + s * high]).astype(int).tolist()) for s in (-1, 1)
+    ]
+    cv2.rectangle(small, ends[0], ends[1], 255)
+    both = np.vstack([close, small])
+    _, data = cv2.imencode(".jpg", both, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     return bytes(np.asarray(data, np.uint8))

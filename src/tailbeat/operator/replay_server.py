@@ -1,0 +1,130 @@
+"""Serve the replay of a run on the operator page. No fish, camera or link is behind it.
+
+The page speaks with it as with a station's server, in questions and answers: it asks for a moment
+and gets its snapshot. Every browser plays at its own pace. An order is refused with the reason.
+"""
+
+import asyncio
+import contextlib
+import json
+import math
+import socket
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from fastapi import FastAPI, Response, WebSocket, WebSocketDisconnect
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+
+from tailbeat.files import plain
+from tailbeat.fish.description import Fish
+from tailbeat.fish.store import load_fish
+from tailbeat.link.addresses import address
+from tailbeat.link.places import POOL
+from tailbeat.operator.client import allowed_hosts, is_local, listen
+from tailbeat.operator.replay import Run, read_run, snapshot
+from tailbeat.operator.server import LONGEST, add_pages, same_origin
+from tailbeat.processes import told_to_end
+
+NO_ORDERS = "refused: this is the replay of a log; no fish is connected"
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What is replayed: a run, the fish as drawn, length and width of the pool [m]."""
+
+    run: Run
+    fish: Fish
+    room: tuple[float, float]
+
+    def about(self) -> dict[str, Any]:
+        """What the page is told first."""
+        run, changes = self.run, [asdict(one) for one in self.run.changes()]
+        return {"name": run.name, "seconds": run.seconds, "whole": run.whole, "changes": changes}
+
+    def answer(self, text: str) -> dict[str, Any]:
+        """To one message of a browser: {"do": "at", "at": seconds}, or an order."""
+        try:
+            asked = json.loads(text[:LONGEST])
+            wanted, at = asked["do"], asked.get("at")
+        except (ValueError, TypeError, KeyError, AttributeError):
+            return {"said": ["refused: not a command"]}
+        if wanted != "at":
+            return {"said": [NO_ORDERS]}
+        if not isinstance(at, int | float) or not math.isfinite(at):
+            return {"said": ["refused: a time is a number of seconds"]}
+        return {"now": snapshot(self.run, self.fish, self.room, float(at))}
+
+
+def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
+    """The server of a replay, for browsers that call it by one of these names."""
+    app = FastAPI(openapi_url=None)
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=hosts)
+    add_pages(app)
+
+    @app.post("/stop")
+    async def stop() -> Response:
+        return Response(NO_ORDERS, status_code=409)
+
+    @app.websocket("/live")
+    async def live(browser: WebSocket) -> None:
+        if not same_origin(browser.headers.get("origin"), browser.headers.get("host")):
+            await browser.close(1008)
+            return
+        await browser.accept()
+        first = {"replay": shown.about(), "now": snapshot(shown.run, shown.fish, shown.room, 0.0)}
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            await _tell(browser, first)
+            async for text in browser.iter_text():
+                await _tell(browser, shown.answer(text))
+
+    return app
+
+
+async def _tell(browser: WebSocket, words: dict[str, Any]) -> None:
+    whole = {"now": None, "said": [], "camera": False, **words}
+    await browser.send_text(json.dumps(plain(whole), allow_nan=False))
+
+
+@dataclass(frozen=True)
+class ReplayConfig:
+    """The log to show, host:port of the page, the fish as drawn (a file or a name), and length and
+    width of the pool [m]."""
+
+    log: Path
+    page: str
+    fish: str = "pulley-fish"
+    pool: tuple[float, float] = POOL
+
+
+def replay(config: ReplayConfig, say: Callable[[str], None]) -> None:
+    """Serve the replay of a log until Ctrl-C or SIGTERM. Raises BadInput."""
+    shown = Shown(read_run(config.log), load_fish(config.fish), config.pool)
+    with listen(address(config.page, "--page")) as listening:
+        for line in announce(shown.run, listening.getsockname()):
+            say(line)
+        _serve(shown, listening)
+
+
+def announce(run: Run, at: tuple[str, int]) -> list[str]:
+    """What a person must know: whether the log is whole, where the page is, who can see it."""
+    lines = [] if run.whole else [f"{run.name}: cut off; the replay ends where the log ends"]
+    lines.append(f"replay of {run.name}, {run.seconds:.1f} s: http://{at[0]}:{at[1]}/")
+    if not is_local(at[0]):
+        lines.append("warning: the replay is open to this network: everyone on it can watch.")
+    return lines
+
+
+def _serve(shown: Shown, listening: socket.socket) -> None:
+    config = uvicorn.Config(
+        make_app(shown, allowed_hosts(listening)),
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=1,
+        ws_max_size=LONGEST,
+    )
+    told_to_end()  # uvicorn ends at these signals and then raises them again
+    asyncio.run(uvicorn.Server(config).serve(sockets=[listening]))
