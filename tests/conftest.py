@@ -2,6 +2,7 @@
 
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,15 @@ def no_engine_warning():
     yield
     after = log.read_text() if log.exists() else ""
     assert after == before, f"the engine warned: {after[len(before) :]}"
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A browser for the operator page."""
+    from browser import open_browser  # needs selenium
+
+    with open_browser() as made:
+        yield made
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

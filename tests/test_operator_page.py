@@ -6,8 +6,6 @@ page asks for is looked up where it ends: in the frames that the fish got and in
 
 import contextlib
 import json
-import os
-import shutil
 import signal
 import subprocess
 import threading
@@ -27,10 +25,10 @@ pytest.importorskip("selenium", reason="the dev extra is not installed")
 import websockets.sync.client as ws
 from selenium import webdriver
 from selenium.webdriver import ActionChains, Keys
-from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from websockets.exceptions import InvalidStatus
 
+from browser import shown, visit
 from support import command, until
 from tailbeat.cli import swim
 from tailbeat.control.policy import load_policy
@@ -179,24 +177,6 @@ def lab() -> Iterator[Lab]:
     heard.close()
 
 
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[webdriver.Chrome]:
-    driver, binary = shutil.which("chromedriver"), shutil.which("chromium")
-    if not driver or not binary:
-        pytest.skip("no chromium or chromedriver: make browser")
-    options = webdriver.ChromeOptions()
-    options.binary_location = binary
-    for word in ("--headless=new", "--disable-gpu", "--disable-dev-shm-usage"):
-        options.add_argument(word)
-    if os.geteuid() == 0:
-        options.add_argument("--no-sandbox")  # it refuses to start as root with one
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    made = webdriver.Chrome(options, Service(driver))
-    made.set_window_size(1400, 1000)
-    yield made
-    made.quit()
-
-
 @pytest.fixture
 def page(lab: Lab, chromium: webdriver.Chrome) -> Iterator[webdriver.Chrome]:
     """The page with the token, at a swimming fish; in the end the browser has nothing to say."""
@@ -206,16 +186,6 @@ def page(lab: Lab, chromium: webdriver.Chrome) -> Iterator[webdriver.Chrome]:
     until(lambda: not chromium.find_element(By.ID, "key").is_displayed())  # the token was taken
     yield chromium
     assert chromium.get_log("browser") == []
-
-
-def visit(browser: webdriver.Chrome, url: str) -> None:
-    browser.get("about:blank")  # another fragment alone would not load the page anew
-    browser.get_log("browser")
-    browser.get(url)
-
-
-def shown(browser: webdriver.Chrome, name: str) -> str:
-    return browser.find_element(By.ID, name).text
 
 
 def shows(browser: webdriver.Chrome, state: State) -> None:
@@ -244,11 +214,23 @@ def test_the_state_its_reason_and_the_readings_are_shown(lab, page):
     assert "target by its tag at x 1.50, y 0.50" in shown(page, "where")
     until(lambda: "30 °C" in shown(page, "gauges") and "12.0 V" in shown(page, "gauges"))
     readings = shown(page, "gauges")
-    for name in ("Pose age", "Poses lost", "Loop late", "Periods missed", "inside the band",
-                 "Servo current", "Clocks known"):  # fmt: skip
+    for name in ("Pose age", "Poses lost, status lost", "Loop late", "Periods missed",
+                 "inside the band", "Servo current", "Clocks known"):  # fmt: skip
         assert name in readings
     assert page.find_element(By.ID, "fish").get_attribute("d").count("Q") > 10
     assert shown(page, "dark") == "No camera picture."
+
+
+def test_state_changes_are_listed_with_the_time_of_day_newest_first(lab, page):
+    def rows() -> list[list[str]]:
+        found = page.find_elements(By.CSS_SELECTOR, "#changes li")
+        return [one.text.split("\n") for one in found]
+
+    until(lambda: [row[1:] for row in rows()][:1] == [["RUN", "swimming"]], what=rows)
+    assert ["ARMED", "armed"] in [row[1:] for row in rows()]
+    times = [time.strptime(row[0], "%H:%M:%S") for row in rows()]
+    assert times == sorted(times, reverse=True) and 2 <= len(times) <= 8
+    assert abs(time.mktime(time.localtime()) - lab.client.changes[-1].at) < 300
 
 
 def test_a_target_dragged_by_mouse_is_where_the_fish_swims_to(lab, page):

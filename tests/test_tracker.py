@@ -30,7 +30,7 @@ from tailbeat.files import BadInput
 from tailbeat.vision.detector import HALF, open_detector
 from tailbeat.vision.tags import Tag
 from tailbeat.vision.tracker import Sighting, Tracker, TrackerLimits, misshapen, planar_pose
-from tailbeat.vision.tracking import TrackerProcess, start_tracker
+from tailbeat.vision.tracking import TrackerProcess, preview, start_tracker
 
 pytestmark = pytest.mark.realtime
 
@@ -216,6 +216,21 @@ def test_a_pose_is_the_corners_middle_and_lower_edge():
 
 
 # ---- in a process of its own --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("x", "y"), [(700, 300), (3, 715)])  # px; the second in a corner
+def test_the_page_s_picture_shows_the_fish_close_up_above_the_whole_pool(x, y):
+    image = np.full((720, 1280), 40, np.uint8)
+    image[max(y - 4, 0) : y + 5, max(x - 4, 0) : x + 5] = 250
+    both = cv2.imdecode(np.frombuffer(preview(image, np.array([x, y])), np.uint8), 0)
+    close, whole = both[:360], both[360:]
+    assert close.shape == whole.shape == (360, 640) and whole[y // 2, x // 2] > 150
+    bright = np.argwhere(close > 150)
+    if x == 700:
+        assert bright.mean(axis=0) == pytest.approx([180, 320], abs=3)  # in the middle
+        assert len(bright) == pytest.approx(81 * 1.5**2, rel=0.2)  # three times as wide as below
+    else:
+        assert bright.mean(axis=0) == pytest.approx([353, 5], abs=6)  # in the same corner
 
 
 @pytest.fixture
