@@ -42,6 +42,16 @@ class Group(SuccessRates):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Cell(SuccessRates):
+    """The targets of one interval of `bearing` [deg], both sides together, and one of `distance`
+    [m], each (from, to)."""
+
+    bearing: tuple[float, float]
+    distance: tuple[float, float]
+    targets: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class SeededTrial(SuccessRates):
     """Swims to seeded targets: fraction `reached`; of those the median time [s] and the median
     path length over the distance, NaN where none was reached."""
@@ -55,9 +65,10 @@ class SeededTrial(SuccessRates):
 
 @dataclass(frozen=True, kw_only=True)
 class ReachResult(SuccessRates):
-    """Swims of one condition: in all, within the paper's trained range (+-120 deg, to 2.5 m), and
-    by bearing, range and water. Median time [s] and median path length over the distance are those
-    of the swims that arrived; `lost` counts swims that ended out of range."""
+    """Swims of one condition: in all, within the paper's trained range (+-120 deg, to 2.5 m), by
+    bearing, range and water, and by bearing and range at once (`cells`). Median time [s] and median
+    path length over the distance are those of the swims that arrived; `lost` counts swims that
+    ended out of range."""
 
     swims: int
     trained_range: SuccessRates | None
@@ -67,6 +78,7 @@ class ReachResult(SuccessRates):
     sectors: tuple[Group, ...]
     ranges: tuple[Group, ...]
     waters: tuple[Group, ...]
+    cells: tuple[Cell, ...]
 
 
 @dataclass(frozen=True)
@@ -157,22 +169,49 @@ def numbers(runs: Runs) -> ReachResult:
         sectors=by_sector(runs.bearing, hits, runs.nearest, runs.seconds),
         ranges=by_range(start, hits, runs.nearest, runs.seconds),
         waters=by_water(runs),
+        cells=by_cell(runs.bearing, start, hits, runs.nearest),
     )
 
 
 def by_sector(bearing: Any, reached: Flags, nearest: Any, seconds: Any) -> tuple[Group, ...]:
     """Success rates and times by bearing of the target at the start, both sides together."""
-    away = np.abs((np.degrees(bearing) + 180) % 360 - 180)
-    edges = [(low, low + SECTOR) for low in range(0, 180, SECTOR)]
-    groups = [(a, b, (away >= a) & (away < b + (b == 180))) for a, b in edges]
+    groups = [(*edges, inside) for edges, inside in _sectors(bearing)]
     return _groups(groups, reached, nearest, seconds)
 
 
 def by_range(start: Any, reached: Flags, nearest: Any, seconds: Any) -> tuple[Group, ...]:
     """Success rates and times by distance of the target at the start, by half metres."""
-    edges = np.arange(NEAREST, FARTHEST, 0.5).tolist()
-    groups = [(a, a + 0.5, (start >= a - 1e-6) & (start < a + 0.5)) for a in edges]
+    groups = [(*edges, inside) for edges, inside in _ranges(start)]
     return _groups(groups, reached, nearest, seconds)
+
+
+def by_cell(bearing: Any, start: Any, reached: Flags, nearest: Any) -> tuple[Cell, ...]:
+    """Success rates by bearing [rad] and distance [m] of the target at the start; a cell without
+    targets is left out."""
+    return tuple(
+        Cell(
+            bearing=sector,
+            distance=span,
+            targets=int((there & far).sum()),
+            **vars(success(reached[there & far], nearest[there & far])),
+        )
+        for sector, there in _sectors(bearing)
+        for span, far in _ranges(start)
+        if (there & far).any()
+    )
+
+
+def _sectors(bearing: Any) -> list[tuple[tuple[float, float], Flags]]:
+    """Edges [deg] of each sector, and which targets lie in it."""
+    away = np.abs((np.degrees(bearing) + 180) % 360 - 180)
+    edges = [(low, low + SECTOR) for low in range(0, 180, SECTOR)]
+    return [((a, b), (away >= a) & (away < b + (b == 180))) for a, b in edges]
+
+
+def _ranges(start: Any) -> list[tuple[tuple[float, float], Flags]]:
+    """Edges [m] of each half metre, and which targets lie in it."""
+    edges = np.arange(NEAREST, FARTHEST, 0.5).tolist()
+    return [((a, a + 0.5), (start >= a - 1e-6) & (start < a + 0.5)) for a in edges]
 
 
 def by_water(runs: Runs) -> tuple[Group, ...]:

@@ -13,11 +13,13 @@ from tailbeat.identify.servo_job import Overlay, ServoFit
 from tailbeat.identify.tail import TailFit
 from tailbeat.identify.tail_report import TailResult
 from tailbeat.recording import Recording
-from tailbeat.report.figures import MEASURED, TWIN
+from tailbeat.report.style import COMMAND, IDEALISED, MEASURED, ORANGE, TWIN, styled
 
-IDEALISED, COMMAND = "tab:green", "0.6"
+# What a ring-down is read from, as an axis names it.
+QUANTITIES = {"angle_rad": "angle [rad]", "torque_nm": "torque [N m]", "y_m": "tip sideways [m]"}
 
 
+@styled
 def tail(found: TailResult, static: Recording | None, path: Path, overwrite: bool = False) -> None:
     """Re H on the squared frequency, Im H with its two parts, and loop or ring-down if recorded."""
     extra = [static is not None, found.ring is not None]
@@ -48,7 +50,6 @@ def _draw_stiffness(axes: Axes, fit: TailFit) -> None:
         ylabel="Re H [N m/rad]",
     )
     axes.legend()
-    axes.grid(alpha=0.3)
 
 
 def _reach(estimate: Estimate) -> list[list[float]]:
@@ -72,7 +73,6 @@ def _draw_drag(axes: Axes, fit: TailFit) -> None:
         ylim=(min(0.0, 1.1 * (total - dry).min()), None),
     )
     axes.legend()
-    axes.grid(alpha=0.3)
 
 
 def _draw_loop(axes: Axes, found: TailResult, static: Recording) -> None:
@@ -82,13 +82,12 @@ def _draw_loop(axes: Axes, found: TailResult, static: Recording) -> None:
     middle = [(values.max() + values.min()) / 2 for values in (angle, torque)]
     ends = np.array([angle.min(), angle.max()])
     for label, slope, colour in (
-        (f"static fit, loading: {found.loop.loading:.3g}", found.loop.loading, "tab:red"),
+        (f"static fit, loading: {found.loop.loading:.3g}", found.loop.loading, ORANGE),
         (f"dynamic k: {found.fit.k_eff.value:.3g}", found.fit.k_eff.value, TWIN),
     ):
         axes.plot(ends, middle[1] + slope * (ends - middle[0]), color=colour, label=label)
     axes.set(title="hysteresis of the slow pull", xlabel="angle [rad]", ylabel="torque [N m]")
     axes.legend()
-    axes.grid(alpha=0.3)
 
 
 def _draw_ring(axes: Axes, found: TailResult) -> None:
@@ -99,15 +98,15 @@ def _draw_ring(axes: Axes, found: TailResult) -> None:
     axes.set(
         title=f"{ring.natural_frequency.value:.3g} Hz, ζ = {ring.damping_ratio.value:.3g}",
         xlabel="time [s]",
-        ylabel=ring.column,
+        ylabel=QUANTITIES.get(ring.column, f"{ring.column} [as recorded]"),
     )
     axes.legend()
-    axes.grid(alpha=0.3)
 
 
 # ---- servo --------------------------------------------------------------------------------------
 
 
+@styled
 def servo_fit(found: ServoFit, path: Path) -> None:
     """Per recording shown (a fitted and a held-out one): whole, one stroke; then all errors."""
     held_out = [o for o in found.overlays if o.role == "validate"]
@@ -125,6 +124,7 @@ def servo_fit(found: ServoFit, path: Path) -> None:
         figure.savefig(beside, dpi=130)
 
 
+@styled
 def servo(overlays: Sequence[Overlay], path: Path) -> None:
     """Recordings of a servo that nothing was fitted to: whole, and one stroke."""
     figure = Figure(figsize=(10, 3.2 * len(overlays)), layout="constrained")
@@ -149,7 +149,6 @@ def _draw_overlay(axes: Axes, overlay: Overlay, window: tuple[float, float] | No
         axes.plot(bench.time, np.degrees(values), style, color=colour, label=label, lw=1.2)
     reach = np.degrees(1.2 * max(np.nanmax(np.abs(bench.angle)), np.abs(bench.command).max()))
     axes.set(xlabel="time [s]", ylabel="angle [deg]", xlim=window, ylim=(-reach, reach))
-    axes.grid(alpha=0.3)
 
 
 def _draw_errors(axes: Axes, found: ServoFit) -> None:
@@ -163,4 +162,4 @@ def _draw_errors(axes: Axes, found: ServoFit) -> None:
     axes.set(xlabel="RMSE [deg], * held out")
     axes.invert_yaxis()
     axes.legend(fontsize="small")
-    axes.grid(alpha=0.3, axis="x")
+    axes.grid(visible=False, axis="y")

@@ -1,23 +1,24 @@
 """Figures. Draws what others computed; computes nothing."""
 
 from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tailbeat.evaluate.speed_map import SpeedMap
+from tailbeat.evaluate.speed_map import SpeedMap, SpeedRow
 from tailbeat.files import new_file
 from tailbeat.fish.rollout import Swim
 from tailbeat.identify.gait import distance, head_frame, last_seconds, phase_shift
 from tailbeat.identify.predict import Prediction
+from tailbeat.report.style import COMMAND, LIMIT, MEASURED, POOL, TWIN, label_ends, styled
 
-matplotlib.use("Agg")
-MEASURED, TWIN = "tab:blue", "tab:orange"
+MARKERS = ("o", "s", "^", "D", "v")  # of the shaft's speeds
 
 
+@styled
 def measured_against_twin(
     rows: Sequence[tuple[str, Prediction]], path: Path, overwrite: bool = False
 ) -> None:
@@ -50,8 +51,10 @@ def _draw_path(axes: Axes, prediction: Prediction, title: str) -> None:
         xlabel="time [s]" if cruise else "x [m]",
         ylabel="distance along the heading [m]" if cruise else "y [m]",
     )
-    axes.legend()
-    axes.grid(alpha=0.3)
+    if cruise:
+        label_ends(axes)
+    else:
+        axes.legend()
 
 
 def _draw_beat(axes: Axes, prediction: Prediction) -> None:
@@ -61,7 +64,7 @@ def _draw_beat(axes: Axes, prediction: Prediction) -> None:
         axes.plot(run.track.time, run.track.pose[:, 2], color=MEASURED, label="measured")
         axes.plot(prediction.track.time, prediction.track.pose[:, 2], color=TWIN, label="twin")
         axes.set(xlabel="time [s]", ylabel="heading [rad]")
-        axes.grid(alpha=0.3)
+        label_ends(axes)
         return
     measured = head_frame(run.track)[:, run.track.tip, 1]
     time = run.track.time - run.track.time[0]
@@ -71,23 +74,26 @@ def _draw_beat(axes: Axes, prediction: Prediction) -> None:
     axes.plot(time, 1e3 * (measured - np.nanmean(measured)), color=MEASURED, label="measured")
     axes.plot(when + shift, 1e3 * (twin - twin.mean()), color=TWIN, label="twin")
     axes.set(xlabel="time [s]", ylabel="fin tip sideways [mm]", xlim=(0, time[-1]))
-    axes.grid(alpha=0.3)
+    label_ends(axes)
 
 
 def _draw_figures(axes: Axes, prediction: Prediction) -> None:
     """Measured and predicted speed, stride, Strouhal number and stroke as pairs of bars."""
     measured, twin = prediction.run.gait, prediction.gait
-    names = ["speed\n[m/s]", "stride\n[m]", "stroke\n[m]", "Strouhal\n/ 10"]
+    names = ["speed\n[m/s]", "stride\n[m]", "stroke\n[m]", "Strouhal\n/ 10 [-]"]
     values = [[g.speed, g.stride, g.tail_amplitude, g.strouhal / 10] for g in (measured, twin)]
     place = np.arange(len(names))
     axes.bar(place - 0.2, values[0], 0.4, color=MEASURED, label="measured")
     axes.bar(place + 0.2, values[1], 0.4, color=TWIN, label="twin")
     axes.set_xticks(place, names)
+    axes.set_ylabel("value [unit as below]")
+    axes.legend()
     beat = f"{measured.frequency:.3f} Hz" if np.isfinite(measured.frequency) else "no steady beat"
     axes.set_title(f"{beat}, marker error {1e3 * prediction.marker_error:.1f} mm")
-    axes.grid(alpha=0.3, axis="y")
+    axes.grid(visible=False, axis="x")
 
 
+@styled
 def speeds(
     fitted: Sequence[Prediction],
     validated: Sequence[Prediction],
@@ -105,34 +111,39 @@ def speeds(
         axes.plot(x, twin, "s", color=TWIN, fillstyle=fill, label=f"twin, {label}")
     axes.set(xlabel="beat frequency [Hz]", ylabel="speed [m/s]", xlim=(0, None), ylim=(0, None))
     axes.legend()
-    axes.grid(alpha=0.3)
     with new_file(path, overwrite) as beside:
         figure.savefig(beside, dpi=130)
 
 
+@styled
 def speed_map(report: SpeedMap, path: Path, overwrite: bool = False) -> None:
-    """Speed of twin and plant over frequency, one panel per servo, one colour per shaft speed."""
+    """Speed of twin and pool over frequency, one panel per servo, one marker per shaft speed."""
     servos = list(dict.fromkeys(row.servo for row in report.rows))
     figure = Figure(figsize=(5.5 * len(servos), 4), layout="constrained")
     for axes, servo in zip(np.atleast_1d(figure.subplots(1, len(servos))), servos, strict=True):
         own = [row for row in report.rows if row.servo == servo]
-        for colour, rate in enumerate(dict.fromkeys(row.shaft_speed for row in own)):
+        rates = dict.fromkeys(row.shaft_speed for row in own)
+        for marker, rate in zip(cycle(MARKERS), rates, strict=False):
             rows = [row for row in own if row.shaft_speed == rate]
-            beats = [row.frequency for row in rows]
-            plant, twin = [row.plant for row in rows], [row.twin for row in rows]
-            for name, speeds, style in (("plant", plant, "-o"), ("twin", twin, "--s")):
-                label = f"{name}, {rate:g} rad/s"
-                axes.plot(
-                    beats, np.array(speeds, float), style, ms=4, color=f"C{colour}", label=label
-                )
-        axes.axhline(0, color="black", lw=0.8)
+            _draw_speeds(axes, rows, marker, f"{rate:g} rad/s")
+        axes.axhline(0, color=LIMIT, lw=0.8)
         axes.set(title=f"servo: {servo}", xlabel="frequency [Hz]", ylabel="speed [m/s]")
         axes.legend(fontsize="small")
-        axes.grid(alpha=0.3)
     with new_file(path, overwrite) as beside:
         figure.savefig(beside, dpi=130)
 
 
+def _draw_speeds(axes: Axes, rows: Sequence[SpeedRow], marker: str, label: str) -> None:
+    beats = [row.frequency for row in rows]
+    for name, speeds, line, colour in (
+        ("pool", [row.plant for row in rows], "-", POOL),
+        ("twin", [row.twin for row in rows], "--", TWIN),
+    ):
+        axes.plot(beats, np.array(speeds, float), line + marker, ms=4, color=colour,
+                  label=f"{name}, {label}")  # fmt: skip
+
+
+@styled
 def open_loop(swim: Swim, motor: int, path: Path, overwrite: bool = False) -> None:
     """Path of the head and the angles of motor and tail of one open-loop swim."""
     figure = Figure(figsize=(11, 3.6), layout="constrained")
@@ -140,11 +151,9 @@ def open_loop(swim: Swim, motor: int, path: Path, overwrite: bool = False) -> No
     plane.plot(swim.qpos[:, 0], swim.qpos[:, 1], color=TWIN)
     plane.set(xlabel="x [m]", ylabel="y [m]", title="path of the fish frame")
     plane.set_aspect("equal", adjustable="datalim")
-    angles.plot(swim.time, swim.qpos[:, motor], color="black", label="motor")
+    angles.plot(swim.time, swim.qpos[:, motor], color=COMMAND, label="motor")
     angles.plot(swim.time, swim.qpos[:, motor + 1 :].sum(axis=1), color=TWIN, label="tail, sum")
     angles.set(xlabel="time [s]", ylabel="angle [rad]")
-    angles.legend()
-    for axes in (plane, angles):
-        axes.grid(alpha=0.3)
+    label_ends(angles)
     with new_file(path, overwrite) as beside:
         figure.savefig(beside, dpi=130)

@@ -8,23 +8,26 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tailbeat.files import new_file
+from tailbeat.report.style import LIMIT, SERIES, label_ends, styled
 from tailbeat.train.progress import TrainingRow
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito's
+FEW = 4  # curves that are labelled at their ends
 
 
+@styled
 def courses(curves: Mapping[str, Sequence[TrainingRow]], path: Path) -> None:
     """Rolling share of targets acquired, and the stage, over the minutes of each training."""
     figure = Figure(figsize=(8, 5), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
-    for colour, (label, rows) in zip(COLOURS, curves.items(), strict=False):
+    for colour, (label, rows) in zip(SERIES, curves.items(), strict=False):
         _draw(above, below, rows, label, colour)
-    above.axhline(95, color="0.6", lw=0.8)
+    above.axhline(95, color=LIMIT, lw=0.8)
     above.set(ylabel="targets acquired [%]", ylim=(0, 102))
-    above.legend(loc="lower right")
-    below.set(xlabel="training [min]", ylabel="stage")
-    for axes in (above, below):
-        axes.grid(alpha=0.3)
+    below.set(xlabel="training [min]", ylabel="stage [-]")
+    if len(curves) > FEW:
+        above.legend(loc="lower right")
+    else:
+        label_ends(above)
     with new_file(path, overwrite=True) as beside:
         figure.savefig(beside, dpi=130)
 

@@ -115,6 +115,7 @@ def _reach(out: Path, data: Evaluation, fish: Fish) -> list[Section]:
         swims, _ = store.load(out, name, -(-data.run.conditions[name] // CHUNK))
         stem = name.replace(" ", "-")
         blocks += [Block("heading", name), table([_reach_row(row)])]
+        blocks.append(figure(swim_figures.heat_map(row.cells, name), out, f"{stem}-rates"))
         blocks.append(figure(swim_figures.reach_map(swims, name), out, f"{stem}-map"))
         if not name.endswith("twin"):
             blocks.append(figure(swim_figures.paths(swims, fish), out, f"{stem}-paths"))
