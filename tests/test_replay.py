@@ -44,7 +44,7 @@ def row(k: int) -> dict[str, Any]:
     if k >= SWIMS.stop:
         state, reason = "stop", "stop asked by the operator page"
     x, y, yaw = -1 + 0.004 * k, 0.3, 0.1
-    seen = np.tile([x, y, yaw, *TARGET, 0.02], (3, 1)) if swims else []
+    seen: Any = np.tile([x, y, yaw, *TARGET, 0.02], (3, 1)) if swims else []
     return {
         "time_s": 500 + 0.02 * k, "state": state, "reason": reason, "cause": "swimming",
         "command_rad": 0.2, "motor_angle_rad": 0.5 * math.sin(0.2 * k), "yaw_rate_rad_s": 0.0,
@@ -289,11 +289,11 @@ def test_what_cannot_be_replayed_is_one_sentence(tmp_path, log):
     write_log(tmp_path / "word.mcap", [{**row(0), "x_m": "left"}])
     for name, words in (
         ("none", "no such file"),
-        ("empty", "no rows of a swim"),
-        ("text", "no rows of a swim"),
-        ("other", "no rows of a swim"),
+        ("empty", "no row of a swim"),
+        ("text", "no row of a swim"),
+        ("other", "no row of a swim"),
         ("fields", "no row has state"),
-        ("list", "is no JSON object"),
+        ("list", "is not a JSON object"),
         ("state", "row 0: state is 'asleep', not one of disarmed"),
         ("back", "row 1: time_s goes back"),
         ("word", "row 0: x_m is 'left', not a number"),

@@ -223,6 +223,7 @@ def test_the_page_s_picture_shows_the_fish_close_up_above_the_whole_pool(x, y):
     image = np.full((720, 1280), 40, np.uint8)
     image[max(y - 4, 0) : y + 5, max(x - 4, 0) : x + 5] = 250
     both = cv2.imdecode(np.frombuffer(preview(image, np.array([x, y])), np.uint8), 0)
+    assert both is not None
     close, whole = both[:360], both[360:]
     assert close.shape == whole.shape == (360, 640) and whole[y // 2, x // 2] > 150
     bright = np.argwhere(close > 150)

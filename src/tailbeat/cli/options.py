@@ -22,3 +22,13 @@ PolicyOption = Annotated[str, typer.Option("--policy", help="A policy, .onnx, or
 ServoPort = Annotated[str, typer.Option("--servo", help="Serial port of the servo.")]
 PageOption = Annotated[str, typer.Option("--page", help="host:port of the operator page.")]
 TargetOption = Annotated[str, typer.Option("--target", help="Place of the target: x,y [m].")]
+TourJson = Annotated[
+    Path | None, typer.Option("--json", help="Write the tour's result here as JSON.")
+]
+ReplayOption = Annotated[
+    Path | None,
+    typer.Option("--replay", help="Show this log on the operator page, without a fish: .mcap."),
+]
+ReplayPool = Annotated[
+    str, typer.Option("--pool", help="Length,width of the pool of a replay [m].")
+]

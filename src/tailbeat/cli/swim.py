@@ -17,7 +17,10 @@ from tailbeat.cli.options import (
     PolicyFile,
     PolicyOption,
     PoolFish,
+    ReplayOption,
+    ReplayPool,
     SeedOption,
+    TourJson,
     TwinOption,
 )
 from tailbeat.files import BadInput, need, refuse_existing, write_json
@@ -27,6 +30,7 @@ from tailbeat.robot.ports import Ports
 
 if TYPE_CHECKING:
     from tailbeat.evaluate.swim import Swum
+    from tailbeat.operator.leader import Leader
 
 Asked = tuple[str, str, str | None, int, int]  # policy, pool's fish, twin, targets, seed
 Devices = AbstractContextManager[tuple[Ports, Path]]  # where the devices are, and the key's file
@@ -231,8 +235,7 @@ def station(
         str, typer.Option("--fish", help="Fish to draw: a TOML file or a shipped fish's name.")
     ] = "pulley-fish",
     targets: Annotated[
-        int,
-        typer.Option("--tour", help="Number of random targets to lead the fish to."),
+        int, typer.Option("--tour", help="Number of random targets to lead the fish to.")
     ] = 0,
     begin: Annotated[
         str | None,
@@ -241,24 +244,16 @@ def station(
         ),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the random targets.")] = 0,
-    json: Annotated[
-        Path | None, typer.Option("--json", help="Write the tour's result here as JSON.")
-    ] = None,
-    replay: Annotated[
-        Path | None,
-        typer.Option("--replay", help="Show this log on the operator page, without a fish: .mcap."),
-    ] = None,
-    pool: Annotated[
-        str, typer.Option("--pool", help="Length,width of the pool of a replay [m].")
-    ] = f"{LENGTH:g},{WIDTH:g}",
+    json: TourJson = None,
+    replay: ReplayOption = None,
+    pool: ReplayPool = f"{LENGTH:g},{WIDTH:g}",
 ) -> None:
     """Run the poolside station: find the fish, send its pose, show the operator page. Exit code 1
     if a tour was not finished. With --replay: play a finished run from its log on the page."""
+    given = {"--robot": robot, "--key": key, "--listen": listen, "--camera": camera,
+             "--tour": targets, "--begin": begin, "--json": json}  # fmt: skip
     if replay is not None:
-        given = {"--robot": robot, "--key": key, "--listen": listen, "--camera": camera,
-                 "--tour": targets, "--begin": begin, "--json": json}  # fmt: skip
-        _replay(replay, page, fish, pool, [name for name, value in given.items() if value])
-        return
+        return _replay(replay, page, fish, pool, [name for name, value in given.items() if value])
     if key is None or not (robot and listen):
         raise BadInput("station: give --robot, --key and --listen, or a log to --replay.")
     from tailbeat.operator import station as work
@@ -276,6 +271,11 @@ def station(
         leader = chosen_leader(targets, seed, begin, work.pool_of(tracker, lambda _: None))
         config = work.StationConfig(*ends, key, page, fish)
         work.work(config, tracker, leader, output.say)
+    _end_of_tour(leader, json)
+
+
+def _end_of_tour(leader: "Leader | None", json: Path | None) -> None:
+    """Write what came of a tour; exit code 1 if it was not finished."""
     tour = leader.tour if leader else None
     if json is not None:
         rows = tour.rows if tour else []

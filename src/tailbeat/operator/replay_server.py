@@ -39,23 +39,25 @@ class Shown:
     fish: Fish
     room: tuple[float, float]
 
-    def about(self) -> dict[str, Any]:
-        """What the page is told first."""
-        run, changes = self.run, [asdict(one) for one in self.run.changes()]
-        return {"name": run.name, "seconds": run.seconds, "whole": run.whole, "changes": changes}
 
-    def answer(self, text: str) -> dict[str, Any]:
-        """To one message of a browser: {"do": "at", "at": seconds}, or an order."""
-        try:
-            asked = json.loads(text[:LONGEST])
-            wanted, at = asked["do"], asked.get("at")
-        except (ValueError, TypeError, KeyError, AttributeError):
-            return {"said": ["refused: not a command"]}
-        if wanted != "at":
-            return {"said": [NO_ORDERS]}
-        if not isinstance(at, int | float) or not math.isfinite(at):
-            return {"said": ["refused: a time is a number of seconds"]}
-        return {"now": snapshot(self.run, self.fish, self.room, float(at))}
+def _about(run: Run) -> dict[str, Any]:
+    """What the page is told first."""
+    changes = [asdict(one) for one in run.changes()]
+    return {"name": run.name, "seconds": run.seconds, "whole": run.whole, "changes": changes}
+
+
+def _answer(shown: Shown, text: str) -> dict[str, Any]:
+    """To one message of a browser: {"do": "at", "at": seconds}, or an order."""
+    try:
+        asked = json.loads(text[:LONGEST])
+        wanted, at = asked["do"], asked.get("at")
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return {"said": ["refused: not a command"]}
+    if wanted != "at":
+        return {"said": [NO_ORDERS]}
+    if not isinstance(at, int | float) or not math.isfinite(at):
+        return {"said": ["refused: a time is a number of seconds"]}
+    return {"now": snapshot(shown.run, shown.fish, shown.room, float(at))}
 
 
 def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
@@ -74,11 +76,14 @@ def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
             await browser.close(1008)
             return
         await browser.accept()
-        first = {"replay": shown.about(), "now": snapshot(shown.run, shown.fish, shown.room, 0.0)}
+        first = {
+            "replay": _about(shown.run),
+            "now": snapshot(shown.run, shown.fish, shown.room, 0.0),
+        }
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             await _tell(browser, first)
             async for text in browser.iter_text():
-                await _tell(browser, shown.answer(text))
+                await _tell(browser, _answer(shown, text))
 
     return app
 

@@ -6,7 +6,7 @@ measurement have the same colour in every figure.
 
 from collections.abc import Callable
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import matplotlib
 import numpy as np
@@ -28,7 +28,7 @@ WAY = "#B3B3B3"  # the whole path of a fish that is drawn upon it
 WHITE = "#FFFFFF"
 SERIES = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)  # of things without a colour of their own
 RATES = "cividis"  # of a map of success rates: as light rises, so does the rate
-SETTINGS = {
+SETTINGS: dict[Any, Any] = {
     "font.size": 9.5,
     "axes.titlesize": "medium",
     "axes.grid": True,
@@ -43,7 +43,8 @@ SETTINGS = {
     "errorbar.capsize": 2.5,
 }
 APART = 0.075  # of an axis' height: the least distance of two labels
-Given, Drawn = ParamSpec("Given"), TypeVar("Drawn")
+Given = ParamSpec("Given")
+Drawn = TypeVar("Drawn")
 
 
 def styled(draw: Callable[Given, Drawn]) -> Callable[Given, Drawn]:

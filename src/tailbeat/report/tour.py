@@ -25,7 +25,7 @@ from tailbeat.pool.water import fingerprint
 from tailbeat.report import film, html
 from tailbeat.report.film_frames import Shot
 from tailbeat.report.html import Block, Section
-from tailbeat.report.swim_figures import BLUE, GREEN, ORANGE, RED
+from tailbeat.report.style import LIMIT, MISSED, POOL, REACHED, TARGET, WAY, styled
 
 FILM_SECONDS = 16.0  # of a tour's film, which begins where the tour does
 
@@ -118,27 +118,30 @@ def rows(targets: Iterable[TargetResult]) -> list[dict[str, Any]]:
     ]
 
 
+@styled
 def picture(tour: Tour, fish: Fish) -> Figure:
     """The pool from above: the whole path, the targets in their order, the fish now and then."""
     figure = Figure(figsize=(9, 4.8), layout="constrained")
     axes = figure.subplots()
     _draw(axes, tour, fish, len(tour.goal) - 1, len(tour.goal))
     for step in range(0, len(tour.goal), round(2.0 / PERIOD)):
-        axes.plot(*outline(fish, tour.shape[step]).T, color=BLUE, lw=1.5, alpha=0.4)
+        axes.plot(*outline(fish, tour.shape[step]).T, color=POOL, lw=1.5, alpha=0.4)
     return figure
 
 
 def _draw(axes: Axes, tour: Tour, fish: Fish, step: int, shown: int) -> None:
     length, width = WALLS
-    axes.add_patch(Rectangle((-length / 2, -width / 2), length, width, fill=False, lw=2))
-    axes.plot(*tour.pose[:shown, :2].T, color="0.7", lw=1)
+    axes.add_patch(
+        Rectangle((-length / 2, -width / 2), length, width, fill=False, color=LIMIT, lw=2)
+    )
+    axes.plot(*tour.pose[:shown, :2].T, color=WAY, lw=1)
     for number, (x, y) in enumerate(tour.targets.tolist()):
         over = number < tour.goal[step] or shown == len(tour.goal)
-        colour = (GREEN if tour.reached[number] else RED) if over else ORANGE
+        colour = (REACHED if tour.reached[number] else MISSED) if over else TARGET
         if over or number == tour.goal[step]:
             axes.add_patch(Circle((x, y), 0.05, color=colour, zorder=3))
             axes.annotate(str(number + 1), (x + 0.07, y + 0.05))
-    axes.plot(*outline(fish, tour.shape[step]).T, color=BLUE, lw=3, solid_capstyle="round")
+    axes.plot(*outline(fish, tour.shape[step]).T, color=POOL, lw=3, solid_capstyle="round")
     axes.set(xlim=(-2.85, 2.85), ylim=(-1.45, 1.45), xlabel="x [m]", ylabel="y [m]")
     axes.set(title=f"{PERIOD * step:.0f} s")
     axes.set_aspect("equal")
