@@ -184,7 +184,7 @@ PICTURE = np.arange(48, dtype=np.uint8).reshape(6, 8)
         (b"", False, "no frame for 0.2 s"),
         (b"", True, "it closed"),
         (packed(PICTURE, 2, 0)[:40], True, "it closed"),
-        (b"x" * 100, False, "what it sends are no frames"),
+        (b"x" * 100, False, "it sends something else than frames"),
     ],
 )
 def test_a_camera_that_stops_goes_or_talks_nonsense_is_one_fault(tmp_path, tail, hang_up, why):
@@ -243,7 +243,7 @@ def test_cameras_that_are_none_are_refused(tmp_path):
         with pytest.raises(BadInput, match=complaint):
             open_camera(where)
     (tmp_path / "taken").touch()
-    with pytest.raises(BadInput, match="not taken"):
+    with pytest.raises(BadInput, match="does not exist"):
         listen(tmp_path / "taken")
 
 
@@ -313,7 +313,7 @@ def test_a_camera_ends_with_the_process_that_started_it(tmp_path):
 
 def test_a_camera_that_cannot_start_says_so(tmp_path):
     (tmp_path / "taken").touch()
-    with pytest.raises(BadInput, match="not taken"):
+    with pytest.raises(BadInput, match="does not exist"):
         start_camera(tmp_path / "taken", Filming())
     broken = Filming(optics=None)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="did not start"):

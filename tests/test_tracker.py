@@ -200,7 +200,7 @@ def test_strangers_and_prints_of_another_size_are_counted_and_dropped(tracker):
 
 
 def test_a_camera_mode_or_ids_that_do_not_fit_are_refused(tracker):
-    with pytest.raises(BadInput, match="gives 640 x 480 pixels, calibrated were 1280 x 720"):
+    with pytest.raises(BadInput, match="640 x 480 pixels, but the calibration is for 1280 x 720"):
         tracker.see(np.zeros((480, 640), np.uint8), 0)
     with pytest.raises(BadInput, match="give two different ones"):
         Tracker(true_calibration(), ids=(3, 3))

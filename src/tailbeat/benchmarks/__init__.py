@@ -1,1 +1,1 @@
-"""How fast, how exact, against what?"""
+"""Benchmarks: how fast and how exact, compared with what."""

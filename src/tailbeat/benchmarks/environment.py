@@ -1,7 +1,7 @@
-"""How fast is the environment, against the bare engine and against SB3's own ways, in one run?
+"""Speed of the environment, compared with the bare engine and SB3's environments in one run.
 
-Needs the train extra. The peers do the same task without noise, latency and randomisation; ours
-has everything on.
+Needs the train extra. The peers do the same task without noise, latency and randomisation; ours has
+all of them.
 """
 
 import tempfile
@@ -29,13 +29,13 @@ from tailbeat.fish.twin import build_spec, compile_twin
 
 COUNTS = (1, 16, 64, 256)
 PEER_COUNT = 64
-CONTROL_STEPS = 8_000  # per turn, in all
+CONTROL_STEPS = 8_000  # per turn, of all fish
 TURNS = 11
 
 
 class OrdinaryFish(MujocoEnv):
-    """One fish the ordinary way: gymnasium's MujocoEnv with the same actions, observation and
-    reward, but exact sensors, no latency, no randomisation, no pulses."""
+    """One fish in gymnasium's MujocoEnv: the same actions, observation and reward, but exact
+    sensors, no latency, no randomisation, no pulses."""
 
     metadata = {"render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"]}  # noqa: RUF012
 
@@ -47,7 +47,7 @@ class OrdinaryFish(MujocoEnv):
         self.action_space = action_space(6)
 
     def step(self, action: Any) -> Any:
-        """Gymnasium's five."""
+        """Gymnasium's five results."""
         self.tail = act.step(self.generator, self.tail, np.asarray(action, float)[None], PERIOD)
         self.do_simulation(act.setpoint(self.generator, self.tail), self.frame_skip)
         self.commands = np.roll(self.commands, 1, axis=1)
@@ -59,7 +59,7 @@ class OrdinaryFish(MujocoEnv):
         return self._seen(), reward, distance < 0.05, False, {}
 
     def reset_model(self) -> Any:
-        """Straight and still."""
+        """Reset to a straight fish at rest."""
         self.tail = act.reset(self.generator, 1)
         self.commands, self.frames = np.zeros((1, 3, 2)), np.zeros((1, 3, 6))
         self.set_state(self.init_qpos, self.init_qvel)
@@ -73,8 +73,8 @@ class OrdinaryFish(MujocoEnv):
 
 @dataclass(frozen=True)
 class EnvironmentRow:
-    """Control steps per second of so many fish in our environment and in the bare engine, their
-    ratio, and the quartiles of the ratio over the turns: what a shared machine does to it."""
+    """Control steps per second of our environment and of the bare engine with `fish` fish, their
+    ratio, and the ratio's quartiles over the turns, which show the effect of a shared machine."""
 
     fish: int
     steps_per_s: float
@@ -85,8 +85,8 @@ class EnvironmentRow:
 
 @dataclass(frozen=True)
 class PeerRow:
-    """Control steps per second of so many fish in SB3's two vectorised environments, and how many
-    times the faster one's our rate is."""
+    """Control steps per second of SB3's two vectorised environments with `fish` fish, and our rate
+    over the faster one's."""
 
     fish: int
     dummy_vec_env: float
@@ -95,8 +95,8 @@ class PeerRow:
 
 
 def env_bench(name: str = "pulley-fish-pool") -> tuple[tuple[EnvironmentRow, ...], PeerRow]:
-    """A row per number of fish, and 64 fish against both peers. The environment and the bare engine
-    take turns, best of each."""
+    """Measure a row per number of fish, and 64 fish against both peers. Environment and bare engine
+    are timed in turns; the best of each counts."""
     fish = load_fish(name)
     rows = tuple(_against_bare(fish, count) for count in COUNTS)
     ours = next(row.steps_per_s for row in rows if row.fish == PEER_COUNT)
@@ -117,7 +117,7 @@ Round = Callable[[], None]
 
 
 def _turns(ours: tuple[int, Round], bare: tuple[int, Round]) -> NDArray[np.float64]:
-    """Rates (TURNS, 2) of both, one after the other in turn."""
+    """Rates (TURNS, 2) of both, timed in turns."""
     return np.array([[_rate(*ours), _rate(*bare)] for _ in range(TURNS)])
 
 
@@ -136,12 +136,12 @@ def _ours(fish: Fish, count: int) -> tuple[int, Round]:
         for action in actions:
             env.step(action)
 
-    env.step(actions[0])  # compiled here, if it was not
+    env.step(actions[0])  # compiles, if not yet done
     return actions.shape[0] * count, play
 
 
 def _bare(fish: Fish, count: int) -> tuple[int, Round]:
-    """The engine alone on the same model: the same substeps under the same setpoints."""
+    """The engine alone on the same model, with the same substeps and setpoints."""
     twin = compile_twin(fish)
     substeps = round(PERIOD / twin.model.opt.timestep)
     pool = batch.Batch(twin.model, count, persistent=True)
@@ -169,7 +169,7 @@ def _rounds(count: int) -> int:
 
 
 def _peer(fish: Fish, kind: Any) -> float:
-    """SB3's way with 64 ordinary fish."""
+    """Control steps per second of SB3's environment with 64 fish."""
     substeps = round(PERIOD / fish.simulation.step)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "fish.xml"

@@ -1,4 +1,4 @@
-"""How punctual is the robot's loop on this machine? It drives emulated devices."""
+"""Punctuality of the robot's loop on this machine, with emulated devices."""
 
 import time
 from collections.abc import Callable
@@ -20,8 +20,8 @@ MINUTE = 60.0
 
 @dataclass(frozen=True)
 class LatencyResult:
-    """What the drive came to, how often it held and was armed again, and how much later the last
-    tenth of its periods began than the first [ms], median."""
+    """The drive's result, how often it went to HOLD and was armed again, and how much later the
+    last tenth of its periods began than the first tenth [ms], median."""
 
     drive: DriveResult
     armed_anew: int
@@ -31,8 +31,8 @@ class LatencyResult:
 def latency(
     policy: str, fish: str, minutes: float, seed: int, say: Callable[[str], None]
 ) -> LatencyResult:
-    """Drive emulated devices for so many minutes and time the loop. Where it holds it is armed
-    again, and counted."""
+    """Drive emulated devices for `minutes` and time the loop. After a HOLD it is armed again and
+    counted."""
     holds = [0]
 
     def each(own: Any) -> None:

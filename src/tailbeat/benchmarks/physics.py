@@ -1,7 +1,7 @@
-"""What does a control step of the physics cost, and how wrong is it? One row per way to step.
+"""Cost and error of a control step of the physics, for several ways to step.
 
 Seven gaits of 10 s, some turning, up to the generator's largest first harmonic at its ceiling,
-against the same fish at 0.1 ms. Costs are of one core with 16 fish.
+compared with the same fish at 0.1 ms. Costs are of one core with 16 fish.
 """
 
 import time
@@ -30,7 +30,7 @@ GAITS = (
 
 @dataclass(frozen=True)
 class Way:
-    """One way to step: integrator, step [ms], and what differs from the fish as described."""
+    """A way to step: integrator, step [ms], and differences from the fish as described."""
 
     integrator: str
     step_ms: float
@@ -40,8 +40,8 @@ class Way:
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicsRow(Way):
-    """A way to step: control steps per second on one core, and the largest errors after 10 s of the
-    mean speed [%] and of the heading [deg]; None where they were not measured."""
+    """A way to step with its results: control steps per second on one core, and after 10 s the
+    largest errors of the mean speed [%] and of the heading [deg]; None where not measured."""
 
     control_steps_per_s_core: float
     speed_error_percent: float | None = None
@@ -61,14 +61,15 @@ WAYS = (
 
 
 def physics_bench(name: str = "pulley-fish-pool") -> tuple[PhysicsRow, ...]:
-    """Control steps per second and core, and errors after 10 s, of every way."""
+    """Measure control steps per second and core, and errors after 10 s, of every way."""
     fish = load_fish(name)
     truth = _swims(_stepped(fish, REFERENCE))
     return tuple(_row(fish, way, truth) for way in WAYS)
 
 
 def _stepped(fish: Fish, way: Way) -> Twin:
-    """The twin stepped a given way; not validated, since the engine has ways we do not offer."""
+    """The twin with a way to step. Not validated, because the engine has ways that we do not
+    offer."""
     simulation = fish.simulation.model_copy(
         update={"step": 1e-3 * way.step_ms, "integrator": way.integrator}
     )
@@ -81,7 +82,8 @@ def _stepped(fish: Fish, way: Way) -> Twin:
 
 
 def _swims(twin: Twin) -> list[Swim]:
-    """All gaits, a sample per control period; commands change with the period, as in control."""
+    """Swim all gaits, one sample per control period; commands change with the period, as in
+    control."""
     every = round(PERIOD / twin.model.opt.timestep)
     clock = PERIOD * np.arange(round(SECONDS / PERIOD))
     commands = [
@@ -95,7 +97,7 @@ def _row(fish: Fish, way: Way, truth: list[Swim]) -> PhysicsRow:
     twin = _stepped(fish, way)
     row = PhysicsRow(**vars(way), control_steps_per_s_core=_rate(twin))
     if way.root == "free":
-        return replace(row, note="cost alone")
+        return replace(row, note="only the cost")
     done = _swims(twin)
     if any(one.diverged for one in done):
         return replace(row, note="diverged")

@@ -1,4 +1,4 @@
-"""How fast, against what: the step of tailbeat against a bare engine loop, in one run."""
+"""Speed of tailbeat's step, compared with the bare engine's loop in one run."""
 
 import os
 import platform
@@ -22,8 +22,8 @@ CONTROL_PERIOD = 0.02
 
 @dataclass(frozen=True)
 class StepRow:
-    """Stepping a shipped fish by `step_ms` [ms]: our time and the bare engine's [us per step], and
-    how much faster than real time one fish runs on one core, and 32 per core on all."""
+    """Stepping a shipped fish by `step_ms` [ms]: our time and the bare engine's [us per step]; how
+    much faster than real time one fish runs on one core, and 32 per core on all cores."""
 
     fish: str
     step_ms: float
@@ -36,8 +36,8 @@ class StepRow:
 
 @dataclass(frozen=True)
 class PoolRow:
-    """So many fish in the virtual pool: step [ms], and how much faster than real time they run in
-    all and per core."""
+    """`fish` fish in the virtual pool: step [ms], and how much faster than real time they run in
+    total and per core."""
 
     fish: int
     step_ms: float
@@ -51,21 +51,22 @@ def machine() -> str:
 
 
 def step_bench() -> tuple[StepRow, ...]:
-    """Every shipped fish against `mujoco.rollout`."""
+    """Compare every shipped fish with `mujoco.rollout`."""
     return tuple(_one(name) for name in shipped())
 
 
 def pool_bench() -> tuple[PoolRow, ...]:
-    """The virtual pool's plant with one fish and with 64."""
+    """Time the virtual pool's plant with one fish and with 64."""
     return _pool(1), _pool(64)
 
 
 def _pool(count: int) -> PoolRow:
-    """The virtual pool's plant at 2 ms: how much faster than real time, per core and in all."""
+    """Time the virtual pool's plant at 2 ms: how much faster than real time, per core and in
+    total."""
     plant = build_plant(load_fish("pulley-fish"), [Water()] * count)
     clock = np.arange(0, SECONDS, plant.dt)
     commands = np.repeat(0.6 * np.sin(2 * np.pi * 1.5 * clock)[None], count, axis=0)
-    step_plant(plant, at_rest(plant), commands[:, :10])  # compiled here, if it was not
+    step_plant(plant, at_rest(plant), commands[:, :10])  # compiles, if not yet done
     times = []
     for _ in range(REPEATS):
         began = time.perf_counter()
@@ -104,7 +105,7 @@ def _commands(twin: Twin) -> np.ndarray:
 
 
 def _ours(twin: Twin, commands: np.ndarray) -> float:
-    """Wall seconds of our step: one fish, one thread, a sample per control period."""
+    """Wall time [s] of our step: one fish, one thread, one sample per control period."""
     every = max(round(CONTROL_PERIOD / twin.model.opt.timestep), 1)
     began = time.perf_counter()
     swim([twin], [Start.at_rest()], [commands], every, threads=1)
@@ -112,7 +113,7 @@ def _ours(twin: Twin, commands: np.ndarray) -> float:
 
 
 def _many(twin: Twin, commands: np.ndarray, count: int) -> float:
-    """Wall seconds of `count` fish on every core."""
+    """Wall time [s] of `count` fish on all cores."""
     every = max(round(CONTROL_PERIOD / twin.model.opt.timestep), 1)
     began = time.perf_counter()
     swim([twin] * count, [Start.at_rest()] * count, [commands] * count, every)
@@ -120,7 +121,7 @@ def _many(twin: Twin, commands: np.ndarray, count: int) -> float:
 
 
 def _bare(twin: Twin, commands: np.ndarray) -> float:
-    """Wall seconds of the engine's own C loop over the same commands, in one long call."""
+    """Wall time [s] of the engine's own C loop over the same commands, in one call."""
     data = mujoco.MjData(twin.model)
     start = np.zeros(mujoco.mj_stateSize(twin.model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
     mujoco.mj_getState(twin.model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # they need extras
 
 @dataclass(frozen=True)
 class VisionBenchmark:
-    """The camera's side: a row per condition of the pictures, and the processes."""
+    """Vision: a row per condition of the pictures, and the real processes."""
 
     pictures: "tuple[VisionRow, ...]"
     live: "LiveRow"
@@ -24,9 +24,9 @@ class VisionBenchmark:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """Speed on a `machine`: the step of each fish, the pool, the camera's side, ways to step the
-    physics, the environment by number of fish and against SB3's (`peers`), updates of the training;
-    empty or None without the extra that it needs."""
+    """Speeds on a `machine`: step of each fish, pool, vision, ways to step the physics, environment
+    by number of fish and compared with SB3's (`peers`), training updates. Empty or None where an
+    extra is missing."""
 
     machine: str
     fish: tuple[StepRow, ...]
@@ -39,7 +39,7 @@ class Benchmark:
 
 
 def benchmark(env: bool = True) -> Benchmark:
-    """Measure this machine; environment and updates with `env` alone."""
+    """Measure this machine; environment and updates only if `env` is set."""
     found = Benchmark(step.machine(), step.step_bench(), step.pool_bench())
     if find_spec("cv2") and find_spec("pyapriltags"):
         found = _with_vision(found)

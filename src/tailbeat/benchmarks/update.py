@@ -1,6 +1,6 @@
-"""How fast is an update of the training, against SB3's own SAC, in one run?
+"""Speed of a training update, compared with SB3's own SAC in one run.
 
-Needs the train extra. Networks, batch and swims behind it are the same size; the sides take turns.
+Needs the train extra. Networks, batch and swims are the same; the updates are timed in turns.
 """
 
 import time
@@ -19,15 +19,14 @@ from tailbeat.train.sac import rounds
 from tailbeat.train.train import environment, learner
 
 FISH = "pulley-fish-pool"
-STEPS = 100  # control steps of all fish, swum at random before: what the batches are drawn from
+STEPS = 100  # control steps of every fish, at random, that fill the buffer
 UPDATES = 50  # per turn
 TURNS = 7
 
 
 @dataclass(frozen=True)
 class UpdateRow:
-    """An `update` of the training by name: its batch, its time [ms], and how many times faster than
-    SB3's own SAC it is."""
+    """A training `update` by name: its batch, its time [ms], and SB3's time over it."""
 
     update: str
     batch: int
@@ -36,8 +35,8 @@ class UpdateRow:
 
 
 def update_bench() -> tuple[UpdateRow, ...]:
-    """Milliseconds per update, median of the turns, and how many times SB3's own that is: SB3's SAC
-    as in the recipe `paper`, with torch's own threads; ours without and with rounded products."""
+    """Measure the time per update, median of the turns, compared with SB3's SAC of the recipe
+    `paper` with torch's own threads. Ours is timed without and with rounded products."""
     threads = torch.get_num_threads()
     recipes = {"SB3's SAC": paper(), "quick, float32": replace(quick(), rounded=False)}
     if rounds():
@@ -60,7 +59,7 @@ def update_bench() -> tuple[UpdateRow, ...]:
 
 
 def _filled(recipe: Recipe) -> SAC:
-    """A learner with some swims in its buffer, and nothing learnt."""
+    """An untrained learner with some swims in its buffer."""
     fish = load_fish(FISH)
     steps = STEPS * recipe.fish
     small = replace(recipe, buffer=2 * steps, starts=2 * steps)
@@ -71,7 +70,7 @@ def _filled(recipe: Recipe) -> SAC:
 
 
 def _turn(model: SAC, batch: int) -> float:
-    """Seconds per update; a few before are not counted."""
+    """Time per update [s]; a few updates before are not counted."""
     model.train(UPDATES // 10, batch)
     began = time.perf_counter()
     model.train(UPDATES, batch)

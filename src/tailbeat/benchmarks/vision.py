@@ -1,7 +1,7 @@
-"""How well and how fast does the camera's side see? Poses of rendered pictures against the truth.
+"""Accuracy and speed of vision: poses from rendered pictures compared with the truth.
 
-Costs are CPU time of one core, so that a busy machine shows less; the delay from a frame's exposure
-to its pose is measured through the real processes.
+Costs are CPU time of one core, so a busy machine has little effect. The delay from a frame's
+exposure to its pose is measured with the real processes.
 """
 
 import os
@@ -33,13 +33,13 @@ from tailbeat.vision.tracking import TrackerProcess, start_tracker
 Array = NDArray[np.float64]
 PLACES, FRAMES = 400, 300
 RATE = 60.0
-APART = 10.0  # s between scattered scenes: nothing is remembered from one to the next
+APART = 10.0  # s between scattered scenes: the tracker's memory is over
 FISH = Tag(height=-0.03)
 CORNER_NOISE = 0.1  # px rms of surveyed tags' middles
 
 
 def calibrated(optics: Optics, fish: Tag = FISH, target: Tag | None = None) -> Calibration:
-    """As a lab would: twenty views of a board, nine tags surveyed at the fish's depth."""
+    """Calibrate as a lab does: twenty views of a board, nine tags surveyed at the fish's depth."""
     rng, board = np.random.default_rng(7), Board()
     lens = fit_lens(board_views(optics, board, 20, seed=7), board)
     known = np.array([[x, y, fish.height] for x in (-2.2, 0.0, 2.2) for y in (-1.0, 0.0, 1.0)])
@@ -50,7 +50,7 @@ def calibrated(optics: Optics, fish: Tag = FISH, target: Tag | None = None) -> C
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """Sightings beside the truth, and CPU seconds per frame of drawing and of seeing."""
+    """Sightings and the truth, and CPU seconds per frame of drawing and of tracking."""
 
     sightings: list[Sighting]
     truth: Array  # (n, 3)
@@ -86,15 +86,15 @@ class Costs:
 
 @dataclass(frozen=True, kw_only=True)
 class VisionRow(PoseErrors, Costs):
-    """Both under one condition of the pictures."""
+    """Errors and costs under one condition of the pictures."""
 
     pictures: str
 
 
 @dataclass(frozen=True)
 class LiveRow:
-    """Camera and tracker as processes: poses per second, delay from exposure to pose [ms], and how
-    long nothing is seen once the tracker dies [s]."""
+    """Camera and tracker as processes: poses per second, delay from exposure to pose [ms], and time
+    without poses after the tracker is killed [s]."""
 
     poses_per_s: float
     delay_ms_median: float
@@ -118,7 +118,7 @@ def watch(renderer: Renderer, tracker: Tracker, scenes: Sequence[Scene], step: f
 
 
 def errors(told: Told) -> PoseErrors:
-    """Poses against the truth."""
+    """Errors of the poses."""
     nothing = (np.nan,) * 3
     seen = np.array([one.frame.fish or nothing for one in told.sightings])
     aims = np.array([one.frame.target or nothing[:2] for one in told.sightings])
@@ -148,7 +148,7 @@ CONDITIONS: dict[str, Callable[[], Conditions]] = {
 
 
 def scattered(count: int, line: Array | None, seed: int = 0) -> list[Scene]:
-    """Fish and target anywhere in the pool, the fish swimming and turning."""
+    """Scenes with fish and target anywhere in the pool, the fish swimming and turning."""
     rng = np.random.default_rng(seed)
     reach = np.array([LENGTH, WIDTH]) / 2 - MARGIN
     scenes = []
@@ -161,7 +161,8 @@ def scattered(count: int, line: Array | None, seed: int = 0) -> list[Scene]:
 
 
 def vision_bench(places: int = PLACES, frames: int = FRAMES) -> tuple[VisionRow, ...]:
-    """One row per condition: errors over the pool, and what pictures and poses of a swim cost."""
+    """Measure a row per condition: errors over the pool, and the cost of pictures and poses of a
+    swim."""
     cv2.setNumThreads(1)
     optics, line, scripted = Optics(), fish_line(), ScriptedSwim()
     calibration = calibrated(optics)
@@ -186,8 +187,8 @@ def _costs(told: Told) -> Costs:
 
 
 def live_bench(seconds: float = 5.0) -> LiveRow:
-    """Camera and tracker as processes beside: frames per second, the delay from the middle of an
-    exposure to the pose in this process, and how long nothing is seen once its tracker dies."""
+    """Measure camera and tracker as processes: frames per second, the delay from the middle of an
+    exposure to the pose in this process, and the time without poses after the tracker is killed."""
     line, scripted, filming = fish_line(), ScriptedSwim(), Filming()
     calibration = calibrated(filming.optics)
     with tempfile.TemporaryDirectory(prefix="tailbeat-") as folder:
@@ -215,7 +216,7 @@ def _follow(
     line: Array,
     seconds: float,
 ) -> list[float]:
-    """Ages [s] of poses as they arrive, once the first has."""
+    """Ages [s] of poses on arrival, from the first one on."""
     ages: list[float] = []
     stamp, end = -1, time.monotonic() + 60.0
     while time.monotonic() < end:
@@ -231,10 +232,10 @@ def _follow(
 
 
 def _revived(tracker: TrackerProcess) -> float:
-    """Seconds from a kill to the next pose; not a number if none came within a minute."""
+    """Time [s] from the kill to the next pose; NaN if none comes within a minute."""
     assert tracker.pid is not None
     began = time.monotonic()
     os.kill(tracker.pid, signal.SIGKILL)
-    killed = time.monotonic_ns() + 50_000_000  # what was on its way is not the new one's
+    killed = time.monotonic_ns() + 50_000_000  # later than poses of the killed process
     back = tracker.after(killed, 60.0)
     return time.monotonic() - began if back is not None else float("nan")

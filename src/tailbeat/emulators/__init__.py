@@ -1,1 +1,1 @@
-"""What stands in for hardware? Servo, IMU, camera, faults, the whole rig: real bytes."""
+"""Emulators of the hardware: servo, IMU, camera, faults, the whole rig; with real bytes."""

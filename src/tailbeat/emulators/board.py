@@ -14,8 +14,8 @@ Picture = NDArray[np.uint8]
 def board_view(
     optics: Optics, board: Board, turn: Array, place: Array, rng: np.random.Generator
 ) -> Picture:
-    """A board held in the air before the camera, for its calibration: `turn` (3, 3) from the board
-    (x across, y down its squares) to the camera, `place` [m] of its first corner there."""
+    """Draw a board held in the air before the camera: `turn` (3, 3) from the board (x across, y
+    down its squares) to the camera, `place` [m] of its first corner in camera axes."""
     texture = cv2.copyMakeBorder(
         board_picture(board), 80, 80, 80, 80, cv2.BORDER_CONSTANT, value=255
     )
@@ -30,7 +30,8 @@ def board_view(
 
 
 def board_views(optics: Optics, board: Board, count: int, seed: int = 0) -> list[Picture]:
-    """Such views as a person takes: everywhere in the picture, tilted every way, near and far."""
+    """Draw views like a person's: everywhere in the picture, tilted in all directions, near and
+    far."""
     rng = np.random.default_rng(seed)
     size = board.square * np.array([board.columns, board.rows])
     made = []

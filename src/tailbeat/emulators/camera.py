@@ -1,9 +1,9 @@
 """The pool as the camera above it sees it: fish, tags, glare, waves, noise, at 1280 x 720.
 
-What moves is drawn on a picture of the empty pool made beforehand: the fish as lines, the tags as
-patches four times as fine, each warped by the homography of its four corners as lens and water show
-them. Noise comes from a ready-made tile. Brightness and places are chosen; nothing here was held
-against a real camera.
+Moving things are drawn on a prepared picture of the empty pool: the fish as lines, the tags as
+patches at four times the resolution. Each patch is warped by the homography of its four corners,
+computed through lens and water. Noise comes from a prepared tile. Brightness and positions are
+chosen; nothing was compared with a real camera.
 """
 
 from dataclasses import dataclass, field
@@ -18,40 +18,45 @@ from tailbeat.emulators.optics import Optics, project
 from tailbeat.vision.tags import FISH, TARGET, Tag
 
 Array = NDArray[np.float64]
-LAMPS = ((-1.6, 0.5), (0.3, -0.8), (1.9, 0.9))  # m: where lamps shine back from the surface
+LAMPS = ((-1.6, 0.5), (0.3, -0.8), (1.9, 0.9))  # m, reflections of lamps on the surface
 GLARE_SIZE = 0.09  # m, standard deviation of a lamp's glare
 WAVES = ((2.1, 0.4, 5.4), (-1.2, 3.3, 6.9), (4.7, -2.6, 8.8))  # rad/m, rad/m, rad/s
-TURN = 6  # frames that each is shown
-STILL = 0.3  # px of motion within an exposure that one drawing is enough for: half the lens's blur
+TURN = 6  # frames for which each empty pool is shown
+STILL = (
+    0.3  # px of motion within an exposure up to which one drawing is enough: half the lens's blur
+)
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What the light, the water and the camera do; all chosen. Shares are of frames."""
+    """Properties of light, water and camera; all chosen."""
 
     exposure: float = 0.002  # s
-    rolling: float = 0.0  # s from the first row's exposure to the last one's; 0: all at once
-    blur: float = 0.6  # px, standard deviation of the lens's own
+    rolling: float = 0.0  # s from the first row's exposure to the last row's; 0: global shutter
+    blur: float = 0.6  # px, standard deviation of the lens's blur
     noise: float = 2.0  # grey levels rms
-    bits: int = 8  # of brightness; fewer are coarser
-    flicker: float = 0.02  # of brightness, from frame to frame
+    bits: int = 8  # of brightness
+    flicker: float = 0.02  # relative change of brightness from frame to frame
     glare: float = 90.0  # grey levels that a lamp adds at its middle
     slope: float = 0.02  # rms of the water's surface
-    dropped: float = 0.01  # share of frames that never come
-    hidden: float = 0.0  # share in which a bubble or a hand lies over half a tag
+    dropped: float = 0.01  # fraction of frames that never come
+    hidden: float = 0.0  # fraction of frames in which half a tag is hidden
 
 
 def calm() -> Conditions:
-    """Without noise, waves, glare, drops: what the optics alone do."""
+    """Conditions without noise, waves, glare or dropped frames: only the optics."""
     return Conditions(blur=0.5, noise=0.0, flicker=0.0, glare=0.0, slope=0.0, dropped=0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What is in the pool: the fish tag's x, y [m] and yaw [rad] and how fast they change, the
-    fish's line from nose to tail (k, 2) [m], the target tag's x, y and yaw. None: not there.
-    `others` are more tags of the fish's size at its depth, id and pose, among them a second print
-    of its own; `mirrored` shows the fish's tag from behind."""
+    """What is in the pool; None means that it is not there.
+
+    The fish tag's x, y [m] and yaw [rad], and their rates; the fish's line from nose to tail (k, 2)
+    [m]; the target tag's x, y and yaw. `others` are more tags of the fish's size at its depth, id
+    and pose, for example a second print of its own tag. `mirrored` shows the fish's tag from
+    behind.
+    """
 
     fish: Pose | None = None
     speed: Pose = (0.0, 0.0, 0.0)
@@ -82,8 +87,8 @@ class Renderer:
         self.frames = 0
 
     def draw(self, scene: Scene, time: float) -> Picture:
-        """A frame (rows, columns) exposed about `time` [s]. No scene's drawing depends on another
-        but through the random numbers used up."""
+        """Draw a frame (rows, columns) exposed about `time` [s]. Frames depend on each other only
+        through the random numbers drawn."""
         image = self.empty[self.frames // TURN % SHIMMERS].copy()
         self.frames += 1
         if scene.outline is not None:
@@ -104,7 +109,7 @@ class Renderer:
     # ---- what is in the water -------------------------------------------------------------------
 
     def slopes(self, places: Array, time: float) -> Array:
-        """Of the surface (n, 2) at places (n, 2) [m]."""
+        """Slopes (n, 2) of the surface at positions (n, 2) [m]."""
         waves = np.array(WAVES)
         length = np.linalg.norm(waves[:, :2], axis=1)
         swing = np.cos(places @ waves[:, :2].T - waves[:, 2] * time + self.phases)
@@ -112,7 +117,7 @@ class Renderer:
         return np.asarray(share * swing @ (waves[:, :2] / length[:, None]))
 
     def seen(self, places: Array, height: float, time: float) -> Array:
-        """Pixels (n, 2) of places (n, 2) at a height [m]."""
+        """Pixels (n, 2) of positions (n, 2) at a height [m]."""
         points = np.column_stack([places, np.full(len(places), height)])
         return project(self.optics, points, self.slopes(places, time))
 
@@ -131,7 +136,7 @@ class Renderer:
         look: tuple[int, bool, bool],
         time: float,
     ) -> None:
-        """Exposures of a moving tag are several drawings, averaged."""
+        """Draw a tag; the exposure of a moving tag is the mean of several drawings."""
         half = self.conditions.exposure / 2
         if self.conditions.rolling:
             row = self.seen(np.array([pose[:2]]), tag.height, time)[0, 1] / len(image) - 0.5
@@ -146,7 +151,7 @@ class Renderer:
         drawing.paste_tag(image, during, look, self.conditions.blur)
 
     def _draw_glare(self, image: Picture, time: float) -> None:
-        """Lamps shine back from the surface, and wander with its slope."""
+        """Draw the reflections of lamps, which move with the surface's slope."""
         if not self.conditions.glare:
             return
         lamps = np.array(LAMPS)
@@ -157,10 +162,10 @@ class Renderer:
             if part.size:
                 cv2.add(part, cut, dst=part)
 
-    # ---- what the camera makes of it ------------------------------------------------------------
+    # ---- the camera -----------------------------------------------------------------------------
 
     def _developed(self, image: Picture) -> Picture:
-        """Flicker, noise and as many grey levels as there are bits."""
+        """Add flicker and noise, and reduce the grey levels to the camera's bits."""
         wanted = self.conditions
         if wanted.noise:
             down, across = self.rng.integers(0, NOISE_TILE, 2)

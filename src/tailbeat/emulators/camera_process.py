@@ -1,6 +1,6 @@
-"""A virtual camera in a process of its own: a fresh interpreter that films what it is shown.
+"""A virtual camera in its own process: a fresh interpreter that films the scene it is given.
 
-Both ends of the pipe between the processes belong to us, and what they send is pickled. The camera
+Both ends of the pipe are our own processes, and its messages are pickled. The camera
 ends when the pipe does, so it does not outlive the process that started it.
 """
 
@@ -36,13 +36,13 @@ class CameraProcess:
     pipe: Connection
 
     def show(self, scene: Scene) -> None:
-        """What is to be filmed from now on. A camera that hangs or is gone holds nobody up."""
+        """Set the scene to film from now on."""
         with contextlib.suppress(OSError):
             if select.select([], [self.pipe], [], 0)[1]:
                 self.pipe.send(scene)
 
     def close(self) -> None:
-        """Pull its cable."""
+        """End the camera."""
         self.process.kill()
         self.process.wait()
         self.pipe.close()
@@ -50,7 +50,7 @@ class CameraProcess:
 
 
 def start_camera(path: Path, filming: Filming) -> CameraProcess:
-    """Start a camera on a socket; it ends with its parent. Raises BadInput."""
+    """Start a camera on a socket; it ends with its parent process. Raises BadInput."""
     listening = listen(path)
     ours, theirs = Pipe()
     handles = listening.fileno(), theirs.fileno()
@@ -61,25 +61,28 @@ def start_camera(path: Path, filming: Filming) -> CameraProcess:
     made = CameraProcess(f"unix:{path}", process, ours)
     if not _is_ready(ours, filming):
         made.close()
-        raise BadInput(f"{path}: the virtual camera did not start; see what it said above.")
+        raise BadInput(f"{path}: the virtual camera did not start; see its message above.")
     return made
 
 
 def _is_ready(pipe: Connection, filming: Filming) -> bool:
-    """Tell the process what films, and wait until it can."""
+    """Send the process its configuration, and wait until it is ready."""
     try:
         pipe.send(filming)
         return pipe.poll(READY) and pipe.recv() == "ready"
-    except (EOFError, OSError):  # it is gone
+    except (EOFError, OSError):  # it has ended
         return False
 
 
 def work(listening: str, pipe: str) -> None:
-    """The process: films on the socket what comes down the pipe; both are numbers of handles."""
+    """The process: films the scenes from the pipe and serves them on the socket; both are handle
+    numbers."""
     told = Connection(int(pipe))
     filming: Filming = told.recv()
     cv2.setNumThreads(1)
-    Renderer(filming.optics, filming.conditions).draw(Scene(), 0.0)  # made before anyone waits
+    Renderer(filming.optics, filming.conditions).draw(
+        Scene(), 0.0
+    )  # compiled and cached in advance
     gc.freeze()
     shown, over = [Scene()], threading.Event()
     threading.Thread(target=_hear, args=(told, shown, over), daemon=True).start()

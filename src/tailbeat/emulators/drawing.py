@@ -1,4 +1,4 @@
-"""Pieces of a picture: a warped tag, a thick line, a glare, a noise tile, the empty pool."""
+"""Parts of a picture: a warped tag, a thick line, a glare, a noise tile, the empty pool."""
 
 from functools import cache
 
@@ -12,7 +12,7 @@ from tailbeat.vision.tags import BLACK, MODULES, tag_picture
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 Pose = tuple[float, float, float]
-FINE = 4  # a tag's patch against the picture
+FINE = 4  # resolution of a tag's patch over the picture's
 GRAIN = 8  # px of a module in the picture that is warped
 INK, PAPER, BACK = 40, 200, 70  # grey levels of a tag's black and white, and of the fish
 DEPTH, TILE = 1.0, 0.25  # m: of the pool, and of a tile on its floor
@@ -21,13 +21,13 @@ NOISE_TILE = 256  # px that the noise tile is larger than the picture
 
 
 def moved(pose: Pose, speed: Pose, late: float) -> Pose:
-    """A pose that changes at `speed` [m/s, rad/s], `late` seconds on."""
+    """The pose after `late` seconds at `speed` [m/s, rad/s]."""
     x, y, yaw = (at + late * rate for at, rate in zip(pose, speed, strict=True))
     return x, y, yaw
 
 
 def sheet_corners(pose: Pose, side: float) -> Array:
-    """Places (4, 2) of a printed tag's corners, white border included: left bottom, right bottom,
+    """Positions (4, 2) of a printed tag's corners with its white border: left bottom, right bottom,
     right top, left top of the sheet whose arrow points along the yaw."""
     half = side * MODULES / BLACK / 2
     corners = half * np.array([[-1.0, -1.0], [1, -1], [1, 1], [-1, 1]])
@@ -37,7 +37,7 @@ def sheet_corners(pose: Pose, side: float) -> Array:
 
 @cache
 def _ink(ident: int, mirrored: bool, hide: bool) -> Picture:
-    """A tag to warp: grey levels and how much it covers (255: all), (n, n, 2)."""
+    """A tag to warp (n, n, 2): grey levels, and opacity (255: opaque)."""
     modules = np.kron(tag_picture(ident), np.ones((GRAIN, GRAIN), np.uint8))
     grey = np.where(modules > 0, PAPER, INK).astype(np.uint8)
     if mirrored:
@@ -50,7 +50,7 @@ def _ink(ident: int, mirrored: bool, hide: bool) -> Picture:
 def paste_tag(
     image: Picture, corners: list[Array], look: tuple[int, bool, bool], blur: float
 ) -> None:
-    """Warp a tag onto the picture, averaged over places of its corners (4, 2) [px]."""
+    """Warp a tag onto the picture, averaged over positions of its corners (4, 2) [px]."""
     every = np.concatenate(corners)
     low = np.floor(every.min(axis=0)).astype(int) - 3
     high = np.ceil(every.max(axis=0)).astype(int) + 4
@@ -69,7 +69,7 @@ def paste_tag(
 
 
 def _warped(corners: Array, size: list[int], look: tuple[int, bool, bool]) -> Picture:
-    """The tag in a fine patch of `size` pixels; outside it nothing, covering nothing."""
+    """The tag in a fine patch of `size` pixels, transparent outside the tag."""
     ink = _ink(*look)
     last = len(ink) - 0.5
     sheet = np.array([[-0.5, last], [last, last], [last, -0.5], [-0.5, -0.5]], np.float32)
@@ -80,21 +80,21 @@ def _warped(corners: Array, size: list[int], look: tuple[int, bool, bool]) -> Pi
 
 
 def thick_line(image: Picture, start: Array, end: Array, width: int) -> None:
-    """A line from pixel to pixel, `width` pixels thick, to a sixteenth of a pixel."""
+    """Draw a line, `width` pixels thick, with ends to a sixteenth of a pixel."""
     points = [tuple(np.rint(16 * place).astype(int).tolist()) for place in (start, end)]
     cv2.line(image, points[0], points[1], BACK, width, cv2.LINE_AA, shift=4)
 
 
 @cache
 def glare(height: float, size: float) -> Picture:
-    """A Gaussian of brightness: `height` grey levels, `size` px standard deviation."""
+    """A Gaussian spot: `height` grey levels, `size` [px] standard deviation."""
     reach = np.arange(-int(3 * size), int(3 * size) + 1)
     bell = np.exp(-0.5 * (reach / size) ** 2)
     return np.asarray(np.rint(height * bell[:, None] * bell), np.uint8)
 
 
 def overlap(image: Picture, x: int, y: int, blob: Picture) -> tuple[Picture, Picture]:
-    """The part of the picture that a blob about x, y covers, and that part of the blob."""
+    """The part of the picture that a spot about x, y covers, and that part of the spot."""
     half, (rows, columns) = len(blob) // 2, image.shape
     top, left = y - half, x - half
     down = np.s_[max(top, 0) : max(min(top + len(blob), rows), 0)]
@@ -107,7 +107,7 @@ def overlap(image: Picture, x: int, y: int, blob: Picture) -> tuple[Picture, Pic
 
 @cache
 def noise_tiles(size: tuple[int, int], rms: float, seed: int) -> tuple[Picture, Picture]:
-    """A tile of noise, what it adds and what it takes away: sums of bytes are quick."""
+    """A tile of noise as two byte arrays, to add and to subtract: this is fast."""
     columns, rows = size
     rng = np.random.default_rng(seed)
     tile = rng.standard_normal((rows + NOISE_TILE, columns + NOISE_TILE), np.float32)
@@ -117,7 +117,7 @@ def noise_tiles(size: tuple[int, int], rms: float, seed: int) -> tuple[Picture, 
 
 @cache
 def empty_pools(optics: Optics) -> list[Picture]:
-    """The pool without anything in it, with the light that waves throw on its floor, in turn."""
+    """Pictures of the empty pool with the light of waves on its floor, to show in turn."""
     places = floor(optics, DEPTH)
     joint = np.abs((places / TILE + 0.5) % 1 - 0.5).min(axis=-1) < 0.012
     inside = (np.abs(places[..., 0]) < 2.75) & (np.abs(places[..., 1]) < 1.35)

@@ -1,8 +1,8 @@
-"""What can be broken in the emulated bench, for real: bytes, cables, datagrams, clocks.
+"""Real faults of the emulated devices: bytes, cables, datagrams, clocks.
 
-Each is a function of the rig that breaks it at once; `FAULTS` names them. `serve_broken` serves a
-rig in a process of its own that is told over a pipe what to break, and that says what the servo
-itself did and when: torque and goal are looked at inside the servo, a thousand times a second.
+Each fault is a function of the rig; `FAULTS` names them. `serve_broken` serves a rig in its own
+process. It is told over a pipe which fault to make, and answers with what the servo did and when:
+torque and goal are read inside the servo, a thousand times a second.
 """
 
 import gc
@@ -25,15 +25,15 @@ from tailbeat.fish.description import Fish
 from tailbeat.robot import timing
 
 CENTRE = 2048
-AT_REST = 30  # counts about straight: 2.6 degrees
+AT_REST = 30  # counts from straight that count as straight: 2.6 degrees
 NOWHERE = ("127.0.0.1", 9)
 
 
 @dataclass(eq=False)
 class Network:
-    """The station's socket with a bad network behind it: datagrams `lost` (a share), one held back
-    behind the next (`swapped`), old ones again (`replayed`), and altered or random ones beside
-    (`forged` per true one). `cut`: nothing passes."""
+    """The station's socket with a bad network: datagrams `lost` (a fraction), one delayed behind
+    the next (`swapped`), old ones repeated (`replayed`), altered or random ones added (`forged` per
+    true one). `cut`: nothing passes."""
 
     socket: socket.socket
     rng: np.random.Generator
@@ -57,7 +57,7 @@ class Network:
                 return data, sender
 
     def sendto(self, data: bytes, to: Any) -> None:
-        """On its way to the fish, or not."""
+        """Send to the fish, or lose it."""
         if self.cut or self.rng.uniform() < self.lost:
             return
         if self.swapped and not self.held:
@@ -82,12 +82,12 @@ class Network:
         return self.socket.getsockname()
 
     def close(self) -> None:
-        """As a socket's."""
+        """Close the socket."""
         self.socket.close()
 
 
 def _unplug(rig: Rig, index: int) -> None:
-    """The line ends; a new one lies ready, and nothing leads to it yet."""
+    """End a line and open a new one, to which no link points yet."""
     lines = list(rig.lines)
     close_line(lines[index])
     lines[index] = open_line()
@@ -155,7 +155,7 @@ FAULTS: dict[str, Callable[[Rig], None]] = {
 
 @dataclass(eq=False)
 class Look:
-    """What the servo did since something was broken; times [s] monotonic, NaN: not yet."""
+    """What the servo did since a fault was made; times [s] monotonic, NaN: not yet."""
 
     broken: float = float("nan")
     off: float = float("nan")  # torque was off
@@ -176,16 +176,19 @@ def _watch(rig: Rig, look: Look) -> None:
 
 
 def _link_to(rig: Rig, folder: Path) -> None:
-    """The ports by names that stay, as udev's: the present lines behind them."""
+    """Link the ports to constant names, as udev does."""
     for name, path in zip(("servo", "imu"), rig.ports, strict=True):
         (folder / name).unlink(missing_ok=True)
         os.symlink(path, folder / name)
 
 
 def serve_broken(pipe: Connection, fish: Fish, key: bytes, folder: Path) -> None:
-    """Serve rigs, one after the other, until the pipe closes. Orders: ("new", robot) opens one and
-    answers with the station's address; ("break", name) answers with the time; ("plug",) puts both
-    cables back; ("look",) answers with a `Look` and whether torque is on; ("end",)."""
+    """Serve rigs, one after the other, until the pipe closes.
+
+    Orders: ("new", robot) opens a rig and answers with the station's address; ("break", name)
+    answers with the time; ("plug",) reconnects both cables; ("look",) answers with a `Look` and
+    whether torque is on; ("end",) closes the rig.
+    """
     timing.claim()
     warm = bench.PlantShaft(fish=fish)  # compiled once, before anyone waits for it
     warm.advance(0.0, 0.01)
@@ -208,7 +211,7 @@ def _serve(pipe: Connection, rig: Rig, folder: Path) -> None:
     look, ended = Look(), [False]
 
     def order() -> bool:
-        """Called every millisecond; whether the lines changed, or it is over."""
+        """Called every millisecond; returns whether the lines changed or the rig is to close."""
         _watch(rig, look)
         if not pipe.poll():
             return False

@@ -1,8 +1,8 @@
-"""The virtual camera as a device: it films a scene and sends frames down a socket.
+"""The virtual camera as a device: a process that draws a scene and sends frames through a socket.
 
-Frames are made on absolute deadlines, on a clock of the station's own, late by a readout, unevenly,
-and some never come. Each client gets the newest frame whenever it has taken the last one: nothing
-queues.
+Frames are made at absolute deadlines, on the station's own clock. They leave after a readout, at
+uneven times, and some are dropped. Each client gets the newest frame when it has taken the last
+one: there is no queue.
 """
 
 import contextlib
@@ -32,8 +32,8 @@ SECOND = 1_000_000_000
 
 @dataclass(frozen=True)
 class Filming:
-    """What films, and how its frames come; chosen. The station's clock is `ahead` of this
-    machine's [ns] and runs `fast`."""
+    """The virtual camera and its timing; chosen. The station's clock is `ahead` of this machine's
+    [ns] and runs `fast` (relative)."""
 
     optics: Optics = field(default_factory=Optics)
     conditions: Conditions = field(default_factory=Conditions)
@@ -41,21 +41,20 @@ class Filming:
     target: Tag = field(default_factory=Tag)
     ids: tuple[int, int] = (FISH, TARGET)
     rate: float = 60.0  # Hz
-    drift: float = 0.001  # of the rate: a camera's quartz is not the nominal one
-    readout: float = 0.006  # s from the end of the exposure until a frame may leave, at least
+    drift: float = 0.001  # relative error of the rate: a camera's quartz is not exact
+    readout: float = 0.006  # s, least time from the end of the exposure until a frame leaves
     jitter: float = 0.002  # s, uniform on top
     ahead: int = 0
     fast: float = 0.0
     seed: int = 0
 
     def clock(self, now: float) -> int:
-        """The station's monotonic clock [ns] at a time [s] of this machine's."""
+        """The station's monotonic clock [ns] at time `now` [s] of this machine."""
         return round(now * (1 + self.fast) * SECOND) + self.ahead
 
 
 def known_calibration(filming: Filming) -> Calibration:
-    """What calibrating this camera would find if nothing had to be measured: for emulation, and to
-    hold what was measured against."""
+    """The exact calibration of this camera, for emulation and to check measured ones."""
     optics = filming.optics
     (x, y), focal = optics.centre, optics.focal
     matrix = np.array([[focal, 0, x], [0, focal, y], [0, 0, 1.0]])
@@ -71,7 +70,7 @@ def known_calibration(filming: Filming) -> Calibration:
 
 @dataclass(eq=False)
 class Newest:
-    """The newest frame's bytes, and who waits for it."""
+    """The newest frame's bytes, and a condition to wait for it."""
 
     data: bytes = b""
     number: int = 0
@@ -79,32 +78,32 @@ class Newest:
     changed: threading.Condition = field(default_factory=threading.Condition)
 
     def put(self, data: bytes, over: bool = False) -> None:
-        """Show a frame, or the end."""
+        """Set a frame, or the end."""
         with self.changed:
             self.data, self.number, self.over = data, self.number + 1, over
             self.changed.notify_all()
 
     def after(self, number: int) -> tuple[bytes, int] | None:
-        """The newest frame past a number, when there is one; None at the end."""
+        """Wait for a frame newer than `number`; None at the end."""
         with self.changed:
             self.changed.wait_for(lambda: self.number > number or self.over)
             return None if self.over else (self.data, self.number)
 
 
 def packed(image: Picture, number: int, stamp: int) -> bytes:
-    """A frame on the wire; `stamp` [ns] is the end of its exposure."""
+    """A frame as bytes; `stamp` [ns] is the end of its exposure."""
     rows, columns = image.shape
     return HEADER.pack(MAGIC, number, stamp, columns, rows) + image.tobytes()
 
 
 def listen(path: Path) -> socket.socket:
-    """The socket that cameras are opened at. Raises BadInput."""
+    """Open the socket of a camera. Raises BadInput."""
     made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         made.bind(str(path))
     except OSError as error:
         made.close()
-        raise BadInput(f"{path}: {error}; choose a short path that is not taken.") from None
+        raise BadInput(f"{path}: {error}; choose a short path that does not exist.") from None
     made.listen()
     return made
 
@@ -112,7 +111,7 @@ def listen(path: Path) -> socket.socket:
 def serve(
     listening: socket.socket, filming: Filming, look: Callable[[], Scene], stop: Callable[[], bool]
 ) -> None:
-    """Film what `look` gives until `stop` says so."""
+    """Film what `look` returns until `stop` returns True."""
     newest = Newest()
     threading.Thread(target=_accept, args=(listening, newest), daemon=True).start()
     try:
@@ -152,7 +151,7 @@ def _accept(listening: socket.socket, newest: Newest) -> None:
 
 
 def _feed(client: socket.socket, newest: Newest) -> None:
-    """One client: the newest frame each time it has taken the last."""
+    """Serve one client: send the newest frame when it has taken the last."""
     number = newest.number
     with contextlib.suppress(OSError), client:
         while (found := newest.after(number)) is not None:

@@ -1,6 +1,6 @@
-"""An emulated BNO055 on a pseudo-terminal: registers, modes, its busy moments.
+"""An emulated BNO055 on a pseudo-terminal: registers, modes, busy replies.
 
-Apart from the driver. What the data sheet leaves open was not checked on a real sensor.
+Independent of the driver. What the data sheet leaves open was not checked on a real sensor.
 """
 
 import math
@@ -22,8 +22,8 @@ WRITABLE = {0x07, 0x3B, 0x3D, 0x3E, 0x3F, 0x40, 0x41, 0x42, *range(0x55, 0x6B)}
 
 @dataclass
 class Faults:
-    """What goes wrong: replies of "bus over-run" and none at all, a spike [rad/s] in the next
-    reading, or in every second one (`spiking`), numbers that no longer change."""
+    """Faults: number of replies that are "bus over-run" (`busy`) or missing (`mute`); a `spike`
+    [rad/s] in the next reading, or in every second one (`spiking`); `frozen` numbers."""
 
     busy: int = 0
     mute: int = 0
@@ -34,7 +34,7 @@ class Faults:
 
 @dataclass(eq=False)
 class Bno055:
-    """The sensor: `rates` [rad/s] about its own x, y, z come from whoever turns it."""
+    """The sensor; its owner sets `rates` [rad/s] about its x, y, z."""
 
     rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
     faults: Faults = field(default_factory=Faults)
@@ -68,7 +68,7 @@ class Bno055:
         return bytes([0xBB, length]) + bytes(self.table[first : first + length])
 
     def _sense(self) -> None:
-        """Rates into their registers; none while it is being configured."""
+        """Write the rates into their registers; zero in configuration mode."""
         if self.faults.frozen:
             return
         faults = self.faults
@@ -85,7 +85,7 @@ class Bno055:
         if not body or any(place not in WRITABLE for place in places):
             return b"\xee\x05"
         if self.table[0x3D] & 0x0F != CONFIG and first not in (0x07, 0x3D):
-            return b"\xee\x03"  # all else only while it is being configured
+            return b"\xee\x03"  # other registers only in configuration mode
         self.table[first : first + len(body)] = body
         return b"\xee\x01"
 
@@ -108,7 +108,7 @@ def _fresh() -> bytearray:
 
 
 def serve(sensor: Bno055, line: Line, stop: Callable[[], bool]) -> None:
-    """Answer until `stop` says so, as slowly as 115,200 baud."""
+    """Answer until `stop` returns True, with the delay of 115,200 baud."""
     while not stop():
         ready, _, _ = select.select([line.master], [], [], 0.001)
         if not ready:

@@ -1,4 +1,4 @@
-"""Made pictures to calibrate a virtual camera with: what a lab would take of its own."""
+"""Synthetic pictures to calibrate a virtual camera, as a lab would take them."""
 
 from pathlib import Path
 
@@ -10,13 +10,15 @@ from tailbeat.emulators.optics import Optics
 from tailbeat.files import new_file, refuse_existing
 from tailbeat.vision.tags import Board, Tag
 
-SURVEYED = [(x, y) for x in (-2.2, 0.0, 2.2) for y in (-1.0, 0.0, 1.0)]  # m, of a made survey
-FIRST_TAG = 10  # of those
+SURVEYED = [
+    (x, y) for x in (-2.2, 0.0, 2.2) for y in (-1.0, 0.0, 1.0)
+]  # m, positions of the surveyed tags
+FIRST_TAG = 10  # id of the first of them
 
 
 def pictures(folder: Path, count: int, seed: int) -> None:
-    """What a lab would take to calibrate: views of the board, a picture of tags in the water, and
-    the table of their places."""
+    """Write a lab's files for a calibration: views of the board, a picture of tags in the water,
+    and the table of their positions. Raises BadInput."""
     refuse_existing(folder)
     fish = Tag(height=-0.03)
     others = tuple((FIRST_TAG + k, (x, y, 0.0)) for k, (x, y) in enumerate(SURVEYED))

@@ -1,4 +1,4 @@
-"""A pseudo-terminal as a serial line: what a driver opens, and our end of it."""
+"""A pseudo-terminal as a serial line: the driver's end and ours."""
 
 import os
 import tty
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Line:
-    """Both ends of a pseudo-terminal: `master` is ours, `path` what a driver opens. The slave end
-    is kept open: a driver that closes would else end the line."""
+    """Both ends of a pseudo-terminal: `master` is ours, `path` is what a driver opens. `slave`
+    stays open, because otherwise a driver that closes would end the line."""
 
     master: int
     slave: int
@@ -24,6 +24,6 @@ def open_line() -> Line:
 
 
 def close_line(line: Line) -> None:
-    """As if the cable was pulled."""
+    """Close a line, as if its cable was unplugged."""
     for end in (line.slave, line.master):
         os.close(end)

@@ -1,8 +1,8 @@
-"""Fish, camera, station and pool as processes of their own, in real time.
+"""Fish, camera, station and pool as processes, in real time.
 
-They are the verbs that a lab runs: `emulate` stands in for the devices, `station` finds the fish in
-the camera's pictures and shows the page, `drive` is the fish. Here they are started, told where the
-others are, and ended.
+They are the verbs that a lab runs: `emulate` replaces the devices, `station` finds the fish in the
+camera's pictures and serves the operator page, `drive` is the fish. They are started, told each
+other's addresses, and ended here.
 """
 
 import json
@@ -28,13 +28,13 @@ from tailbeat.vision.tags import Board
 Say = Callable[[str], None]
 VIEWS = 20  # of the board, for the lens
 START = 60.0  # s for a process to start
-TURN = 0.2  # s between two looks whether all are alive
-# The target's tag lies in a corner: afloat it hides a fish that swims beneath it, till that holds.
+TURN = 0.2  # s between two checks that all processes run
+# The target's tag is in a corner: it floats, and a fish hidden below it goes to HOLD.
 ASIDE = "-2.5,1.15"
 
 
 def calibrate(folder: Path, seed: int, say: Say) -> Path:
-    """What a lab does before its first swim: film a board and tags in the water, and calibrate."""
+    """Calibrate as a lab does before its first swim: film a board and tags in the water."""
     say(f"calibrating the camera: {VIEWS} views of a board, tags in the water")
     pictures(folder / "lab", VIEWS, seed)
     filming = Filming()
@@ -48,22 +48,21 @@ def calibrate(folder: Path, seed: int, say: Say) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A verb of ours as a process; what it says of errors goes to `log`."""
+    """A verb as a process; its errors go to `log`."""
 
     name: str
     process: "subprocess.Popen[str]"
     log: Path
 
     def last_words(self) -> str:
-        """The last line of its log, or that there is none."""
+        """The last line of its log, or a note that there is none."""
         lines = self.log.read_text(encoding="utf-8", errors="replace").split("\n")
-        return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "it wrote nothing")
 
 
 @contextmanager
 def started(words: list[str], log: Path, heard: bool = False) -> Iterator[Part]:
-    """Start a verb; where it is not to be `heard`, what it says goes to its log too. It ends with
-    us, however we end."""
+    """Start a verb; its output goes to its log unless `heard` is set. It ends with this process."""
     with log.open("w", encoding="utf-8") as kept:
         process = start_verb(
             words,
@@ -78,7 +77,8 @@ def started(words: list[str], log: Path, heard: bool = False) -> Iterator[Part]:
 
 
 def bench(fish: str, folder: Path, seed: int, log: Path, stack: ExitStack) -> tuple[Part, Any]:
-    """Start the emulated bench with its camera, and where its ports are."""
+    """Start the emulated devices with their camera; returns the process and its ports. Raises
+    BadInput."""
     words = ["emulate", "--fish", fish, "--camera", str(folder / "camera.sock")]
     words += ["--seed", str(seed), f"--target={ASIDE}"]
     part = stack.enter_context(started(words, log, heard=True))
@@ -86,7 +86,7 @@ def bench(fish: str, folder: Path, seed: int, log: Path, stack: ExitStack) -> tu
     ready, _, _ = select.select([part.process.stdout], [], [], START)
     line = part.process.stdout.readline() if ready else ""
     if not line:
-        raise BadInput(f"the emulated bench did not start: {part.last_words()}")
+        raise BadInput(f"the emulated devices did not start: {part.last_words()}")
     return part, json.loads(line)
 
 
@@ -99,11 +99,13 @@ def swim(
     out: Path,
     say: Say,
 ) -> None:
-    """Swim in real time: to `targets` drawn ones (then the end), or with 0 after what the operator
-    drags, until Ctrl-C. Leaves the fish's log `swim.mcap`, the tour's `tour.json` and what
-    each process said in `out`.
-    Raises BadInput where a process ends before its time."""
-    for number in (signal.SIGTERM, signal.SIGHUP):  # what we started ends with us
+    """Swim in real time: to `targets` drawn targets, or with 0 to targets that the operator sets,
+    until Ctrl-C.
+
+    Writes the fish's log `swim.mcap`, the tour's `tour.json` and every process's output into `out`.
+    Raises BadInput if a process ends early.
+    """
+    for number in (signal.SIGTERM, signal.SIGHUP):  # end the processes that we started
         signal.signal(number, signal.default_int_handler)
     with temporary() as name, ExitStack() as stack:
         folder = Path(name)
@@ -126,7 +128,7 @@ def swim(
 
 
 def _listen(above: Part, others: tuple[Part, ...], say: Say) -> None:
-    """Say what the station says, until it ends or Ctrl-C; then it is asked to end."""
+    """Repeat the station's output until it ends, or until Ctrl-C, which ends it."""
     spoken = above.process.stdout
     assert spoken is not None
     os.set_blocking(spoken.fileno(), False)

@@ -1,7 +1,7 @@
-"""How a camera above the pool sees: lens, place, and light bent at the water's surface.
+"""Optics of a camera above the pool: lens, pose, refraction at the surface.
 
-The truth that a calibration has to find; apart from `vision/calibration.py`, which goes the other
-way round, from pixels to places. Pixel centres lie at whole numbers.
+A calibration has to find these values. Independent of `vision/calibration.py`, which computes the
+inverse, from pixels to positions. Pixel centres are at whole numbers.
 """
 
 from dataclasses import dataclass
@@ -11,17 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-STEPS = 4  # of Newton: below a nanometre down to a metre
-ROUNDS = 14  # of the lens's inverse: below 1e-6 px at the corners of the picture
+STEPS = 4  # Newton steps: error below 1 nm at depths up to 1 m
+ROUNDS = 14  # iterations of the lens's inverse: error below 1e-6 px at the picture's corners
 
 
 @dataclass(frozen=True)
 class Optics:
-    """A wide lens 3 m above the middle of a pool of 5.5 x 2.7 m, a little askew; all chosen.
+    """A wide lens 3 m above the middle of a pool of 5.5 x 2.7 m, slightly tilted; all chosen.
 
-    `focal`, `centre` [px]; `radial` (k1, k2) and `tangential` (p1, p2) as OpenCV has them;
-    `position` [m] in the pool; `tilt` [rad] about the pool's x, y, z, from looking straight down
-    with the picture's x along the pool's."""
+    `focal`, `centre` [px]; `radial` (k1, k2) and `tangential` (p1, p2) as in OpenCV; `position` [m]
+    in the pool; `tilt` [rad] about the pool's x, y, z, from looking straight down with the
+    picture's x along the pool's.
+    """
 
     size: tuple[int, int] = (1280, 720)
     focal: float = 750.0
@@ -47,14 +48,14 @@ class Optics:
 
 
 def project(optics: Optics, points: Array, slopes: Array | None = None) -> Array:
-    """Pixels (n, 2) of places (n, 3) [m] in the pool; z < 0 is under water and seen through the
-    surface, whose `slopes` (n, 2) there shift what is seen (to first order)."""
+    """Pixels (n, 2) of positions (n, 3) [m] in the pool. Points with z < 0 are seen through the
+    surface, whose `slopes` (n, 2) shift them (to first order)."""
     return _distorted(optics, (through_surface(optics, points, slopes) - optics.position))
 
 
 def through_surface(optics: Optics, points: Array, slopes: Array | None = None) -> Array:
-    """Where light from each place (n, 3) leaves the water on its way to the camera; places above
-    the water stay. Snell: sin(in air) = index sin(in water)."""
+    """Where light from each position (n, 3) leaves the water towards the camera; positions above
+    the water do not change. Snell: sin(in air) = index sin(in water)."""
     camera = np.array(optics.position)
     depth = np.maximum(-points[:, 2], 0.0)
     away = points[:, :2] - camera[:2]
@@ -67,7 +68,8 @@ def through_surface(optics: Optics, points: Array, slopes: Array | None = None) 
 
 
 def _crossing(height: float, depth: Array, far: Array, index: float) -> Array:
-    """Distance from below the camera at which light from `far` away and `depth` down surfaces."""
+    """Horizontal distance from the camera at which light from `far` away and `depth` down leaves
+    the water."""
     near = far * height / (height + depth / index)
     for _ in range(STEPS):
         up, down = np.hypot(near, height), np.hypot(far - near, depth) + 1e-12
@@ -84,7 +86,7 @@ def _distorted(optics: Optics, seen: Array) -> Array:
 
 
 def lens(optics: Optics, flat: Array) -> Array:
-    """Pixels (…, 2) of places (…, 2) on the plane one metre ahead of the camera."""
+    """Pixels (…, 2) of positions (…, 2) on the plane one metre ahead of the camera."""
     return optics.focal * _bent(optics, flat) + np.array(optics.centre)
 
 
@@ -100,7 +102,8 @@ def _bent(optics: Optics, flat: Array) -> Array:
 
 @cache
 def rays(optics: Optics) -> Array:
-    """What every pixel looks at: places (rows, columns, 2) one metre ahead of the camera."""
+    """Position (rows, columns, 2) that every pixel sees on the plane one metre ahead of the
+    camera."""
     columns, rows = optics.size
     pixels = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
     wanted = (pixels - np.array(optics.centre)) / optics.focal
@@ -111,7 +114,7 @@ def rays(optics: Optics) -> Array:
 
 
 def floor(optics: Optics, depth: float) -> Array:
-    """Where every pixel meets the pool's floor: x, y (rows, columns, 2) [m]."""
+    """Position x, y (rows, columns, 2) [m] on the pool's floor that every pixel sees."""
     flat = rays(optics)
     ahead = np.concatenate([flat, np.ones_like(flat[..., :1])], axis=-1) @ optics.rotation
     ahead /= np.linalg.norm(ahead, axis=-1, keepdims=True)

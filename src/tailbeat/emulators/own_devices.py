@@ -1,4 +1,4 @@
-"""Start emulated devices as a process beside this one."""
+"""Start emulated devices as a process."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -22,7 +22,8 @@ def own_devices(
     page: str = "",
     say: Callable[[str], None] = print,
 ) -> Iterator[tuple[Ports, Path]]:
-    """Emulated devices in a process beside, and their key; says where the operator page is."""
+    """Start emulated devices and yield their ports and key; `say` gets the operator page's address.
+    Raises BadInput."""
     with temporary() as folder:
         key = Path(folder) / "rig.key"
         link.make_key(key)
@@ -35,7 +36,7 @@ def own_devices(
         try:
             line = process.stdout.readline()
             if not line:
-                raise BadInput("the emulated devices did not start; see what was said above.")
+                raise BadInput("the emulated devices did not start; see the message above.")
             said = json.loads(line)
             for told in said["page"]:
                 say(told)

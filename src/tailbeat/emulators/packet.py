@@ -1,6 +1,6 @@
-"""Protocol 2.0 as a servo speaks it: checksum, status packets, instructions out of a stream.
+"""Protocol 2.0 on the servo's side: checksum, status packets, instructions in a stream.
 
-Written apart from the driver's, so that one cannot hide the other's mistakes.
+Written independently of the driver's, so that one cannot hide the other's errors.
 """
 
 import struct
@@ -33,7 +33,7 @@ def status(ident: int, error: int, data: bytes) -> bytes:
 
 
 def take(stream: bytearray) -> tuple[int, int, bytes] | None:
-    """The next whole instruction (id, instruction, parameters); garbage before it is dropped."""
+    """The next complete instruction (id, instruction, parameters); garbage before it is dropped."""
     while len(stream) >= 10:
         if stream[:4] != b"\xff\xff\xfd\x00":
             del stream[0]

@@ -1,8 +1,8 @@
-"""The whole bench without hardware: plant, emulated servo and IMU on pseudo-terminals, poses sent.
+"""All devices without hardware: plant, emulated servo and IMU on pseudo-terminals, poses.
 
-One process that a robot's loop cannot tell from a lab: the plant turns the servo's shaft and the
-IMU, and the station's end sends signed poses at sixty frames a second, late, noisy and now and then
-without a tag, on a clock of its own; or a camera films the plant, and the poses are another's work.
+To a robot's loop, this process is the same as a lab. The plant turns the servo's shaft and the IMU.
+The station sends signed poses at sixty frames a second on its own clock: late, noisy, and sometimes
+without a tag. Or a camera films the plant, and another process finds the poses.
 """
 
 import os
@@ -34,15 +34,15 @@ from tailbeat.pool.water import Water
 
 Array = NDArray[np.float64]
 SECOND = 1_000_000_000
-CLOCK_AHEAD, CLOCK_FAST = 37 * SECOND, 20e-6  # the station's clock against the fish's
+CLOCK_AHEAD, CLOCK_FAST = 37 * SECOND, 20e-6  # the station's clock relative to the fish's
 BAUD = 1_000_000
 SHOWN = 0.004  # s between two scenes for the camera
-LONGEST = 0.2  # s that the plant is stepped at once; a rig that was stopped does not catch up
+LONGEST = 0.2  # s, most time stepped at once; a rig that was stopped does not catch up
 
 
 @dataclass(eq=False)
 class PlantShaft(Shaft):
-    """The servo's shaft in the plant: what it is asked for goes in, where it is comes out."""
+    """The servo's shaft in the plant: setpoint in, angle and velocity out."""
 
     fish: Fish = field(kw_only=True)
     water: Water = field(default_factory=Water, kw_only=True)
@@ -57,7 +57,7 @@ class PlantShaft(Shaft):
         )
 
     def advance(self, goal: float | None, dt: float) -> None:
-        """Without torque the servo pulls at nothing."""
+        """Step the plant by `dt` [s]; without torque (`goal` None) the servo's gain is 0."""
         self.plant.servo["kp"][0] = 0.0 if goal is None else self.gain
         self.owed += dt
         steps = int(self.owed / self.plant.dt)
@@ -68,41 +68,41 @@ class PlantShaft(Shaft):
 
     @property
     def pose(self) -> Array:
-        """Of the tag: x, y [m], yaw [rad]."""
+        """Pose of the tag: x, y [m], yaw [rad]."""
         return tracked_pose(self.fish, self.state.q[0, :3])
 
 
 @dataclass(eq=False)
 class Station:
-    """The sender's end behind a camera that sees the plant, late, noisy and now and then nothing;
-    `tag` is where the target floats, `due` [s] when the next frame is."""
+    """The station's sender with a camera model that sees the plant: late, noisy, sometimes nothing.
+    `tag` is the target's position, `due` [s] the time of the next frame."""
 
     sender: Sender
     tag: tuple[float, float]
     rng: np.random.Generator
     model: SensorModel = field(default_factory=SensorModel)
     due: float = 0.0
-    stepped: float = 0.0  # s that its clock was set ahead
-    shifted: tuple[float, float, float] = (0.0, 0.0, 0.0)  # what its tracker is wrong by
-    ahead: deque[tuple[float, Frame]] = field(default_factory=deque)  # when to send what
+    stepped: float = 0.0  # s by which its clock was set ahead
+    shifted: tuple[float, float, float] = (0.0, 0.0, 0.0)  # error of its tracker
+    ahead: deque[tuple[float, Frame]] = field(default_factory=deque)  # time to send, frame
 
     def clock(self) -> int:
-        """The station's own monotonic clock [ns]: neither the fish's nor as fast."""
+        """The station's own monotonic clock [ns], with an offset and a drift to the fish's."""
         set_ahead = CLOCK_AHEAD + round(self.stepped * SECOND)
         return round(time.monotonic_ns() * (1 + CLOCK_FAST)) + set_ahead
 
     @property
     def socket(self) -> socket.socket:
-        """Where it hears the fish."""
+        """The socket on which it receives."""
         return self.sender.socket
 
     @property
     def fish(self) -> tuple[str, int]:
-        """Where it sends to."""
+        """The address to which it sends."""
         return self.sender.fish
 
     def work(self, now: float, shaft: PlantShaft) -> None:
-        """Take a frame when it is time, send what has travelled long enough, hear the fish."""
+        """Take a frame when it is due, send frames whose latency is over, receive from the fish."""
         if now >= self.due:
             self.due = max(self.due + 1 / self.model.frame_rate, now)
             late = self.model.latency + self.model.latency_jitter * self.rng.uniform()
@@ -112,7 +112,7 @@ class Station:
         self.sender.work(now)
 
     def close(self) -> None:
-        """Go off the network."""
+        """Close the socket."""
         self.socket.close()
 
     def _film(self, pose: Array) -> Frame:
@@ -125,15 +125,15 @@ class Station:
 
 @dataclass(eq=False)
 class Above:
-    """A camera over the pool instead of the station that knows: it films the plant, and another
-    process has to find the fish in its pictures. `tag` is where the target floats."""
+    """A camera above the pool instead of a station: it films the plant, and another process must
+    find the fish in its pictures. `tag` is the target's position."""
 
     camera: CameraProcess
     tag: tuple[float, float]
     due: float = 0.0
 
     def work(self, now: float, shaft: PlantShaft) -> None:
-        """Show what there is, some times for every frame."""
+        """Update the scene several times per frame."""
         if now < self.due:
             return
         self.due = now + SHOWN
@@ -143,7 +143,7 @@ class Above:
         self.camera.show(Scene((x, y, yaw), speed, line, (*self.tag, 0.0)))
 
     def close(self) -> None:
-        """Pull the camera's cable."""
+        """End the camera."""
         self.camera.close()
 
 
@@ -160,12 +160,12 @@ class Rig:
 
     @property
     def ports(self) -> tuple[str, str]:
-        """What a driver opens: servo, IMU."""
+        """Ports of servo and IMU for the drivers."""
         return self.lines[0].path, self.lines[1].path
 
     @property
     def station(self) -> Station:
-        """The one that knows; a filmed rig has none."""
+        """The station; a filmed rig has none."""
         assert isinstance(self.watch, Station)
         return self.watch
 
@@ -173,7 +173,7 @@ class Rig:
 def open_rig(
     fish: Fish, key: bytes, robot: tuple[str, int], target: tuple[float, float], seed: int = 0
 ) -> Rig:
-    """A rig whose station sends to a robot's address; the fish starts in the pool's middle."""
+    """Open a rig whose station sends to a robot's address; the fish starts in the pool's middle."""
     shaft = PlantShaft(fish=fish)
     made = link.bind("127.0.0.1", 0)
     station = Station(Sender(key, made, robot), target, np.random.default_rng(seed))
@@ -182,14 +182,15 @@ def open_rig(
 
 
 def open_filmed_rig(fish: Fish, camera: CameraProcess, target: tuple[float, float]) -> Rig:
-    """A rig that gives no poses, but pictures."""
+    """Open a rig that gives pictures instead of poses."""
     shaft = PlantShaft(fish=fish)
     lines = open_line(), open_line()
     return Rig(shaft, Dynamixel(shaft=shaft), Bno055(), lines, Above(camera, target))
 
 
 def serve(rig: Rig, stop: Callable[[], bool]) -> None:
-    """In real time, until `stop` (asked every turn, about a thousand times a second) says so."""
+    """Serve in real time until `stop` returns True; it is called about a thousand times a
+    second."""
     masters = {rig.lines[0].master: _servo, rig.lines[1].master: _imu}
     awaited: list[int | socket.socket] = [*masters]
     if isinstance(rig.watch, Station):
@@ -215,11 +216,11 @@ def _servo(rig: Rig, master: int) -> None:
 
 def _imu(rig: Rig, master: int) -> None:
     data = os.read(master, 256)
-    os.write(master, rig.imu.answer(data))  # its wire time would hold up the servo's
+    os.write(master, rig.imu.answer(data))  # waiting for its wire would delay the servo
 
 
 def close_rig(rig: Rig) -> None:
-    """Pull every cable."""
+    """Close all lines."""
     for line in rig.lines:
         close_line(line)
     rig.watch.close()

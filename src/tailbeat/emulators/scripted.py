@@ -1,4 +1,4 @@
-"""A fish that swims round and round and a target that drifts, to be filmed by a virtual camera."""
+"""A scripted fish that swims in circles and a target that drifts, for the virtual camera."""
 
 import time
 from collections.abc import Callable
@@ -20,15 +20,15 @@ from tailbeat.processes import told_to_end
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
-MARGIN = 0.15  # m that a tag's middle keeps from a wall
+MARGIN = 0.15  # m, least distance of a tag's middle from a wall
 
 
 @dataclass(frozen=True)
 class ScriptedSwim:
-    """A swim over the whole pool: a Lissajous figure with a beating head, and a target that is
-    moved by hand. Places in metres, times in seconds."""
+    """A swim over the whole pool: a Lissajous figure with a beating head, and a target that drifts.
+    Positions in metres, times in seconds."""
 
-    seconds: float = 60.0  # of a round
+    seconds: float = 60.0  # of one round
 
     def fish(self, time: float) -> Array:
         """x, y, yaw of the fish's tag."""
@@ -40,7 +40,7 @@ class ScriptedSwim:
         return np.append(place, np.arctan2(along[1], along[0]) + beat)
 
     def scene(self, time: float, line: Array | None = None) -> Scene:
-        """What there is to film; `line` is the fish's, in its tag's frame."""
+        """The scene at `time` [s]; `line` is the fish's line in its tag's frame."""
         pose, later = self.fish(time), self.fish(time + 1e-3)
         change = later - pose
         change[2] = wrapped(change[2])
@@ -56,7 +56,7 @@ def three(numbers: Any) -> tuple[float, float, float]:
 
 
 def placed(line: Array | None, pose: Array) -> Array | None:
-    """A line (k, 2) [m] of the tag's frame in the world, at a pose."""
+    """Transform a line (k, 2) [m] from the tag's frame to the world."""
     if line is None:
         return None
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -71,7 +71,8 @@ def fish_line(name: str = "pulley-fish") -> Array:
 
 
 def film(socket: Path, fish: str, seconds: float, seed: int, say: Say) -> None:
-    """A virtual camera at a socket over a fish that swims round and round, until told to stop."""
+    """Film a scripted fish with a virtual camera at a socket, for `seconds` (0: until told to
+    stop)."""
     scripted, drawn = ScriptedSwim(), fish_line(fish)
     camera = start_camera(socket, Filming(seed=seed))
     ended = told_to_end()

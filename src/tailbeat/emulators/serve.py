@@ -22,7 +22,8 @@ Say = Callable[[str], None]
 
 
 def rig(fish: str, key: Path, robot: str, target: str, page: str, seed: int, say: Say) -> None:
-    """Serve emulated devices until told to stop; says where it is as one line of JSON."""
+    """Serve emulated devices until told to stop; `say` gets the ports as one line of JSON. Raises
+    BadInput."""
     there, aim = address(robot, "--robot"), place(target)
     described, secret = load_fish(fish), read_key(key)
     client = open_page(page)
@@ -47,8 +48,8 @@ def rig(fish: str, key: Path, robot: str, target: str, page: str, seed: int, say
 
 
 def filmed_rig(fish: str, camera: Path, target: str, seed: int, say: Say) -> None:
-    """Serve emulated devices that gives pictures at a socket instead of poses, until told to stop;
-    says where it is as one line of JSON."""
+    """Serve emulated devices with a camera at a socket instead of poses, until told to stop; `say`
+    gets the ports as one line of JSON."""
     described, aim = load_fish(fish), place(target)
     eye = start_camera(camera, Filming(seed=seed))
     made, ended = bench.open_filmed_rig(described, eye, aim), told_to_end()
@@ -61,8 +62,8 @@ def filmed_rig(fish: str, camera: Path, target: str, seed: int, say: Say) -> Non
 
 
 def _hurry(made: Any) -> None:
-    """Compile before anyone waits for it, and collect no more: that would hold up the bus; a bench
-    that is late looks like a servo that is."""
+    """Compile in advance and switch garbage collection off, because both would delay the bus: late
+    emulated devices look like a late servo."""
     timing.claim()
     made.shaft.advance(0.0, 0.01)
     _ = made.shaft.pose

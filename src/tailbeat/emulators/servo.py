@@ -1,8 +1,8 @@
 """An emulated XW430-T200 on a pseudo-terminal: control table, packets, faults, a turning shaft.
 
-Its packets have their own encoder and parser (`packet`): those and the driver's are held to the
-maker's vectors, and this one to the maker's library. What the manual leaves open was not checked on
-a real servo.
+Its packets have their own encoder and parser (`packet`). Both these and the driver's are tested
+with the maker's vectors, and the emulator with the maker's library. What the manual leaves open was
+not checked on a real servo.
 """
 
 import os
@@ -47,14 +47,14 @@ ALERT = 0x80
 
 @dataclass
 class Shaft:
-    """What turns when no plant does: proportional to the error, never faster than without load."""
+    """A shaft without a plant: speed proportional to the error, at most the no-load speed."""
 
     angle: float = 0.0
     velocity: float = 0.0
     stiffness: float = 25.0  # 1/s
 
     def advance(self, goal: float | None, dt: float) -> None:
-        """`dt` [s] towards a goal [rad]; None: no torque, and it stays."""
+        """Turn for `dt` [s] towards a goal [rad]; with None (no torque) it stays."""
         wanted = 0.0 if goal is None else self.stiffness * (goal - self.angle)
         self.velocity = max(-NO_LOAD, min(NO_LOAD, wanted))
         self.angle += self.velocity * dt
@@ -62,8 +62,8 @@ class Shaft:
 
 @dataclass
 class Faults:
-    """What goes wrong: `mute` replies to swallow, `corrupt` to damage, `garbage` before a reply,
-    `late` [s] for the next reply, `slow` [s] for each, `frozen` encoder."""
+    """Faults: `mute` replies to drop, `corrupt` replies to damage, `garbage` before a reply, `late`
+    [s] for the next reply, `slow` [s] for every reply, `frozen` encoder."""
 
     mute: int = 0
     corrupt: int = 0
@@ -75,7 +75,7 @@ class Faults:
 
 @dataclass(eq=False)
 class Dynamixel:
-    """The servo behind its control table; `answer` a stream of bytes, `advance` the time."""
+    """The servo with its control table; `answer` handles bytes, `advance` steps time."""
 
     shaft: Shaft = field(default_factory=Shaft)
     faults: Faults = field(default_factory=Faults)
@@ -83,23 +83,23 @@ class Dynamixel:
     stream: bytearray = field(default_factory=bytearray)
     registered: bytes = b""
     quiet_until: float = 0.0  # while it restarts
-    heard: float = 0.0  # when the last packet came
+    heard: float = 0.0  # time of the last packet
     now: float = 0.0
 
     def get(self, address: int, signed: bool = False) -> int:
-        """A register."""
+        """Read a register."""
         size = REGISTERS[address][0]
         return int.from_bytes(self.table[address : address + size], "little", signed=signed)
 
     def put(self, address: int, value: int) -> None:
-        """Set a register, access or not."""
+        """Set a register, also a read-only one."""
         size = REGISTERS[address][0]
         self.table[address : address + size] = (value % (1 << 8 * size)).to_bytes(size, "little")
 
     # ---- time -----------------------------------------------------------------------------------
 
     def advance(self, now: float) -> None:
-        """Turn the shaft up to a time [s], watch the bus, renew what is read."""
+        """Step to time `now` [s]: turn the shaft, check the bus watchdog, update the readings."""
         dt, self.now = max(now - self.now, 0.0), now
         limit = self.get(98)
         if self.get(64) and 0 < limit < 128 and now - self.heard > limit * WATCHDOG:
@@ -117,18 +117,19 @@ class Dynamixel:
         return 2048 + round(self.shaft.angle * STEPS / (2 * 3.141592653589793))
 
     def trip(self) -> None:
-        """Its bus watchdog: it stops where it is and refuses goals until 0 is written there."""
+        """Trip the bus watchdog: the servo stops where it is and refuses goals until 0 is written
+        to it."""
         self.put(98, 0xFF)
         self.put(116, self._counts())
 
     def fail(self, bit: int) -> None:
-        """A hardware error; those in the shutdown mask take the torque away."""
+        """Set a hardware error; torque goes off if it is in the shutdown mask."""
         self.put(70, self.get(70) | 1 << bit)
         if self.get(63) >> bit & 1:
             self.put(64, 0)
 
     def reboot(self) -> None:
-        """RAM as at power-up; deaf for a tenth of a second."""
+        """Restart: RAM as at power-up; no replies for a tenth of a second."""
         _fresh(self.table, RAM)
         self.quiet_until = self.now + 0.1
 
@@ -198,7 +199,7 @@ class Dynamixel:
         return 0
 
     def _refusal(self, address: int, data: bytes) -> int:
-        """The error number of a write, 0 if it may be."""
+        """The error number of a write, 0 if it is allowed."""
         if address not in REGISTERS or address in READ_ONLY:
             return ACCESS
         if address < RAM and self.get(64):
@@ -209,7 +210,7 @@ class Dynamixel:
         if address == 116 and not self.get(52) <= value <= self.get(48):
             return LIMIT
         if address == 64 and value and self.get(70) & self.get(63):
-            return FAIL  # after a shutdown only a reboot helps
+            return FAIL  # after a shutdown, only a reboot clears it
         return RANGE if address == 98 and not 0 <= value <= 127 else 0
 
     def _status(self, error: int, data: bytes) -> bytes:
@@ -230,7 +231,7 @@ class Dynamixel:
 
 
 def _fresh(table: bytearray, first: int) -> bytearray:
-    """Factory values from an address on."""
+    """Write factory values from address `first` on."""
     for address, (size, value) in REGISTERS.items():
         if address >= first:
             table[address : address + size] = value.to_bytes(size, "little")
@@ -241,12 +242,14 @@ def _fresh(table: bytearray, first: int) -> bytearray:
 
 
 def hears(device: Dynamixel, line: Line) -> bool:
-    """Whether the driver's end of the line is set to the servo's baud rate; else it hears noise."""
+    """Whether the driver's end of the line has the servo's baud rate; otherwise it receives
+    noise."""
     return termios.tcgetattr(line.slave)[5] == SPEEDS.get(device.get(8))
 
 
 def serve(device: Dynamixel, line: Line, stop: Callable[[], bool], baud: int = 1_000_000) -> None:
-    """Answer until `stop` says so: the wire's time both ways and the return delay are waited."""
+    """Answer until `stop` returns True, with the time of the wire in both directions and the return
+    delay."""
     began = time.monotonic()
     while not stop():
         ready, _, _ = select.select([line.master], [], [], TICK)

@@ -1,1 +1,1 @@
-"""How well does a policy do? Trials in twin and pool, and what they come to."""
+"""Evaluation of a policy: trials in twin and pool, and their results."""

@@ -1,7 +1,7 @@
-"""The controlled comparison: policies of several kinds, one twin, one pool, piece by piece.
+"""The controlled comparison: policies of several kinds in one twin and one pool.
 
-Every policy swims the same targets in its twin and under every condition of the pool: the full
-water, the same without its lag, stall or added inertia, with another servo, and the ensemble.
+Every policy swims to the same targets in its twin and under every condition of the pool: the full
+water, the water without lag, stall or added inertia, another servo, and the ensemble.
 """
 
 from collections.abc import Sequence
@@ -36,8 +36,9 @@ IDEAL = "idealised"  # the servo's name in a description
 
 @dataclass(frozen=True)
 class ComparisonConfig:
-    """Which `policies` (names or files) swim to how many `targets`, drawn from `seed`: as the
-    pool's `fish`, and in the `twin` that they were trained in (None: the one that each names)."""
+    """Which `policies` (names or files) swim to how many `targets`, drawn from `seed`. `fish` is
+    the pool's fish, `twin` the one that they were trained in (None: the one that each policy
+    names)."""
 
     policies: tuple[str, ...]
     fish: str = "pulley-fish"
@@ -48,7 +49,7 @@ class ComparisonConfig:
 
 @dataclass(frozen=True, eq=False)
 class Entrant:
-    """A policy by name, with the twin (and servo) that it was trained in."""
+    """A policy with its name and the twin (and servo) that it was trained in."""
 
     name: str
     policy: Policy
@@ -57,7 +58,7 @@ class Entrant:
 
 @dataclass(frozen=True)
 class Field:
-    """Where they swim: the pool's fish, how many targets, drawn from which seed."""
+    """The pool's fish, the number of targets, and the seed that draws them."""
 
     fish: Fish
     count: int
@@ -67,15 +68,18 @@ class Field:
 def compare(
     config: ComparisonConfig, out: Path, progress: Progress, share: tuple[int, int] = (0, 1)
 ) -> Comparison:
-    """Swim every policy under every condition of the pool, of `share` (i, n) only every n-th cell
-    from the i-th; the numbers of all cells that are there. Raises BadInput where a policy does not
-    fit."""
+    """Swim every policy under every condition of the pool, and read the numbers of all cells
+    present.
+
+    With `share` (i, n), only every n-th cell from the i-th is swum. Raises BadInput if a policy
+    does not fit.
+    """
     if config.targets < 2:
         raise BadInput(f"--targets {config.targets}: give 2 or more.")
     field = Field(load_fish(config.fish), config.targets, config.seed)
     entrants = [_entrant(name, config.twin, field.fish) for name in config.policies]
     if len({one.name for one in entrants}) < len(entrants):
-        raise BadInput("two policies of the same name; rename a file or its folder.")
+        raise BadInput("two policies have the same name; rename a file or its folder.")
     run(entrants, field, out, share, progress)
     found = read(out)
     write_json(out / "comparison.json", found, overwrite=True)
@@ -88,13 +92,13 @@ def _entrant(name: str, twin: str | None, fish: Fish) -> Entrant:
 
 
 def _label(policy: str) -> str:
-    """A run's folder where the file has the name that every run gives it."""
+    """A policy's name: the run's folder if the file has the name that every run gives it."""
     path = Path(policy)
     return path.parent.name if path.name == "policy.onnx" else path.stem
 
 
 def conditions_of(entrant: Entrant, field: Field) -> list[Condition]:
-    """The pool, whole and without one piece at a time; the twin comes first."""
+    """The conditions: the twin, the pool, and the pool without one piece of physics at a time."""
     fish, n = field.fish, field.count
     scene = grid(fish, n, field.seed, 0.5, 2.5, float(np.radians(120)))
     space = entrant.policy.contract.actions
@@ -117,8 +121,8 @@ def conditions_of(entrant: Entrant, field: Field) -> list[Condition]:
 def run(
     entrants: Sequence[Entrant], field: Field, out: Path, share: tuple[int, int], report: Progress
 ) -> None:
-    """Swim the cells that are missing; of `share` (i, n) only every n-th, from the i-th, so that n
-    processes do all. Each cell is a file."""
+    """Swim the missing cells. With `share` (i, n), only every n-th from the i-th, so that n
+    processes swim all of them. Each cell is a file."""
     cells = [(one, condition) for one in entrants for condition in conditions_of(one, field)]
     mine = cells[share[0] :: share[1]]
     for done, (entrant, condition) in enumerate(mine):
@@ -160,27 +164,27 @@ def cell(entrant: Entrant, condition: Condition, field: Field) -> Cell:
 
 
 def actuator_watts(found: Runs) -> float | None:
-    """Mean power [W] of the actuator, None in a twin, which has none."""
+    """Mean power [W] of the actuator; None in a twin, which does not record it."""
     energy = np.asarray(found.energy, float)
     time = float(found.seconds.sum())
     return float(np.nansum(energy) / time) if np.isfinite(energy).any() else None
 
 
 def reversals(found: Runs) -> float:
-    """How often the fish turns from forward to backward or back, per minute."""
+    """Changes between forward and backward, per minute."""
     signs = [np.sign(np.where(np.abs(row) < 0.02, np.nan, row)) for row in surge(found)]
     turns = sum(int((np.diff(one[np.isfinite(one)]) != 0).sum()) for one in signs)
     return 60 * turns / float(found.seconds.sum())
 
 
 def path_speed(pose: Any) -> float:
-    """Mean speed over ground [m/s] along paths (n, k, 3), NaN behind their ends."""
+    """Mean speed over ground [m/s] along paths (n, k, 3), NaN after their ends."""
     step = np.diff(pose[..., :2], axis=1)
     return float(np.nanmean(np.hypot(step[..., 0], step[..., 1])) / PERIOD)
 
 
 def replayed(found: Runs, twin: Fish) -> float:
-    """Mean speed [m/s] of the twin, undrawn, under the very setpoints of these swims."""
+    """Mean speed [m/s] of the twin, without randomisation, with the setpoints of these swims."""
     simulator = TwinSimulator(twin, found.count)
     simulator.rest(np.arange(found.count))
     simulator.ready(np.arange(found.count))

@@ -1,4 +1,4 @@
-"""What a comparison comes to: its cells as they lie on disk, and tables made of them."""
+"""Results of a comparison: its cells on disk, and tables of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -20,10 +20,13 @@ AVERAGED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Manner(SuccessRates):
-    """A policy (kind of its `actions`, `servo` of its twin, `seed` and `stage` of its training)
-    under one condition, and how it swam: speed [m/s], also the twin's under the same setpoints;
-    power of the actuator [W]; changes between forward and backward per minute; fractions of the
-    motor's velocity power below its band's upper edge, below the lower edge, inside and above."""
+    """A policy under one condition, and how it swam.
+
+    Kind of its `actions`, `servo` of its twin, `seed` and `stage` of its training. Speed [m/s],
+    also the twin's with the same setpoints; power of the actuator [W]; changes between forward and
+    backward per minute; fractions of the motor's velocity power below its band's upper edge, below
+    the lower edge, inside and above the band.
+    """
 
     policy: str
     actions: str
@@ -44,7 +47,7 @@ class Manner(SuccessRates):
 
 @dataclass(frozen=True, kw_only=True)
 class Cell(Manner):
-    """The same on disk: with the pool's fish, number of targets and seed (`field`), and which
+    """A `Manner` on disk, with the pool's fish, number of targets and seed (`field`), and which
     targets were reached within 5 and 20 cm."""
 
     field: tuple[str, int, int]
@@ -54,8 +57,8 @@ class Cell(Manner):
 
 @dataclass(frozen=True, kw_only=True)
 class Row(Manner):
-    """The same with the success rates in the twin less those here, over the same targets; None
-    where the twin was not swum."""
+    """A `Manner` with the success rates in the twin minus those here, over the same targets; None
+    if the twin was not swum."""
 
     gap_5cm: Difference | None
     gap_20cm: Difference | None
@@ -63,8 +66,8 @@ class Row(Manner):
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """Means over the policies (seeds) of a kind under a condition, NaN where none has the number;
-    units as in `Manner`. The interval of the gap takes targets and seeds as independent."""
+    """Means over the policies (seeds) of one kind under one condition, NaN where no policy has the
+    number; units as in `Manner`. The gap's interval treats targets and seeds as independent."""
 
     actions: str
     servo: str
@@ -94,29 +97,30 @@ class Comparison:
 
 
 def cell_path(out: Path, policy: str, condition: str) -> Path:
-    """Where one cell lies."""
+    """Path of a cell's file."""
     return out / "cells" / f"{policy}.{condition.replace(' ', '-')}.json"
 
 
 def has_cells(out: Path) -> bool:
-    """Whether a folder holds cells of a comparison."""
+    """Whether a folder has cells of a comparison."""
     return any((out / "cells").glob("*.json"))
 
 
 def read(out: Path) -> Comparison:
-    """The tables of all cells. Raises BadInput where there are none, or of several comparisons."""
+    """Read the tables of all cells. Raises BadInput if there are none, or cells of several
+    comparisons."""
     cells = [_read_cell(path) for path in sorted((out / "cells").glob("*.json"))]
     if not cells:
-        raise BadInput(f"{out}: no cells of a comparison here; `tailbeat compare` makes them.")
+        raise BadInput(f"{out}: no cells of a comparison in it; `tailbeat compare` makes them.")
     if len({one.field for one in cells}) > 1:
-        raise BadInput(f"{out}: cells of several comparisons; give each a folder of its own.")
+        raise BadInput(f"{out}: cells of several comparisons; use one folder for each.")
     twins = {one.policy: one for one in cells if one.condition == TWIN}
     rows = tuple(_row(one, twins.get(one.policy)) for one in cells)
     return Comparison(rows, _kinds([row for row in rows if row.condition != TWIN]), provenance())
 
 
 def _read_cell(path: Path) -> Cell:
-    """A cell; one of an earlier version has `arm` for its condition."""
+    """Read a cell; in older cells `arm` is the condition."""
     held = store.read_json(path)
     if "arm" in held:
         held["condition"] = held.pop("arm")

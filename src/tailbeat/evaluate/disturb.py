@@ -1,4 +1,4 @@
-"""Disturbed swims beside undisturbed ones to the same targets, in the same waters."""
+"""Disturbed swims compared with undisturbed ones to the same targets, in the same waters."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,10 +12,10 @@ from tailbeat.evaluate.scenes import grid
 from tailbeat.evaluate.trial import Condition, Pool
 from tailbeat.pool.plant import Surroundings, stirred
 
-# Sizes are chosen: about the fish's own speed and turning rate, pokes of a finger.
+# Sizes are chosen: about the fish's speed and turning rate, and pokes with a finger.
 BACKWARD = -0.2  # m/s
 SPIN = 2.0  # rad/s
-POKES, POKE, TWIST, POKED = 4, 1.0, 0.05, 0.2  # how many, N, N m, s
+POKES, POKE, TWIST, POKED = 4, 1.0, 0.05, 0.2  # number, N, N m, s
 STIRRED = 0.03  # m/s rms
 CALM = "disturb none"
 
@@ -36,8 +36,8 @@ def conditions(pool: Pool) -> list[Condition]:
 
 
 def _released(scene: Scene, speed: float, spin: float) -> Scene:
-    """The fish released while they move along their heading [m/s] and turn [rad/s], every second
-    one the other way round."""
+    """Release fish that move along their heading [m/s] and turn [rad/s], every second one in the
+    other direction."""
     heading = scene.start[:, 2]
     side = np.where(np.arange(len(heading)) % 2, -1.0, 1.0)
     velocity = np.stack([speed * np.cos(heading), speed * np.sin(heading), spin * side], axis=1)
@@ -54,5 +54,6 @@ def _pokes(rng: np.random.Generator) -> Surroundings:
 
 
 def numbers(by_condition: Mapping[str, Runs]) -> tuple[ConditionResult, ...]:
-    """Per condition: success rates, and what the disturbance costs on the same targets."""
+    """Results per condition: success rates, and their change by the disturbance on the same
+    targets."""
     return against(by_condition[CALM], by_condition)

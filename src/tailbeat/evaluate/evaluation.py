@@ -1,4 +1,4 @@
-"""A policy's evaluation in the pool: all trials swum into a folder, then read into numbers."""
+"""Evaluation of a policy in the pool: swim all trials into a folder, then read the numbers."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
@@ -39,9 +39,12 @@ CONDITIONS: Mapping[str, Callable[[Pool], list[Condition]]] = dict(
 
 @dataclass(frozen=True)
 class EvaluationConfig:
-    """What to try a policy in: the pool's `fish`, the `twin` it was trained in (None: the one that
-    it names), the waters of the `pool` ("ensemble", or one of the ablations), the `tasks`, swims
-    per condition (`episodes`), `walls` (length, width) [m] of the walled trials, and the seed."""
+    """What to evaluate a policy in.
+
+    The pool's `fish`; the `twin` that the policy was trained in (None: the one that it names); the
+    waters of the `pool` ("ensemble", or one of the ablations); the `tasks`; swims per condition
+    (`episodes`); `walls` (length, width) [m] of the walled trials; the seed.
+    """
 
     fish: str = "pulley-fish"
     twin: str | None = None
@@ -54,8 +57,8 @@ class EvaluationConfig:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Everything that was swum in a folder: its description, the conditions that were `cut_short`,
-    and the result of each task; empty or None where it was not swum."""
+    """Results of a folder: its description, the conditions that were `cut_short`, and the result of
+    each task; empty or None if it was not swum."""
 
     run: RunDescription
     provenance: Provenance
@@ -69,7 +72,8 @@ class Evaluation:
 
 
 def waters_of(name: str) -> tuple[Water, ...]:
-    """The waters of `--pool`: "ensemble", or one of the ablations ("full" is the default one)."""
+    """The waters of `--pool`: "ensemble", or one of the ablations ("full" is the default water).
+    Raises BadInput."""
     if name == "ensemble":
         return tuple(ensemble(POOLS, ENSEMBLE_SEED))
     if name not in ablations():
@@ -78,7 +82,7 @@ def waters_of(name: str) -> tuple[Water, ...]:
 
 
 def pool_of(policy: Policy, config: EvaluationConfig) -> Pool:
-    """Where a policy is tried; raises BadInput where it does not fit the pool's fish."""
+    """The pool for a policy. Raises BadInput if the policy does not fit the pool's fish."""
     if config.episodes < 2:
         raise BadInput(f"--episodes {config.episodes}: give 2 or more.")
     own = load_fish(config.fish)
@@ -93,8 +97,10 @@ def conditions_of(pool: Pool, tasks: Sequence[str]) -> list[Condition]:
 
 
 def evaluate(policy: Policy, config: EvaluationConfig, out: Path, progress: Progress) -> Evaluation:
-    """Swim what is not there yet, then `read`; an evaluation that was stopped goes on from there.
-    Raises BadInput where the policy does not fit, or the folder holds other runs."""
+    """Swim what is missing, then `read`; an evaluation that was stopped continues.
+
+    Raises BadInput if the policy does not fit, or the folder has other runs.
+    """
     pool, tasks = pool_of(policy, config), config.tasks
     check_tasks(tasks)
     swum = dict.fromkeys(["reach", *tasks] if "spectrum" in tasks else tasks)
@@ -114,7 +120,7 @@ def evaluate(policy: Policy, config: EvaluationConfig, out: Path, progress: Prog
 
 
 def describe(policy: Policy, pool: Pool) -> RunDescription:
-    """What an evaluation is made of; a folder holds one."""
+    """Description of an evaluation; a folder holds one."""
     contract = policy.contract
     return RunDescription(
         policy=hashlib.sha256(as_text(contract).encode()).hexdigest()[:16],
@@ -134,7 +140,7 @@ def describe(policy: Policy, pool: Pool) -> RunDescription:
 
 
 def counts(pool: Pool) -> dict[str, int]:
-    """Swims of every condition that these walls allow."""
+    """Number of swims of every condition that these walls allow."""
     found: dict[str, int] = {}
     for conditions in CONDITIONS.values():
         with suppress(BadInput):
@@ -143,12 +149,12 @@ def counts(pool: Pool) -> dict[str, int]:
 
 
 def read(out: Path) -> Evaluation:
-    """Numbers of all that was swum in a folder. Raises BadInput where nothing was."""
+    """Read the numbers of everything swum in a folder. Raises BadInput if there is nothing."""
     run = store.read_description(out)
     held = {name: store.load(out, name, -(-n // CHUNK)) for name, n in present(out, run).items()}
     fresh = out / "twin" / "twin.json"
     if not held and not fresh.is_file():
-        raise BadInput(f"{out}: an empty folder of runs; evaluate into it first.")
+        raise BadInput(f"{out}: no swims in this folder; run `tailbeat evaluate` into it first.")
     swum = {name: one for name, (one, _) in held.items()}
     reached, beyond = _of(swum, "reach"), _of(swum, out_of_distribution.PREFIX)
     disturbed = _of(swum, "disturb")
@@ -177,7 +183,7 @@ def _identification(out: Path) -> list[SpectrumRow]:
 
 
 def present(out: Path, run: RunDescription) -> dict[str, int]:
-    """Conditions of which at least one chunk was swum, and how many swims were asked for."""
+    """Conditions with at least one chunk on disk, and their number of swims."""
     return {
         name: count
         for name, count in run.conditions.items()

@@ -1,7 +1,7 @@
-"""The processes of the fault table: a test bench that can be broken, and a loop that swims on it.
+"""The processes of the fault table: emulated devices with faults, and a loop that swims on them.
 
-The emulated devices (`emulators.faults`) run in one process, and the loop, the very function behind
-`tailbeat drive`, in another. Faults of the loop are made in its own process.
+The emulated devices (`emulators.faults`) run in one process. The loop, the same function as in
+`tailbeat drive`, runs in another. Faults of the loop are made in its own process.
 """
 
 import math
@@ -25,23 +25,23 @@ from tailbeat.robot.ports import Ports
 from tailbeat.robot.session import DriveConfig
 
 Drive = Callable[..., Any]  # `robot.session.drive`
-START = 60.0  # s for a process that imports and compiles
+START = 60.0  # s for a process to import and compile
 TIMES = ("pose_hold", "pose_stop", "imu_hold", "servo_hold", "servo_stop", "clock_doubt")
 
 
 class NoNumbers:
-    """A network that gives NaN."""
+    """A network whose output is NaN."""
 
     def __init__(self, size: int) -> None:
         self.size = size
 
     def run(self, *_: Any) -> list[Any]:
-        """As onnxruntime's."""
+        """Same call as onnxruntime's."""
         return [np.full((1, self.size), np.nan, np.float32)]
 
 
 def _fill_disk(own: Any) -> None:
-    """The log's file becomes one that has no space left."""
+    """Replace the log's file by one without free space."""
     full = os.open("/dev/full", os.O_WRONLY)
     os.dup2(full, own.put.__self__.file.fileno())
 
@@ -69,7 +69,7 @@ LOOP_FAULTS: dict[str, Callable[[Any], None]] = {
 
 
 def _run(pipe: Connection, drive: Drive, config: DriveConfig, patience: float) -> None:
-    """The loop's process: says each line with its time, and breaks what it is told to."""
+    """The loop's process: sends each line with its time, and makes the faults that it is told."""
     late = [False]
 
     def each(own: Any) -> None:
@@ -87,7 +87,7 @@ def _run(pipe: Connection, drive: Drive, config: DriveConfig, patience: float) -
 
 
 def _be_patient(own: Any, patience: float) -> None:
-    """Times beyond which it holds or stops, longer: for a machine that is busy otherwise."""
+    """Lengthen the times to HOLD and STOP, for a machine that is busy with other work."""
     longer = {name: patience * getattr(own.limits, name) for name in TIMES}
     most = own.limits.overruns_hold if patience == 1 else 20
     own.limits = replace(own.limits, overruns_hold=most, **longer)
@@ -100,7 +100,8 @@ def _be_patient(own: Any, patience: float) -> None:
 
 @dataclass(eq=False)
 class Bench:
-    """The bench's process: its pipe, the folder with its ports, and how patient the loop is."""
+    """The emulators' process: its pipe, the folder with its ports, and the factor `patience` on the
+    loop's times."""
 
     pipe: Connection
     folder: Path
@@ -110,15 +111,15 @@ class Bench:
     swims: int = 0
 
     def ask(self, *order: Any) -> Any:
-        """An order and its answer."""
+        """Send an order and return its answer."""
         self.pipe.send(order)
         return self.pipe.recv()
 
 
 @contextmanager
 def open_bench(fish: Fish, preload: list[str], patience: float = 1.0) -> Iterator[Bench]:
-    """A bench that can be broken, in a process of its own; `preload` names what the loop's
-    processes import once."""
+    """Start emulated devices that can be given faults, in their own process. `preload` names
+    modules that the loop's processes import once."""
     context = fork_server([*preload, "tailbeat.robot.loop", "tailbeat.robot.log"])
     with temporary() as name:
         folder = Path(name)
@@ -136,7 +137,7 @@ def open_bench(fish: Fish, preload: list[str], patience: float = 1.0) -> Iterato
 
 @dataclass(eq=False)
 class Swim:
-    """A loop's process that swims on the bench; `lines` are the states it said, with their time."""
+    """A loop's process that swims; `lines` are its reported states, with their times."""
 
     process: Any
     pipe: Connection
@@ -145,7 +146,7 @@ class Swim:
     broken: float = math.nan
 
     def listen(self, seconds: float = 0.02) -> None:
-        """Take in what it says."""
+        """Receive its reports."""
         try:
             while self.pipe.poll(seconds):
                 kind, when, text = self.pipe.recv()
@@ -159,13 +160,13 @@ class Swim:
 
     @property
     def state(self) -> str:
-        """The last one it said."""
+        """The last reported state."""
         return self.lines[-1][1].split(":")[0] if self.lines else ""
 
 
 @contextmanager
 def swimming(bench: Bench, policy: str, drive: Drive) -> Iterator[Swim]:
-    """A loop that swims on a fresh rig. Raises RuntimeError where it does not come to swim."""
+    """Start a loop that swims on a new rig. Raises RuntimeError if it does not start to swim."""
     robot = link.free_address()
     station = bench.ask("new", robot)
     bench.swims += 1
@@ -180,7 +181,7 @@ def swimming(bench: Bench, policy: str, drive: Drive) -> Iterator[Swim]:
     try:
         wait(swim, lambda: swim.state == "run" or not process.is_alive(), START)
         if swim.state != "run":
-            raise RuntimeError(f"the fish did not come to swim: {swim.lines}")
+            raise RuntimeError(f"the fish did not start to swim: {swim.lines}")
         yield swim
     finally:
         _end(process)
@@ -198,7 +199,7 @@ def _end(process: Any) -> None:
 
 
 def wait(swim: Swim, done: Callable[[], bool], seconds: float) -> bool:
-    """Listen until it is so; whether it came to that in time."""
+    """Receive until `done()` is true; returns whether that was in time."""
     end = time.monotonic() + seconds
     while not done():
         if time.monotonic() > end:

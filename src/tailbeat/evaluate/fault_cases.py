@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Case:
-    """A fault: what happens, where it is made ("bench", "loop" or "signal") and by which name, the
-    state that is safe ("run", "hold", "stop", or "gone": the process is, and so is the torque), and
-    words of what the operator reads."""
+    """A fault: a title, where it is made ("bench", "loop" or "signal") and by which name, the safe
+    state ("run", "hold", "stop", or "gone": the process has ended and torque is off), and words of
+    the operator's text."""
 
     title: str
     where: str

@@ -1,4 +1,4 @@
-"""Swim every fault of the table in real time and time the way to safety."""
+"""Make every fault of the table in real time, and measure the time until the fish is safe."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from tailbeat.robot import session
 
 @dataclass(frozen=True)
 class FaultTable:
-    """Every fault that was tried, and every loop that was killed."""
+    """Results of every fault, and of every killed loop."""
 
     faults: list[FaultResult]
     killed: list[KillResult]
@@ -25,7 +25,8 @@ class FaultTable:
 def faults(
     policy: str, fish: str, only: Sequence[str], kills: int, seed: int, say: Callable[[str], None]
 ) -> FaultTable:
-    """Every fault, or those whose title or name holds one of the words in `only`, in real time."""
+    """Make every fault, or those with one of the words of `only` in title or name, in real time.
+    Raises BadInput."""
     cases = [
         case
         for case in CASES
@@ -33,7 +34,7 @@ def faults(
     ]
     if not cases and not kills:
         names = ", ".join(case.name for case in CASES)
-        raise BadInput(f"--only {' '.join(only)}: no such fault; give some of {names}.")
+        raise BadInput(f"--only {' '.join(only)}: no such fault; allowed are words of {names}.")
     results: list[FaultResult] = []
     drive = session.drive
     with open_bench(load_fish(fish), [session.__name__]) as bench:

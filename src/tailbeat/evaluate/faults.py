@@ -1,5 +1,7 @@
-"""The fault table: each fault is put into a swimming fish, for real, and the time until it is safe
-measured. What the servo did is read inside the emulated servo, not from what the loop says.
+"""The fault table: each fault is made in a real swim, and the time until the fish is safe is
+measured.
+
+The servo's actions are read inside the emulated servo, not from the loop's reports.
 """
 
 import math
@@ -15,16 +17,19 @@ from tailbeat.evaluate.fault_bench import Bench, Drive, Swim, swimming, wait
 from tailbeat.evaluate.fault_cases import Case
 from tailbeat.robot.log import read_rows
 
-SWIMMING = 0.8  # s before something is broken
-CALM = 0.3  # s that a tail must be straight, or a swim go on
+SWIMMING = 0.8  # s of swimming before the fault
+CALM = 0.3  # s for which the tail must be straight; a fifth of the time that a swim must continue
 WAIT = 6.0  # s for a safe state, times the patience
 
 
 @dataclass(frozen=True)
 class FaultResult:
-    """One fault in one swim: what the operator read, the safe state, seconds until it was told and
-    until the servo was safe (None: never), whether both came, seconds of the log that are missing
-    where the process was killed, and at which try."""
+    """Result of one fault in one swim.
+
+    The operator's text; the safe state; time until it was reported and until the servo was safe [s]
+    (None: never); whether both came; time missing in the log [s] if the process was killed; the
+    number of the try.
+    """
 
     fault: str
     operator_sees: str
@@ -38,8 +43,8 @@ class FaultResult:
 
 @dataclass(frozen=True)
 class KillResult:
-    """A loop killed with -9: when in its swim [s], seconds until the torque was off (NaN: never),
-    and seconds of the log that are missing."""
+    """A loop killed with -9: when in its swim [s], time until torque was off [s] (NaN: never), and
+    time missing in the log [s]."""
 
     swum_s: float
     off_s: float
@@ -47,14 +52,14 @@ class KillResult:
 
 
 def measure(case: Case, bench: Bench, policy: str, drive: Drive, tries: int = 3) -> FaultResult:
-    """One fault in one swim. Where the outcome is not the one that is safe it is tried again, and
-    `tries` says so: on a busy machine a loop may hold by itself."""
+    """Make one fault in one swim. If the outcome is not safe, it is tried again, up to `tries`: on
+    a busy machine a loop may go to HOLD without a fault."""
     for attempt in range(1, tries + 1):
         try:
             with swimming(bench, policy, drive) as swim:
                 wait(swim, lambda: False, SWIMMING)
                 result = _result(case, bench, swim, _break(case, bench, swim))
-        except RuntimeError as error:  # the fish did not come to swim
+        except RuntimeError as error:  # the fish did not start to swim
             result = FaultResult(case.title, str(error), case.safe, None, None, False, None)
         if result.ok or attempt == tries:
             break
@@ -62,7 +67,7 @@ def measure(case: Case, bench: Bench, policy: str, drive: Drive, tries: int = 3)
 
 
 def _break(case: Case, bench: Bench, swim: Swim) -> float:
-    """Break it; when that was [s]."""
+    """Make the fault; returns its time [s]."""
     if case.where == "bench":
         return float(bench.ask("break", case.name))
     if case.where == "signal":
@@ -75,7 +80,7 @@ def _break(case: Case, bench: Bench, swim: Swim) -> float:
 
 def _result(case: Case, bench: Bench, swim: Swim, broken: float) -> FaultResult:
     began, safe_at = broken, _safe_at(case, bench, swim, broken)
-    if case.name == "servo cable":  # nobody can tell the servo anything until then
+    if case.name == "servo cable":  # before, no command can reach the servo
         began = bench.ask("plug")
         safe_at = _safe_at(replace(case, safe="gone"), bench, swim, began)
     since = [(when - broken, text) for when, text in swim.lines if when >= broken]
@@ -93,13 +98,13 @@ def _result(case: Case, bench: Bench, swim: Swim, broken: float) -> FaultResult:
 
 
 def _is(case: Case, text: str) -> bool:
-    """Whether a line is the one that the fault should lead to."""
+    """Whether a line reports what the fault should lead to."""
     return text.startswith(case.safe) and case.words in text
 
 
 def _safe_at(case: Case, bench: Bench, swim: Swim, broken: float) -> float:
-    """When the servo was safe [s]: torque off, straight, or still swimming as it should; NaN if
-    never."""
+    """Time at which the servo was safe [s]: torque off, straight, or still swimming if it should;
+    NaN if never."""
     found = [math.nan]
 
     def safe() -> bool:
@@ -107,14 +112,14 @@ def _safe_at(case: Case, bench: Bench, swim: Swim, broken: float) -> float:
         return not math.isnan(found[0])
 
     wait(swim, safe, WAIT * bench.patience)
-    if case.safe in ("stop", "hold"):  # the line may still be on its way
+    if case.safe in ("stop", "hold"):  # the report may arrive later
         wait(swim, lambda: swim.state == case.safe or not swim.process.is_alive(), 1.0)
         swim.listen()
     return found[0]
 
 
 def _safe_now(case: Case, bench: Bench, swim: Swim, broken: float) -> float:
-    """Since when the servo is safe [s]; NaN if it is not."""
+    """Time since which the servo is safe [s]; NaN if it is not."""
     look, on = bench.ask("look")
     now, since = time.monotonic(), look.off
     if case.safe == "run":
@@ -129,14 +134,14 @@ def _safe_now(case: Case, bench: Bench, swim: Swim, broken: float) -> float:
 
 
 def _lost(log: Path, killed: float) -> float:
-    """How long before its end [s] a log's last whole row lies."""
+    """Time [s] between a log's last complete row and the kill."""
     return killed - float(read_rows(log)[-1]["time_s"])
 
 
 def kill_at_random(
     times: int, bench: Bench, policy: str, drive: Drive, rng: np.random.Generator
 ) -> list[KillResult]:
-    """The loop's process is killed with -9, each time at another moment of its swim."""
+    """Kill the loop's process with -9, each time at another time of its swim."""
     results: list[KillResult] = []
     while len(results) < times:
         with swimming(bench, policy, drive) as swim:

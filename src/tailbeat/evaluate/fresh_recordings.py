@@ -1,7 +1,7 @@
-"""A twin beside fresh recordings of its fish: tail, servo and swims, recorded anew in the pool.
+"""A twin compared with new recordings of its fish: tail, servo and swims, recorded in the pool.
 
-Nothing is fitted to the servo's and the swims' recordings: the twin is asked for what it was not
-shown. The tail's response is measured again.
+Nothing is fitted to the recordings of servo and swims: they test the twin on new data. The tail's
+response is measured again.
 """
 
 from collections.abc import Mapping
@@ -46,8 +46,8 @@ class Day:
 
 @dataclass(frozen=True)
 class TailRow:
-    """A `number` of the tail: the `twin`'s, and the one measured anew with its 95 % interval
-    (k_eff in N m/rad, friction in N m)."""
+    """A `number` of the tail: the twin's, and the newly measured one with its 95 % interval (k_eff
+    in N m/rad, friction in N m)."""
 
     number: str
     twin: float | None
@@ -66,8 +66,8 @@ class ServoRow:
 
 @dataclass(frozen=True)
 class SwimRow:
-    """A held-out swim beside the twin's: beat [Hz], speeds [m/s], rms error of the position as a
-    fraction of the path length, heading error [deg]; None where a run has no such number."""
+    """A held-out swim and the twin's: beat [Hz], speeds [m/s], rms position error as a fraction of
+    the path length, heading error [deg]; None where a run does not have the number."""
 
     recording: str
     beat_frequency: float | None
@@ -79,7 +79,7 @@ class SwimRow:
 
 @dataclass(frozen=True)
 class FreshResult:
-    """A twin beside fresh recordings of its fish; `speeds` is None in folders of before."""
+    """Results of a twin on new recordings; `speeds` is None in older folders."""
 
     tail: tuple[TailRow, ...]
     servo: tuple[ServoRow, ...]
@@ -88,7 +88,7 @@ class FreshResult:
 
 
 def record(fish: Fish, out: Path, seed: int) -> None:
-    """Record what is not there yet, under a seed that no identification used."""
+    """Record what is missing, with a seed that no identification used."""
     servo = [
         one for name, one in servo_commands(fish, limits(fish)).items() if name in HELD_OUT_SERVO
     ]
@@ -106,7 +106,7 @@ def record(fish: Fish, out: Path, seed: int) -> None:
 
 
 def read(out: Path) -> Day:
-    """The day's recordings; raises BadInput where a bench is missing."""
+    """Read the day's recordings. Raises BadInput if one kind is missing."""
     names = sorted(out.glob("*.csv"))
     found = {
         kind: [path for path in names if present_name(path.stem).startswith(f"{kind}-")]
@@ -114,12 +114,14 @@ def read(out: Path) -> Day:
     }
     for kind, paths in found.items():
         if not paths:
-            raise BadInput(f"{out}: no {kind} recordings; evaluate with --tasks twin again.")
+            raise BadInput(
+                f"{out}: no {kind} recordings; run `tailbeat evaluate --tasks twin` again."
+            )
     return Day(*([read_recording(path) for path in paths] for paths in found.values()))
 
 
 def numbers(out: Path, pool_fish: Fish, twin: Fish) -> FreshResult:
-    """Measure the fish anew from the recordings, and ask its twin for the same."""
+    """Measure the fish from the new recordings, and compute its twin's numbers."""
     day = read(out)
     tail = identify_tail([one for one in day.tail if "sweep" in one.name])
     return FreshResult(
@@ -144,7 +146,7 @@ def _swim_row(found: Mapping[str, Any]) -> SwimRow:
 
 
 def overlays(day: Day, twin: Fish) -> list[Overlay]:
-    """The twin's servo and the idealised one on the day's commands, in free run."""
+    """Free runs of the twin's servo and the idealised one on the day's commands."""
     benches = [as_bench(one, twin) for one in day.servo]
     ideal = twin.servos.get(IDEAL, twin.servos[twin.servo])
     own, other = (

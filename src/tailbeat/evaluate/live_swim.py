@@ -1,6 +1,6 @@
-"""A swim in real time, read back from the fish's own log: what the camera saw and what it came to.
+"""A swim in real time, read from the fish's log: the tag's poses and the results.
 
-The log knows the tag's pose and the motor's angle; the hinges are drawn from those.
+The log has the tag's pose and the motor's angle; the hinge angles are estimated from them.
 """
 
 from collections.abc import Sequence
@@ -23,20 +23,20 @@ CLOSE = 1e-3  # m: the link sends float32
 
 
 def tour_of(log: Path, fish: Fish, targets: Array) -> Tour:
-    """The swim past targets (m, 2) [m]; those never swum to count as missed. Raises BadInput for a
-    log in which nothing was swum."""
+    """The swim past targets (m, 2) [m]. Targets that it did not swim to count as missed. Raises
+    BadInput for a log without swimming, or with other targets."""
     from tailbeat.robot.log import read_rows  # needs the extra
 
     rows = [row for row in read_rows(log) if row["state"] == "run" and row["decided_on"]]
     if not rows:
-        raise BadInput(f"{log}: the fish never swam; its last rows say why (`tailbeat export`).")
+        raise BadInput(f"{log}: the fish never swam; the `reason` of its last rows says why.")
     newest = np.array([row["decided_on"][:6] for row in rows], float)
     motor = np.array([row["motor_angle_rad"] for row in rows], float)
     away = np.linalg.norm(newest[:, None, TARGET] - targets, axis=2)
     known = away.min(axis=1) < CLOSE
     pose, motor, goal = newest[known, :3], motor[known], away[known].argmin(axis=1)
     if not known.any():
-        raise BadInput(f"{log}: the fish swam to other targets than these; give its own seed.")
+        raise BadInput(f"{log}: the fish swam to other targets; give the seed of that swim.")
     reach = np.hypot(*(pose[:, :2] - targets[goal]).T)
     ends = [_end(reach[goal == number]) for number in range(len(targets))]
     reached, seconds, nearest = map(np.array, zip(*ends, strict=True))
@@ -45,8 +45,8 @@ def tour_of(log: Path, fish: Fish, targets: Array) -> Tour:
 
 
 def as_seen(tour: Tour, rows: Sequence[TargetResult]) -> Tour:
-    """The same with what the station saw of its targets: it turns to the next one at the very frame
-    of an arrival, which the fish's log need not hold. A target without a row was not reached."""
+    """The tour with the station's results. The station changes the target at the frame of an
+    arrival, which the fish's log may not have. A target without a row was not reached."""
     count = len(tour.targets)
     reached, nearest = np.zeros(count, dtype=bool), np.full(count, np.inf)
     seconds = np.zeros(count)
@@ -57,6 +57,6 @@ def as_seen(tour: Tour, rows: Sequence[TargetResult]) -> Tour:
 
 
 def _end(reach: Array) -> tuple[bool, float, float]:
-    """Whether, after how long [s] and how near [m] a target was come to."""
+    """Whether a target was reached, the time [s] and the closest approach [m]."""
     nearest = float(reach.min()) if reach.size else np.inf
     return nearest < ARRIVAL, PERIOD * reach.size, nearest

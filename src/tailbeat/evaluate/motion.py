@@ -1,8 +1,8 @@
 """The motion that a film shows: pose, bent tail and target at every frame, from a log or a tour.
 
-A log has the shaft's angle and not the tail's shape. The compiled twin's motor is led through the
-logged angle in water, and its hinge angles are taken; its root is placed where the camera saw the
-tag. The poses are smoothed between the camera's frames.
+A log has the shaft's angle, but not the tail's shape. The compiled twin's motor is driven through
+the logged angle in water, and its hinge angles are used; its root is placed at the camera's pose.
+The poses are smoothed between the camera's frames.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,15 +29,18 @@ if TYPE_CHECKING:  # a process that renders would wait for the pool's compiled c
 
 Array = NDArray[np.float64]
 Row = Mapping[str, Any]
-NEEDED = ("time_s", "x_m", "y_m", "yaw_rad", "motor_angle_rad")  # of a log's rows
+NEEDED = ("time_s", "x_m", "y_m", "yaw_rad", "motor_angle_rad")  # fields of a log's rows
 TARGET = slice(3, 5)  # of the newest frame in `decided_on`
 SHORTEST = 0.5  # s of poses that make a film
 BEFORE = 1.0  # s that a film shows before the fish swims
 GRID = 120.0  # Hz at which poses are smoothed: twice a camera's rate
-WINDOW = 25  # samples of that: a cubic through them passes beats up to 7 Hz
-LEAD_IN = 1.0  # s in which the twin's straight tail is led to the log's first angle
-NEAR_ARRIVAL = ARRIVAL + 0.02  # m: the log's last pose before an arrival may lie outside the 5 cm
-CAMERA_LAG, CAMERA_TURN = 0.6, 1.2  # s over which a following camera's place and turn are averaged
+WINDOW = 25  # samples of it: a cubic fit passes beats up to 7 Hz
+LEAD_IN = 1.0  # s in which the twin's straight tail moves to the log's first angle
+NEAR_ARRIVAL = ARRIVAL + 0.02  # m: the log's last pose before an arrival may be outside the 5 cm
+CAMERA_LAG, CAMERA_TURN = (
+    0.6,
+    1.2,
+)  # s over which a following camera's position and direction are averaged
 AHEAD = 0.12  # m that it looks ahead of the fish's tag
 
 
@@ -53,11 +56,11 @@ class Motion:
 
     @property
     def frames(self) -> int:
-        """How many frames."""
+        """Number of frames."""
         return len(self.qpos)
 
     def arrivals(self) -> tuple[tuple[int, float, float], ...]:
-        """Frame and place x, y [m] of each target at which the fish arrived."""
+        """Frame and position x, y [m] of each target that the fish reached."""
         found, last = [], (np.nan, np.nan)
         near = np.hypot(*(self.tag[:, :2] - self.target).T) < NEAR_ARRIVAL  # False for NaN
         for frame in np.flatnonzero(near).tolist():
@@ -70,15 +73,15 @@ class Motion:
 
 @dataclass(frozen=True)
 class Span:
-    """Which part of a swim: from `start` [s] after its first row, `seconds` long. None for `start`
-    is a second before the fish swims first."""
+    """Part of a swim: from `start` [s] after its first row, `seconds` long. `start` None is a
+    second before the fish first swims."""
 
     seconds: float = 20.0
     start: float | None = None
 
 
 def of_tour(tour: "Tour", span: Span, rate: float) -> Motion:
-    """A tour's motion, its shape as it was simulated or guessed."""
+    """A tour's motion; its shape is simulated or estimated."""
     whole = PERIOD * (len(tour.goal) - 1)
     first = min(span.start or 0.0, whole)
     wanted = _frames(first, min(first + span.seconds, whole), rate)
@@ -89,7 +92,7 @@ def of_tour(tour: "Tour", span: Span, rate: float) -> Motion:
 
 
 def of_log(log: Path, fish: Fish, span: Span, rate: float) -> Motion:
-    """A log's motion. Raises BadInput for a log that lacks what a film needs."""
+    """A log's motion. Raises BadInput for a log without poses or shaft angles."""
     from tailbeat.robot.log import read_rows  # needs the extra
 
     rows = _timed(log, read_rows(log))
@@ -117,7 +120,7 @@ def _timed(log: Path, rows: Sequence[Row]) -> list[Row]:
 
 
 def _poses(log: Path, rows: Sequence[Row]) -> tuple[Array, Array]:
-    """When the camera saw the fish (k,) [s] and where (k, 3), each of its frames once."""
+    """Times (k,) [s] and poses (k, 3) of the fish in the camera's frames, each frame once."""
     names = ("x_m", "y_m", "yaw_rad")
     whole = [row for row in rows if all(row[name] is not None for name in names)]
     pose = np.array([[row[name] for name in names] for row in whole], float).reshape(-1, 3)
@@ -137,7 +140,7 @@ def _poses(log: Path, rows: Sequence[Row]) -> tuple[Array, Array]:
 
 
 def _first(log: Path, rows: Sequence[Row], at: Array, span: Span) -> float:
-    """When the film begins, on the log's clock [s]."""
+    """Start of the film on the log's clock [s]."""
     begins = float(rows[0]["time_s"])
     if span.start is not None:
         first = max(begins + span.start, float(at[0]))
@@ -170,7 +173,7 @@ def _frames(first: float, last: float, rate: float) -> Array:
 
 
 def _resampled(at: Array, values: Array, wanted: Array) -> Array:
-    """Linear between samples; the third column is an angle."""
+    """Linear interpolation; the third column is an angle."""
     straight = values.copy()
     straight[:, 2] = np.unwrap(values[:, 2])
     return np.column_stack([np.interp(wanted, at, column) for column in straight.T])
@@ -208,9 +211,11 @@ def _tail(log: Path, fish: Fish, rows: Sequence[Row], wanted: Array) -> Array:
 
 
 def bent_tail(fish: Fish, at: Array, angle: Array, wanted: Array) -> Array | None:
-    """Motor and hinge angles (k, 1 + links) [rad] of the twin at the times `wanted` (k,) [s], its
-    shaft led through `angle` (n,) [rad], sampled at the rising times `at` (n,) [s]. The twin swims
-    freely meanwhile: water and the head's yaw bend its tail as in the swim. None if it diverged."""
+    """Motor and hinge angles (k, 1 + links) [rad] of the twin at the times `wanted` (k,) [s].
+
+    Its shaft is driven through `angle` (n,) [rad], sampled at the rising times `at` (n,) [s]. The
+    twin swims freely: water and the head's yaw bend its tail as in the swim. None if it diverged.
+    """
     twin = compile_twin(fish, Options(replayed=True))
     step = twin.model.opt.timestep
     times = np.arange(wanted[0] - LEAD_IN, wanted[-1] + 2 * step, step)
@@ -232,8 +237,8 @@ def bent_tail(fish: Fish, at: Array, angle: Array, wanted: Array) -> Array | Non
 
 
 def followed(motion: Motion) -> tuple[Array, Array]:
-    """Where a following camera looks (k, 2) [m] and the way it faces (k,) [rad]: a little ahead of
-    the fish, averaged so that no beat shakes the picture."""
+    """Where a following camera looks (k, 2) [m] and its direction (k,) [rad]: a little ahead of the
+    fish, averaged so that the beat does not shake the picture."""
     place = gaussian_filter1d(motion.tag[:, :2], CAMERA_LAG * motion.rate, axis=0, mode="nearest")
     yaw = gaussian_filter1d(motion.tag[:, 2], CAMERA_TURN * motion.rate, mode="nearest")
     ahead = AHEAD * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)

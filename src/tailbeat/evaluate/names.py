@@ -9,7 +9,7 @@ NAMES = (*TRIALS, "spectrum", "twin")
 
 
 def check_tasks(names: Sequence[str]) -> None:
-    """Raises BadInput where one is not a task; of the name of earlier versions it says the new."""
+    """Check the names of tasks. Raises BadInput; for an old name it gives the new one."""
     for name in names:
         if name not in NAMES:
             renamed = "; beyond is now called out-of-distribution" if name == "beyond" else ""

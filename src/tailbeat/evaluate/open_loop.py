@@ -12,7 +12,7 @@ SECONDS = 8.0
 
 
 def beat(fish: Fish, frequency: float) -> tuple[Swim, Twin]:
-    """From rest: a pulley swung by 0.6 rad through its servo, a crank turned steadily."""
+    """Swim from rest: a pulley swings by 0.6 rad through its servo, a crank turns steadily."""
     crank = fish.motor.kind == "crank"
     twin = compile_twin(fish, Options(replayed=crank, looks=True))
     step = twin.model.opt.timestep

@@ -1,4 +1,4 @@
-"""Conditions that a policy was not trained on, beside the same swims as trained."""
+"""Conditions that a policy was not trained on, compared with the same swims as trained."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,10 +15,10 @@ from tailbeat.evaluate.scenes import grid, moving
 from tailbeat.evaluate.trial import Condition, Pool
 from tailbeat.fish.description import Servo
 
-SCALES = (1.5, 2.7, 5.3)  # the paper's accident
+SCALES = (1.5, 2.7, 5.3)  # wrong scales of the paper's policy
 SPEEDS = (0.05, 0.10)  # m/s of moving targets
-WEAK = 0.6  # of the servo's gain and torque
-LOST_FRAMES = (0.3, 0.6)  # share of frames without a tag
+WEAK = 0.6  # factor on the servo's gain and torque
+LOST_FRAMES = (0.3, 0.6)  # fraction of frames without a tag
 SECONDS = 30.0
 PREFIX = "out of distribution: "
 AS_TRAINED = f"{PREFIX}as trained"
@@ -48,7 +48,8 @@ def conditions(pool: Pool) -> list[Condition]:
 
 
 def _behind(target: Any, start: Any) -> Any:
-    """Every target of an even spread moved into the rear 120 deg: bearing to 180 less a third."""
+    """Move every target into the rear 120 deg: bearing b becomes 180 minus b / 3, on the same
+    side."""
     offset = target[:, 0] - start[:, :2]
     seen = bearing(start, target[:, 0])
     rear = np.sign(seen) * (np.pi - np.abs(seen) / 3) + start[:, 2]
@@ -57,7 +58,8 @@ def _behind(target: Any, start: Any) -> Any:
 
 
 def _scaled(space: Generator, by: float) -> Generator:
-    """The scales that one robot had wrong; the frequency's ceiling stays."""
+    """The generator with wrong scales, as on one robot; the ceiling of the frequency does not
+    change."""
     return replace(
         space, offset=by * space.offset, first=by * space.first, second=by * space.second
     )
@@ -69,6 +71,6 @@ def _weak(pool: Pool) -> Servo:
 
 
 def numbers(by_condition: Mapping[str, Runs]) -> tuple[ConditionResult, ...]:
-    """Per condition: success rates, and the difference to the swims as trained (those to the rear
-    and far have other targets)."""
+    """Results per condition: success rates, and their difference to the swims as trained (rear and
+    far have other targets)."""
     return against(by_condition[AS_TRAINED], by_condition)

@@ -1,4 +1,4 @@
-"""Where results come from: which code, on which machine."""
+"""Provenance of results: which code, on which machine."""
 
 import os
 import platform
@@ -20,7 +20,7 @@ class Provenance:
 
 
 def provenance() -> Provenance:
-    """Of this process."""
+    """The provenance of this process."""
     asked = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short=12", "HEAD"]
     try:
         commit = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()

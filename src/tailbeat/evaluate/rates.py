@@ -11,15 +11,15 @@ from scipy.stats import binomtest
 
 from tailbeat.evaluate.runs import NEAR, Runs
 
-Z95 = 1.96  # standard deviations either side
-LEVEL = float(2 * ndtr(Z95) - 1)  # 95 %, as these standard deviations have it
+Z95 = 1.96  # standard deviations on each side
+LEVEL = float(2 * ndtr(Z95) - 1)  # 95 %, computed from them
 Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SuccessRates:
-    """Fractions of targets that the fish came within 5 and 20 cm of, with their 95 % Wilson
-    intervals (low, high)."""
+    """Fractions of targets that the fish came within 5 and 20 cm of, with 95 % Wilson intervals
+    (low, high)."""
 
     within_5cm: float
     interval_5cm: tuple[float, float]
@@ -37,8 +37,8 @@ class Difference:
 
 @dataclass(frozen=True, kw_only=True)
 class ConditionResult(SuccessRates):
-    """Swims under one condition: how many, how many were lost, and the success rates less those of
-    the reference condition."""
+    """Results under one condition: number of swims and of lost ones, success rates, and their
+    difference to the reference condition's."""
 
     condition: str
     swims: int
@@ -48,7 +48,7 @@ class ConditionResult(SuccessRates):
 
 
 def success(reached: Flags, nearest: Any) -> SuccessRates:
-    """Success rates from who arrived (n,) and the closest approaches (n,) [m]."""
+    """Success rates from arrivals (n,) and closest approaches (n,) [m]."""
     near = nearest < NEAR
     return SuccessRates(
         within_5cm=float(reached.mean()),
@@ -77,7 +77,7 @@ def _against(reference: Runs, name: str, runs: Runs) -> ConditionResult:
 
 
 def paired(first: Flags, second: Flags) -> Difference:
-    """Success rate of `second` (n,) less that of `first` (n,) over the same targets; the interval
+    """Success rate of `second` (n,) minus that of `first` (n,) over the same targets. The interval
     is normal, from the pairs that differ."""
     n, gained = first.size, int((second & ~first).sum())
     gone = int((first & ~second).sum())
@@ -87,6 +87,6 @@ def paired(first: Flags, second: Flags) -> Difference:
 
 
 def wilson(hits: int, count: int) -> tuple[float, float]:
-    """95 % interval of a success rate, Wilson's (1927)."""
+    """95 % interval of a success rate (Wilson 1927)."""
     low, high = binomtest(hits, count).proportion_ci(LEVEL, method="wilson")
     return float(low), float(high)

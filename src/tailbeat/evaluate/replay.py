@@ -20,20 +20,20 @@ from tailbeat.recording import Recording, read_recording
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What a twin predicts of swims, and beside it the naive model where one was asked for."""
+    """A twin's predictions of swims, and the naive model's if requested."""
 
     predictions: tuple[Prediction, ...]
     rival: kinematic.Rival | None = None
 
     @property
     def settled(self) -> bool:
-        """Whether no run diverged and every cruise reached a steady speed."""
+        """Whether no run diverged and every run reached a steady speed."""
         return all(one.settled for one in self.predictions)
 
 
 def predict_swims(fish: str, swims: Sequence[Path], fitted_on: Sequence[Path] = ()) -> Replay:
-    """Measured and predicted figures of recordings, logs or an evaluation's chunks; with
-    `fitted_on`, those of the naive model fitted on these recordings too."""
+    """Compare measured and predicted numbers of recordings, logs or an evaluation's chunks. With
+    `fitted_on`, also those of the naive model fitted to these recordings. Raises BadInput."""
     described = load_fish(fish)
     played = [recording for path in swims for recording in read_swims(path)]
     runs = [run for recording in played for run in as_runs(recording, described)]
@@ -58,7 +58,8 @@ def coverage(fish: str, swims: Sequence[Path], against: Sequence[Path]) -> Cover
 
 
 def read_swims(path: Path) -> list[Recording]:
-    """The swims of a file. Raises BadInput where an evaluation's chunk holds none long enough."""
+    """Read the swims of a file. Raises BadInput if an evaluation's chunk has none of 1 s or
+    more."""
     if path.suffix != ".npz":
         return [read_recording(path)]
     found = as_recordings(read_chunk(path), path.stem)

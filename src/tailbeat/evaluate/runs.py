@@ -1,4 +1,4 @@
-"""What a trial gives: n swims as arrays, and what follows from them."""
+"""Results of a trial: n swims as arrays, and numbers computed from them."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from tailbeat.recording import Recording
 
 Single = NDArray[np.float32]
 Flags = NDArray[np.bool_]
-SHOWN = 8  # fish of a chunk whose whole shape is kept
+SHOWN = 8  # fish per chunk whose shape is stored
 NEAR = 0.2  # m, the paper's wider circle
 
 
@@ -19,10 +19,10 @@ NEAR = 0.2  # m, the paper's wider circle
 class Runs:
     """n swims of up to k control steps; after a swim's end everything is NaN.
 
-    `pose` (n, k + 1, 3) of the tag, `target` (n, k + 1, 2), `motor` (n, k + 1) angle and `setpoint`
-    (n, k) [rad]; `steps` swum, `reached`, `lost` (numbers left the finite, or out of range) (n,);
-    `energy` (n,) [J] that the actuator put in, NaN in a twin; `shape` (m, k + 1, nv) the
-    generalised coordinates of the first few; `water` (n,) which pool.
+    `pose` (n, k + 1, 3) of the tag [m, m, rad]; `target` (n, k + 1, 2) [m]; `motor` (n, k + 1)
+    angle and `setpoint` (n, k) [rad]; `steps` swum, `reached`, `lost` (diverged, or out of range)
+    (n,); `energy` (n,) [J] from the actuator, NaN in a twin; `shape` (m, k + 1, nv) generalised
+    coordinates of the first m fish; `water` (n,) index of the pool.
     """
 
     pose: Single
@@ -38,12 +38,12 @@ class Runs:
 
     @property
     def count(self) -> int:
-        """How many swims."""
+        """Number of swims."""
         return len(self.steps)
 
     @property
     def distance(self) -> Single:
-        """To the target at each time (n, k + 1) [m]."""
+        """Distance to the target at each time (n, k + 1) [m]."""
         apart = self.target - self.pose[..., :2]
         return np.asarray(np.hypot(apart[..., 0], apart[..., 1]))
 
@@ -54,16 +54,16 @@ class Runs:
 
     @property
     def seconds(self) -> NDArray[np.float64]:
-        """How long each swam (n,)."""
+        """Duration of each swim (n,) [s]."""
         return np.asarray(PERIOD * self.steps, dtype=np.float64)
 
     @property
     def bearing(self) -> Single:
-        """Of the target at the start, from straight ahead (n,) [rad], in -pi to pi."""
+        """Bearing of the target at the start, from straight ahead (n,) [rad], in -pi to pi."""
         return np.asarray(bearing(self.pose[:, 0], self.target[:, 0]))
 
     def part(self, own: slice) -> "Runs":
-        """Some of the swims; their shapes are left out."""
+        """Some of the swims, without their shapes."""
         values = {name: one[own] for name, one in vars(self).items() if name != "shape"}
         return Runs(**values, shape=self.shape[:0])
 
@@ -90,7 +90,7 @@ def as_recordings(runs: Runs, name: str, shortest: float = 1.0) -> list[Recordin
 def _recording(runs: Runs, swim: int, name: str) -> Recording:
     numbers = np.column_stack([runs.motor[swim], runs.pose[swim]]).astype(np.float64)
     numbers = numbers[: runs.steps[swim] + 1]
-    finite = np.isfinite(numbers).all(axis=1)  # a swim that was lost ends beside the numbers
+    finite = np.isfinite(numbers).all(axis=1)  # a lost swim may end with NaN
     names = ("motor_angle_rad", "x_m", "y_m", "yaw_rad")
     columns = dict(zip(names, numbers[finite].T, strict=True))
     return Recording(name, np.flatnonzero(finite).astype(np.float64) * PERIOD, columns)

@@ -1,4 +1,4 @@
-"""Where trials begin and what they aim at: sampled grids and closed paths, from a seed."""
+"""Starts and targets of trials: sampled grids and closed paths, from a seed."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,15 +14,19 @@ from tailbeat.fish.description import Fish
 from tailbeat.identify.runs import tracked_pose
 
 Array = NDArray[np.float64]
-CLEAR = 0.4  # m that a start, and half of it that a target, keeps from the walls
+CLEAR = 0.4  # m, least distance of a start from the walls; targets: half of it
 TRIES = 2000
-HALF_EIGHT = (1.6, 0.6)  # m, along and across the pool; the paper prints no size, this fits its own
-BEHIND = 0.5  # m that a fish begins behind a moving target
+HALF_EIGHT = (
+    1.6,
+    0.6,
+)  # m, along and across the pool; not given in the paper, chosen to fit its pool
+BEHIND = 0.5  # m, distance of a fish's start behind a moving target
 
 
 def grid(fish: Fish, count: int, seed: int, near: float, far: float, arc: float) -> Scene:
-    """Still targets over bearing within `arc` [rad] either side and range `near` to `far` [m] from
-    the tag, one in every stratum of both (a Latin square); fish at rest, headings drawn."""
+    """Targets that stay, over bearings within `arc` [rad] to either side and distances `near` to
+    `far` [m] from the tag, one in every stratum of both (Latin hypercube). Fish at rest, with
+    random headings."""
     draw = qmc.LatinHypercube(2, rng=np.random.default_rng(seed)).random(count)
     heading = np.random.default_rng([seed, 1]).uniform(-np.pi, np.pi, count)
     start = np.column_stack([np.zeros((count, 2)), heading])
@@ -31,7 +35,7 @@ def grid(fish: Fish, count: int, seed: int, near: float, far: float, arc: float)
 
 
 def aim(fish: Fish, start: Array, bearing: Array, distance: Array) -> Array:
-    """Places (n, 2) by bearing and range from the tags of fish that start (n, 3)."""
+    """Positions (n, 2) by bearing and distance from the tags of fish that start at (n, 3)."""
     tag = tracked_pose(fish, start)
     angle = tag[:, 2] + bearing
     return np.asarray(
@@ -40,7 +44,7 @@ def aim(fish: Fish, start: Array, bearing: Array, distance: Array) -> Array:
 
 
 def still(start: Array, target: Array, velocity: Array | None = None) -> Scene:
-    """Fish (n, 3) with targets (n, 2) that stay."""
+    """Fish at (n, 3) with targets (n, 2) that stay."""
     moved = np.zeros_like(start) if velocity is None else velocity
     return Scene(start, moved, target[:, None], np.full(len(start), np.inf))
 
@@ -48,8 +52,8 @@ def still(start: Array, target: Array, velocity: Array | None = None) -> Scene:
 def walled(
     fish: Fish, count: int, seed: int, near: float, far: float, walls: tuple[float, float]
 ) -> Scene:
-    """Starts anywhere inside walls (length, width) [m], targets all around them inside too; drawn
-    anew until both fit. Raises BadInput where none does."""
+    """Starts anywhere inside walls (length, width) [m], and targets around them, also inside.
+    Raises BadInput if none is found."""
     rng, half = np.random.default_rng(seed), np.array(walls) / 2
     starts, targets = np.empty((count, 3)), np.empty((count, 2))
     for i in range(count):
@@ -62,14 +66,14 @@ def walled(
         else:
             raise BadInput(
                 f"walls of {walls[0]:g} x {walls[1]:g} m: no free target {near:g} to {far:g} m"
-                f" away in {TRIES} draws; widen the pool or bring the targets nearer."
+                f" away in {TRIES} draws; use a larger pool or nearer targets."
             )
         starts[i], targets[i] = start, place
     return still(starts, targets)
 
 
 def moving(scene: Scene, speed: float, seconds: float, seed: int) -> Scene:
-    """The same fish, their targets on straight ways of a drawn direction at `speed` [m/s]."""
+    """The same fish; their targets move in straight lines of random direction at `speed` [m/s]."""
     rng = np.random.default_rng([seed, 2])
     angle = rng.uniform(-np.pi, np.pi, len(scene.start))
     way = speed * PERIOD * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -82,8 +86,8 @@ def moving(scene: Scene, speed: float, seconds: float, seed: int) -> Scene:
 
 
 def eight(phase: Array) -> Array:
-    """Figure eight (k, 2) [m], crossing itself at the origin at phases 0 and 1/2 of 0 to 1; begins
-    at the tip of a lobe with an offset of 1/4."""
+    """Figure eight (k, 2) [m] for phases 0 to 1. It starts at the tip of a lobe (an offset of 1/4)
+    and crosses itself at the origin."""
     angle = 2 * np.pi * (phase + 0.25)
     along, across = HALF_EIGHT
     return np.stack([along * np.sin(angle), across * np.sin(2 * angle)], axis=1)
@@ -116,7 +120,7 @@ def even(path: Callable[[Array], Array], count: int) -> Array:
 
 
 def lap_length(path: Callable[[Array], Array]) -> float:
-    """Of one lap [m]."""
+    """Length of one lap [m]."""
     fine = path(np.linspace(0, 1, 4001))
     return float(np.hypot(*np.diff(fine, axis=0).T).sum())
 
@@ -129,8 +133,8 @@ def follow(
     count: int,
     lead: float = np.inf,
 ) -> Scene:
-    """Targets that go round a path in `lap` [s], or longer where they wait for a fish more than
-    `lead` [m] away; fish begin behind them, on the tangent."""
+    """Targets that go round a path in `lap` [s], or longer if they wait for a fish that is more
+    than `lead` [m] away. Fish start behind them, on the tangent."""
     steps, per_lap = round(seconds / PERIOD) + 1, round(lap / PERIOD)
     way = even(path, per_lap)[np.arange(steps) % per_lap]
     ahead = way[1] - way[0]

@@ -1,5 +1,8 @@
-"""How much of the motor's motion lies below, inside and above the band: in runs of identification
-and of a policy in its twin and in the pool; forward and reversing gaits apart."""
+"""Fractions of the motor's velocity power below, inside and above the band.
+
+For runs of identification, and of a policy in its twin and in the pool; forward and reversing gaits
+separately.
+"""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -18,16 +21,18 @@ from tailbeat.pool.protocols import record_fluid
 Array = NDArray[np.float64]
 Band = tuple[float, float]  # lower and upper edge [Hz]
 WINDOW = 2.0  # s of one gait
-SPEED = 0.02  # m/s: slower than this either way is neither forward nor reversing
+SPEED = 0.02  # m/s: below this speed a piece is neither forward nor reversing
 IDENTIFICATION = "identification"
 BINS = np.arange(0.25, 12.01, 0.25)  # Hz, of the curves
 
 
 @dataclass(frozen=True, kw_only=True)
 class PowerShares:
-    """Velocity power of the motor about a band, from `pieces` of swims: the fractions below its
-    upper edge, below its lower edge, inside and above it (None where nothing moves, or where all
-    pieces are too short), and the cumulative fraction at each of `BINS`."""
+    """Velocity power of the motor about a band, from `pieces` of swims.
+
+    Fractions below its upper edge, below its lower edge, inside and above it: None if nothing
+    moves, or if all pieces are too short. `cumulative` is the cumulative power at each of `BINS`.
+    """
 
     pieces: int = 0
     share_below: float | None = None
@@ -39,7 +44,7 @@ class PowerShares:
 
 @dataclass(frozen=True, kw_only=True)
 class SpectrumRow(PowerShares):
-    """The same of some runs (a condition, or `IDENTIFICATION`) and of one gait."""
+    """Power fractions of some runs (a condition, or `IDENTIFICATION`) and of one gait."""
 
     runs: str
     gait: str
@@ -55,15 +60,15 @@ def numbers(by_condition: Mapping[str, Runs], band: Band) -> tuple[SpectrumRow, 
 
 
 def identification(fish: Fish, band: Band, seed: int) -> SpectrumRow:
-    """The same of the swims that a fish's fluid is identified on, recorded in the pool."""
+    """The row of the swims on which a fish's fluid is identified, recorded in the pool."""
     recordings = record_fluid(fish, seed)
     pairs = ((one.time, one.columns["motor_angle_rad"]) for one in recordings)
     return SpectrumRow(runs=IDENTIFICATION, gait="all", **vars(power_shares(pairs, band)))
 
 
 def windows(runs: Runs, speed: Any, wanted: int | None) -> Iterable[tuple[Array, Array]]:
-    """Motor angles of pieces of `WINDOW` whose mean surge goes the wanted way; whole swims for
-    None."""
+    """Times and motor angles of pieces of `WINDOW` whose mean surge has the sign `wanted`; whole
+    swims for None."""
     length = round(WINDOW / PERIOD)
     clock: Array = np.arange(runs.motor.shape[1], dtype=float) * PERIOD
     for fish in range(runs.count):
@@ -81,15 +86,15 @@ def windows(runs: Runs, speed: Any, wanted: int | None) -> Iterable[tuple[Array,
 
 
 def power_shares(pairs: Iterable[tuple[Array, Array]], band: Band) -> PowerShares:
-    """Velocity power of some motor angles (time [s], angle [rad]). Pieces too short to tell what
-    lies below the lower edge are split as the longer ones are."""
+    """Power fractions of motor angles (time [s], angle [rad]). For pieces too short to resolve the
+    lower edge, the split at it is taken from the longer ones."""
     parts, long, count, curve = np.zeros(3), np.zeros(3), 0, np.zeros(BINS.size)
     for time, angle in pairs:
         try:
             found = velocity_spectrum(time, angle)
         except BadInput:
             continue
-        # density times resolution times duration: longer pieces count for more
+        # density times resolution times duration: longer pieces have more weight
         parts += found.powers(band)
         long += found.powers(band) * found.resolves(band[0])
         curve += [found.power[found.frequency <= top].sum() for top in BINS]

@@ -1,7 +1,7 @@
-"""How fast do twin and plant swim at any beat? Speed over frequency and stroke, side by side.
+"""Speed of twin and plant over frequency and stroke, compared.
 
-Above its band the stateless twin is known to go wrong; this shows where and how much, whatever
-happens. Open water, a sine that fades in over a second, the command held at 50 Hz.
+Above its band the stateless twin is known to be wrong; the map shows where and by how much. Open
+water, a sine with a fade-in of one second, the command held at 50 Hz.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ class SpeedRow:
 
 @dataclass(frozen=True)
 class SpeedMap:
-    """Speeds of a fish by name, in a water by fingerprint."""
+    """Speeds of a fish (name) in a water (fingerprint)."""
 
     fish: str
     water: str
@@ -48,7 +48,8 @@ class SpeedMap:
 def speed_map(
     fish: Fish, servos: Sequence[str] = ("identified",), twin: Fish | None = None
 ) -> SpeedMap:
-    """Speeds of `twin` (the fish's own without one) and of the pool's plant at every beat."""
+    """Compute speeds of `twin` (by default the fish's own) and of the pool's plant at every
+    beat."""
     cases = [
         (servo, rate, frequency, min(rate / (2 * np.pi * frequency), 1.0))
         for servo in servos
@@ -61,7 +62,8 @@ def speed_map(
 
 
 def speed_map_of(fish: str, servos: Sequence[str] = ()) -> SpeedMap:
-    """Speeds of a fish with some of its servos, by default the one described."""
+    """Compute speeds of a fish with some of its servos, by default the described one. Raises
+    BadInput."""
     described = load_fish(fish)
     chosen = [with_servo(described, name).servo for name in servos or [described.servo]]
     return speed_map(described, chosen)
@@ -74,7 +76,7 @@ def _command(frequency: float, stroke: float, step: float) -> Array:
 
 
 def _speed(time: Array, pose: Array) -> float:
-    """Net path over the last seconds, along the mean heading [m/s]."""
+    """Net speed along the mean heading over the last seconds [m/s]."""
     late = time >= time[-1] - JUDGED
     way = pose[-1, :2] - pose[late][0, :2]
     heading = pose[late, 2].mean()

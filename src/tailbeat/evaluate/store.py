@@ -1,7 +1,7 @@
 """A folder of runs on disk: its description, and the swims of every condition.
 
-A condition is swum in chunks, each a file of its own, written beside and renamed: a trial that was
-cut short is read up to its end and says so.
+A condition is swum in chunks. Each is a file, written beside and renamed, so a trial that was cut
+short can be read up to its end.
 """
 
 import json
@@ -26,10 +26,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class RunDescription:
-    """What a folder's runs are made of: digest of the `policy`, kind of its `actions`, its `band`
-    [Hz] and `training` as its contract says; the `twin` it was trained in; `fish` and `water` of
-    the pool with their digests; the seed, swims per condition (`episodes`), walls (length, width)
-    [m], and how many swims each of the `conditions` has."""
+    """Description of a folder's runs.
+
+    Digest of the `policy`, kind of its `actions`, its `band` [Hz] and `training` from its contract;
+    the `twin` that it was trained in; `fish` and `water` of the pool with their digests; the seed,
+    swims per condition (`episodes`), walls (length, width) [m], and the number of swims of each of
+    the `conditions`.
+    """
 
     policy: str
     actions: str
@@ -47,10 +50,10 @@ class RunDescription:
 
 
 def begin(out: Path, wanted: RunDescription) -> None:
-    """Note what is asked for; raises BadInput where the folder holds other runs."""
+    """Write the description. Raises BadInput if the folder has other runs."""
     if not has_runs(out):
         if out.exists() and any(out.iterdir()):
-            raise BadInput(f"{out}: holds something else; choose a new folder.")
+            raise BadInput(f"{out}: contains other files; choose a new folder.")
         write_json(out / DESCRIPTION, wanted)
         return
     held, asked = (leaves("", plain(one)) for one in (read_description(out), wanted))
@@ -60,30 +63,32 @@ def begin(out: Path, wanted: RunDescription) -> None:
         said = [f"{name} was {held.get(name)}, now {asked.get(name)}" for name in wrong[:3]]
         more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
         raise BadInput(
-            f"{out}: holds other runs: {'; '.join(said)}{more}; ask for the same, or choose a new"
+            f"{out}: contains other runs: {'; '.join(said)}{more}. Use the same options, or a new"
             f" folder."
         )
 
 
 def has_runs(out: Path) -> bool:
-    """Whether a folder holds the description of runs."""
+    """Whether a folder has a description of runs."""
     return any((out / name).is_file() for name in (DESCRIPTION, DESCRIPTION_BEFORE))
 
 
 def read_description(out: Path) -> RunDescription:
-    """What a folder's runs were asked to be. Raises BadInput."""
+    """Read the description of a folder's runs. Raises BadInput."""
     path, before = out / DESCRIPTION, out / DESCRIPTION_BEFORE
     if path.is_file():
         return read_record(RunDescription, path)
     if not before.is_file():
-        raise BadInput(f"{out}: no runs here ({DESCRIPTION} is missing); evaluate into it first.")
+        raise BadInput(
+            f"{out}: no runs in it ({DESCRIPTION} is missing); run `tailbeat evaluate` first."
+        )
     held = read_json(before)
     held["conditions"] = {k.replace(*RENAMED): n for k, n in held.pop("arms", {}).items()}
     return as_record(RunDescription, held, before)
 
 
 def read_json(path: Path) -> Any:
-    """What a JSON file of ours holds. Raises BadInput."""
+    """Read a JSON file of ours. Raises BadInput."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
@@ -91,12 +96,13 @@ def read_json(path: Path) -> Any:
 
 
 def read_record(kind: type[T], path: Path) -> T:
-    """What a JSON file of ours holds, as a record of the given kind. Raises BadInput."""
+    """Read a JSON file of ours as a record of the given kind. Raises BadInput."""
     return as_record(kind, read_json(path), path)
 
 
 def as_record(kind: type[T], held: Any, path: Path) -> T:
-    """What a file held as a record of the given kind. Raises BadInput naming the first fault."""
+    """Convert the contents of a file to a record of the given kind. Raises BadInput naming the
+    first error."""
     try:
         return TypeAdapter(kind).validate_python(held)
     except ValidationError as error:
@@ -106,7 +112,7 @@ def as_record(kind: type[T], held: Any, path: Path) -> T:
 
 
 def chunk_path(out: Path, condition: str, chunk: int) -> Path:
-    """Where one chunk of a condition lies; a file that an earlier version named is found too."""
+    """Path of a chunk's file; files with the older name are found too."""
     stem = condition.replace(":", "").replace(" ", "-").replace("/", "-per-")
     paths = [
         out / "runs" / f"{name}.{chunk:03d}.npz"
@@ -122,17 +128,17 @@ def save(runs: Runs, path: Path) -> None:
 
 
 def load(out: Path, condition: str, chunks: int) -> tuple[Runs, bool]:
-    """All chunks of a condition that are there, and whether some are missing. Raises BadInput if
-    none is."""
+    """Read all chunks of a condition that exist; also returns whether some are missing. Raises
+    BadInput if none exists."""
     paths = [chunk_path(out, condition, chunk) for chunk in range(chunks)]
     found = [path for path in paths if path.is_file()]
     if not found:
-        raise BadInput(f"{out}: no swims of {condition!r} here; run the evaluation again.")
+        raise BadInput(f"{out}: no swims of {condition!r} in it; run the evaluation again.")
     return joined([read_chunk(path) for path in found]), len(found) < chunks
 
 
 def read_chunk(path: Path) -> Runs:
-    """One chunk's swims. Raises BadInput."""
+    """Read one chunk's swims. Raises BadInput."""
     if not path.is_file():
         raise BadInput(f"{path}: no such file; give a chunk that `tailbeat evaluate` wrote.")
     try:
@@ -143,7 +149,7 @@ def read_chunk(path: Path) -> Runs:
 
 
 def joined(parts: Sequence[Runs]) -> Runs:
-    """Chunks as one; shorter ones are filled with NaN."""
+    """Join chunks; shorter ones are filled with NaN."""
     longest = max(part.motor.shape[1] for part in parts)
     values = {
         field.name: np.concatenate(

@@ -19,13 +19,13 @@ from tailbeat.files import BadInput
 from tailbeat.operator.tour import TargetResult, draw_targets
 
 Say = Callable[[str], None]
-Counting = Callable[[], AbstractContextManager[Progress]]  # opens a bar and closes it
+Counting = Callable[[], AbstractContextManager[Progress]]  # shows a progress bar
 
 
 @dataclass(frozen=True)
 class SwimConfig:
-    """A `policy` (name or file) swims as the pool's `fish` to so many `targets`, drawn from `seed`;
-    `twin` names the fish it was trained on where that is not a shipped one."""
+    """A `policy` (name or file) swims as the pool's `fish` to `targets` targets, drawn from `seed`.
+    `twin` names the fish that it was trained on, if that is not a shipped one."""
 
     policy: str
     fish: str = "pulley-fish"
@@ -36,7 +36,7 @@ class SwimConfig:
 
 @dataclass(frozen=True)
 class Toured:
-    """What the station writes of a tour: its targets, and how often the fish was armed again."""
+    """The station's report of a tour: its targets, and how often the fish was armed again."""
 
     targets: tuple[TargetResult, ...]
     armed_anew: int
@@ -44,8 +44,8 @@ class Toured:
 
 @dataclass(frozen=True, eq=False)
 class Swum:
-    """A tour that was swum by `policy` in `pool`, and how it was asked for; of a swim in real time
-    its log, and how often the fish was armed again."""
+    """A tour swum by `policy` in `pool`, and its configuration; for a swim in real time also its
+    log, and how often the fish was armed again."""
 
     tour: Tour
     policy: Policy
@@ -56,7 +56,8 @@ class Swum:
 
 
 def direct(config: SwimConfig, counting: Counting) -> Swum:
-    """Swim to targets in the pool's plant, in process and faster than real time."""
+    """Swim to targets in the pool's plant, in process and faster than real time. Raises
+    BadInput."""
     loaded, where, drawn = _entered(config)
     with counting() as progress:
         swum = tour(loaded, where.fish, where.waters[0], drawn, config.seed, progress)
@@ -64,7 +65,8 @@ def direct(config: SwimConfig, counting: Counting) -> Swum:
 
 
 def live(config: SwimConfig, out: Path, say: Say) -> Swum:
-    """Swim in real time, through camera, network, servo and IMU; read back from the fish's log."""
+    """Swim in real time, through camera, network, servo and IMU; results are read from the fish's
+    log."""
     from tailbeat.emulators.live import swim  # needs OpenCV
 
     loaded, where, drawn = _entered(config)
@@ -77,8 +79,8 @@ def live(config: SwimConfig, out: Path, say: Say) -> Swum:
 
 
 def attended(config: SwimConfig, page: str, out: Path, say: Say) -> Path:
-    """Swim in real time after the target that the operator drags on the page at `host:port`, until
-    Ctrl-C; the log that is kept."""
+    """Swim in real time to the target that the operator drags on the page at `host:port`, until
+    Ctrl-C; returns the log."""
     from tailbeat.emulators.live import swim  # needs OpenCV
 
     _entered(config)
@@ -88,7 +90,7 @@ def attended(config: SwimConfig, page: str, out: Path, say: Say) -> Path:
 
 
 def _room(out: Path) -> Path:
-    """Make a folder for a swim; the log that it will have. One that lies there is kept beside."""
+    """Make a folder for a swim; returns the path of its log. An existing log is renamed."""
     out.mkdir(parents=True, exist_ok=True)
     log = out / "swim.mcap"
     if log.exists():
@@ -97,7 +99,7 @@ def _room(out: Path) -> Path:
 
 
 def _entered(config: SwimConfig) -> tuple[Policy, Pool, NDArray[float64]]:
-    """What was asked for, checked: the policy, where it swims, its targets."""
+    """Check the configuration; returns the policy, the pool and the targets. Raises BadInput."""
     if not 1 <= config.targets <= 100:
         raise BadInput(f"--targets {config.targets}: allowed are 1 to 100.")
     loaded = load_policy(config.policy)

@@ -1,4 +1,4 @@
-"""The main job: a shipped policy swims to one target after the other in the virtual pool."""
+"""A tour: a policy swims to one target after the other in the virtual pool."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -25,9 +25,12 @@ PATIENCE = 30.0  # s for one target
 
 @dataclass(frozen=True, eq=False)
 class Tour:
-    """A swim past `targets` (m, 2): `shape` (k, nv) and `pose` (k, 3) at the control steps, the
-    index of the `goal` at each (k,), and per target whether and when it was `reached`, with the
-    closest approach [m]."""
+    """A swim past `targets` (m, 2) [m].
+
+    `shape` (k, nv) and `pose` (k, 3) at the control steps, the index `goal` of the target at each
+    (k,); per target whether it was `reached`, the `seconds` it took, and the closest approach
+    `nearest` [m].
+    """
 
     targets: Array
     shape: Array
@@ -38,7 +41,7 @@ class Tour:
     nearest: Array
 
     def results(self) -> tuple[TargetResult, ...]:
-        """What became of each target."""
+        """Result of each target."""
         columns = (self.targets, self.reached, self.nearest, self.seconds)
         ends = zip(*(column.tolist() for column in columns), strict=True)
         return tuple(
@@ -50,7 +53,8 @@ class Tour:
 def tour(
     policy: Policy, fish: Fish, water: Water, targets: Array, seed: int, progress: Progress
 ) -> Tour:
-    """Swim to each target until it is within 5 cm or its time is over; from the pool's middle."""
+    """Swim to each target until it is within 5 cm or its time is over; start in the pool's
+    middle."""
     total = PATIENCE * len(targets)
     settings = Settings(policy.contract.actions, Task(seconds=total))
     simulator = PoolSimulator(fish, [water], [Surroundings(walls=WALLS)])

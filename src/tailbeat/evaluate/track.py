@@ -1,4 +1,4 @@
-"""Following a target that goes round a closed path inside the pool's walls."""
+"""Following a target on a closed path inside the pool's walls."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,12 +18,12 @@ from tailbeat.pool.plant import Surroundings
 
 SECONDS = 73.0  # the paper's figure-eight
 EIGHT, LED_EIGHT = "eight 73 s", "eight, led"
-LEAD, HASTE = 0.5, 0.5  # m, m/s: a hand that leads the fish keeps so far ahead, at most so fast
+LEAD, HASTE = 0.5, 0.5  # m, m/s: distance and largest speed of a target that waits for the fish
 
 
 @dataclass(frozen=True)
 class TargetPath:
-    """A path, the time of one round [s], and `lead` as a scene has it."""
+    """A path, the time of one lap [s], and the target's `lead` as in `Scene`."""
 
     name: str
     path: str
@@ -33,9 +33,9 @@ class TargetPath:
 
 @dataclass(frozen=True)
 class TrackResult:
-    """Swims after a target on one path: its mean speed [m/s], the distance to it and the rms
-    distance to its path [m], how many swims kept it, and how many of the eight's crossed cleanly
-    twice."""
+    """Results of following a target on one path: the target's mean speed [m/s], the distance to it
+    and the rms distance to its path [m], how many swims kept it, and how many crossed the eight's
+    middle cleanly twice."""
 
     condition: str
     swims: int
@@ -62,16 +62,16 @@ def _target_paths() -> tuple[TargetPath, ...]:
 
 
 TARGET_PATHS = _target_paths()
-SETTLING = 5.0  # s that are not judged
-KEPT = 0.6  # m: a fish farther than this from its target has lost it
-CROSSING, ALIGNED = 0.15, np.radians(45)  # m, rad: a clean pass through the eight's middle
+SETTLING = 5.0  # s at the start that do not count
+KEPT = 0.6  # m: largest distance to the target of a swim that kept it
+CROSSING, ALIGNED = 0.15, np.radians(45)  # m, rad, of a clean pass through the eight's middle
 SWIMS = 10
 TRACK = "track"
 MARGIN = 0.4  # m between a path and the walls
 
 
 def conditions(pool: Pool) -> list[Condition]:
-    """Ten swims of 73 s per path, each in a water and noise of its own; one condition."""
+    """Ten swims of 73 s per path, each with its own water and noise; one condition."""
     parts = [
         follow(pool.fish, PATHS[one.path], one.lap, SECONDS, SWIMS, one.lead)
         for one in TARGET_PATHS
@@ -85,13 +85,13 @@ def conditions(pool: Pool) -> list[Condition]:
 
 
 def _check_room(walls: tuple[float, float]) -> None:
-    """Refuse a pool in which a path would run along a wall."""
+    """Check that no path is too close to a wall. Raises BadInput."""
     for path, way in PATHS.items():
         length, width = 2 * np.abs(even(way, 360)).max(axis=0) + 2 * MARGIN
         if length > walls[0] or width > walls[1]:
             raise BadInput(
                 f"walls of {walls[0]:g} x {walls[1]:g} m: the {path} needs {length:.1f} x"
-                f" {width:.1f} m; widen the pool, or leave out --tasks track."
+                f" {width:.1f} m; use a larger pool, or omit --tasks track."
             )
 
 
@@ -102,7 +102,7 @@ def by_path(runs: Runs) -> dict[str, Runs]:
 
 
 def numbers(by_condition: Mapping[str, Runs]) -> tuple[TrackResult, ...]:
-    """A result per path of the target."""
+    """Results per path of the target."""
     swims = by_path(by_condition[TRACK])
     return tuple(_result(one.name, swims[one.name], one.path) for one in TARGET_PATHS)
 
@@ -137,14 +137,14 @@ def aside(runs: Runs, path: str) -> NDArray[np.float64]:
 
 def crossings(runs: Runs) -> NDArray[np.int64]:
     """Clean passes of each swim (n,) through the middle of the eight: within 15 cm of it, moving
-    within 45 deg of the branch its target took there."""
+    within 45 deg of the target's direction there."""
     return np.array(
         [_passes(pose, target) for pose, target in zip(runs.pose, runs.target, strict=True)]
     )
 
 
 def _passes(pose: Any, target: Any) -> int:
-    """Passes of the target through the middle that the fish then made too, before the next."""
+    """Count the target's passes through the middle that the fish repeated before the next one."""
     at = np.hypot(*target.T)
     times = [
         k
@@ -159,7 +159,7 @@ def _passes(pose: Any, target: Any) -> int:
 
 
 def _clean(pose: Any, branch: Any) -> bool:
-    """Whether a stretch of poses comes through the middle along the branch."""
+    """Whether a part of a path passes the middle along the branch."""
     near = np.hypot(pose[:, 0], pose[:, 1])
     if len(near) < 12 or not np.nanmin(near) < CROSSING:
         return False

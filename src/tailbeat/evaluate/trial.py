@@ -1,7 +1,6 @@
-"""Swimming a trial: a policy, fish in given waters and scenes, everything that happened.
+"""Swim a trial: a policy, fish in given waters and scenes, and everything that happened.
 
-The policy gets observations and nothing else; the same `World` as in training stands between it
-and the water.
+The policy gets only observations, from the same `World` as in training.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,14 +27,14 @@ from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water
 
 CHUNK = 125  # swims in one batch, and in one file
-LIMIT = 9.0  # m from the start at which a fish counts as lost
-Progress = Callable[[str, int, int], None]  # condition, swims done, of all
+LIMIT = 9.0  # m from the start at which a fish is lost
+Progress = Callable[[str, int, int], None]  # condition, swims done, all swims
 
 
 @dataclass(frozen=True, eq=False)
 class Condition:
     """n swims under one condition. Without `water` they are swum in the fish's own twin, with its
-    `physics` drawn; `stop` ends a swim at its arrival."""
+    `physics` randomised. `stop` ends a swim at its arrival."""
 
     name: str
     fish: Fish
@@ -51,20 +50,23 @@ class Condition:
 
     @property
     def count(self) -> int:
-        """How many swims."""
+        """Number of swims."""
         return len(self.scene.start)
 
     @property
     def chunks(self) -> int:
-        """In how many files."""
+        """Number of files."""
         return -(-self.count // CHUNK)
 
 
 @dataclass(frozen=True)
 class Pool:
-    """What a policy is tried in: the pool's `fish` and its waters, the `twin` that the policy was
-    trained in, what its actions mean; `count` swims per condition, drawn from `seed`; `walls`
-    (length, width) [m] of the trials that have some, the paper's pool by default."""
+    """The pool for a policy.
+
+    The pool's `fish` and `waters`; the `twin` that the policy was trained in; the `actions` of its
+    contract; `count` swims per condition, drawn from `seed`; `walls` (length, width) [m] of the
+    walled trials, the paper's pool by default.
+    """
 
     fish: Fish
     twin: Fish
@@ -75,12 +77,12 @@ class Pool:
     walls: tuple[float, float] = POOL
 
     def condition(self, name: str, scene: Scene, **changed: Any) -> Condition:
-        """A condition in the pool's waters, one after the other."""
+        """A condition in the pool's waters, used in turn."""
         water = changed.pop("water", pools(self.waters, len(scene.start)))
         return replace(Condition(name, self.fish, scene, self.actions, water), **changed)
 
     def in_twin(self, name: str, scene: Scene) -> Condition:
-        """The same swims in the twin, all noise and randomisation on."""
+        """The same swims in the twin, with all noise and randomisation."""
         return Condition(name, self.twin, scene, self.actions, None)
 
 
@@ -96,8 +98,8 @@ def part(condition: Condition, chunk: int) -> Condition:
 def swim_all(
     decide: Decide, conditions: Sequence[Condition], out: Path, seed: int, progress: Progress
 ) -> None:
-    """Swim every chunk that is not on disk yet. The same seed gives the same noise under all
-    conditions: swim i of one is paired with swim i of another."""
+    """Swim every chunk that is not on disk. The same seed gives the same noise under all
+    conditions, so swim i of one is paired with swim i of another."""
     total, swum = sum(condition.count for condition in conditions), 0
     for condition in conditions:
         seeds = seeds_from(seed, condition.count)
@@ -141,7 +143,7 @@ def _world(one: Condition, seeds: list[int]) -> World:
 
 
 class _Log:
-    """Arrays that fill as the fish swim."""
+    """Arrays that are filled while the fish swim."""
 
     def __init__(self, world: World, steps: int) -> None:
         n, shape = world.count, (world.count, steps + 1)
@@ -156,7 +158,7 @@ class _Log:
         self.last = 0
 
     def note(self, world: World, going: Any, step: int) -> None:
-        """The state after a control step, of the fish still going."""
+        """Store the state after a control step of the fish still swimming."""
         simulator, shown = world.simulator, going[: len(self.shape)]
         self.pose[going, step], self.target[going, step] = world.pose[going], world.target[going]
         self.motor[going, step] = simulator.qpos[going, simulator.motor]
@@ -167,12 +169,12 @@ class _Log:
             self.energy[going] = simulator.energy[going]
 
     def away(self, world: World) -> Any:
-        """Who is out of range of its own start."""
+        """Which fish are out of range of their starts."""
         offset = world.pose[:, :2] - self.pose[:, 0, :2]
         return np.hypot(offset[:, 0], offset[:, 1]) > LIMIT
 
     def runs(self, world: World, condition: Condition) -> Runs:
-        """What was noted, cut behind the last swim's end."""
+        """The stored arrays, cut after the end of the last swim."""
         end, kinds = self.last + 1, list(dict.fromkeys(condition.water or ()))
         water = np.array([kinds.index(one) for one in condition.water or ()] or [-1] * world.count)
         return Runs(
@@ -182,7 +184,7 @@ class _Log:
 
 
 def pools(waters: Sequence[Water], count: int) -> tuple[Water, ...]:
-    """The waters one after the other, for so many swims."""
+    """The waters in turn, for `count` swims. Raises BadInput."""
     if not waters:
-        raise BadInput("no waters; give one pool or more.")
+        raise BadInput("no waters; give at least one.")
     return tuple(waters[i % len(waters)] for i in range(count))

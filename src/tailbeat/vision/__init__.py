@@ -1,1 +1,1 @@
-"""Where are fish and target? Camera, tags, tracker, calibration."""
+"""Finds fish and target: camera, tags, tracker, calibration."""

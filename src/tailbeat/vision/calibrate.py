@@ -1,4 +1,4 @@
-"""Calibrate a camera: its lens from views of a board, its place from surveyed points."""
+"""Calibrate a camera: its lens from views of a board, its position from surveyed points."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -20,13 +20,13 @@ from tailbeat.vision.tags import Tag, board_of
 
 Say = Callable[[str], None]
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
-MOVED = 30.0  # px: two views of a board less apart say the same
+MOVED = 30.0  # px: a board that moved less gives no new view
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Measured by hand: side of the board's squares [m], the tags, length and width of the pool
-    [m]."""
+    """Values measured by hand: side of the board's squares [m], the tags, length and width of the
+    pool [m]."""
 
     square: float
     fish: Tag
@@ -36,9 +36,12 @@ class Measured:
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """What was calibrated: the file, how many views and points, focal length and misfit of the lens
-    [px], misfit of the place [mm], the camera's place [m], heights of the tags above the water's
-    surface [m], length and width of the pool [m]."""
+    """Result of a calibration.
+
+    The file; number of views and points; focal length and rms error of the lens [px]; rms error of
+    the points [mm]; the camera's position [m]; heights of the tags above the water's surface [m];
+    length and width of the pool [m].
+    """
 
     file: str
     views: int
@@ -55,8 +58,11 @@ class CalibrationResult:
 def calibrate(
     views: str, survey: Path, picture: str, sheet: Measured, out: Path, count: int, say: Say
 ) -> CalibrationResult:
-    """Lens from views of the board, place from surveyed points, one file. `sheet` is what
-    was measured by hand. Raises BadInput."""
+    """Calibrate lens and position, and write one file.
+
+    `views` is a folder, a film or a camera that shows the board; `survey` is a table of points;
+    `picture` shows the points; `sheet` has what was measured by hand. Raises BadInput.
+    """
     refuse_existing(out)
     board = board_of(sheet.square)
     known = read_survey(survey)
@@ -86,13 +92,13 @@ def _is_camera(where: str) -> bool:
 
 
 def _pictures(where: str) -> Iterator[tuple[str, Any]]:
-    """Grey pictures of a file, of a folder's files, of a film or a camera, each with a name."""
+    """Grey pictures with names: of a picture file, a folder, a film or a camera."""
     path = Path(where)
     if path.is_dir() or path.suffix.lower() in PICTURES:
         paths = sorted(path.iterdir()) if path.is_dir() else [path]
         chosen = [one for one in paths if one.suffix.lower() in PICTURES]
         if not chosen:
-            raise BadInput(f"{where}: no picture in it ({', '.join(PICTURES)}); give another.")
+            raise BadInput(f"{where}: no picture ({', '.join(PICTURES)}) in it; give another.")
         yield from ((one.name, _picture(one)) for one in chosen)
         return
     camera = open_camera(where)
@@ -116,13 +122,13 @@ def _picture(path: Path) -> Any:
 
 
 def _views(where: str, board: Any, count: int, say: Say) -> Iterator[Any]:
-    """Views for the lens: every picture of a folder; of films and cameras those in which the board
-    has moved on, until there are `count`."""
+    """Views for the lens: every picture of a folder; of films and cameras, those in which the board
+    has moved, until there are `count`."""
     if Path(where).is_dir():
         yield from (image for _, image in _pictures(where))
         return
     kept: list[Any] = []
-    say(f"show the board everywhere in the picture, near and tilted; {count} views are taken")
+    say(f"show the board everywhere in the picture, near and tilted; {count} views are needed")
     for _, image in _pictures(where):
         found = board_corners(image, board)
         if found is None:
@@ -137,8 +143,8 @@ def _views(where: str, board: Any, count: int, say: Say) -> Iterator[Any]:
 
 
 def _found(picture: str, known: list[Any], say: Say) -> tuple[list[Any], Any]:
-    """The surveyed points that are seen, and where (n, 2) [px]; a camera is asked for twenty
-    frames, and the median taken, against waves."""
+    """The surveyed points that are seen, and their pixels (n, 2). A point's pixel is the median of
+    up to twenty frames, because waves move it."""
     detector = open_detector()
     places: dict[int, list[Any]] = {}
     for number, (_, image) in enumerate(_pictures(picture), 1):
@@ -150,7 +156,7 @@ def _found(picture: str, known: list[Any], say: Say) -> tuple[list[Any], Any]:
     for point in known:
         seen = [point.pixel] if point.pixel else places.get(point.tag, [])
         if not seen:
-            say(f"{point.name} is not seen, and left out")
+            say(f"{point.name} is not seen and is left out")
             continue
         points.append(point)
         pixels.append(np.median(seen, axis=0))

@@ -1,9 +1,9 @@
-"""From pixels to places in the pool: the lens, where the camera hangs, and the water between.
+"""From pixels to positions in the pool: lens, position of the camera, refraction at the surface.
 
-`survey.py` finds them. A pixel's ray is followed exactly: out of the lens, bent at the surface by
-Snell's law, down to the plane in which the tag swims. (A plane at depth / 1.333, often used, is its
-limit for steep rays: 5 mm off in the corner of a pool of 5.5 m, 5 cm down, 3 m below the camera.)
-Fish and target may lie in different planes. Pixel centres lie at whole numbers.
+`survey.py` computes them. A pixel's ray is followed exactly: out of the lens, refracted at the
+surface (Snell's law), down to the plane of the tag. (A plane at depth / 1.333, often used, is the
+limit for steep rays: its error is 5 mm in the corner of a pool of 5.5 m, 5 cm down, 3 m below the
+camera.) Fish and target may be in different planes. Pixel centres are at whole numbers.
 """
 
 import json
@@ -24,15 +24,15 @@ from tailbeat.vision.tags import Tag
 Array = NDArray[np.float64]
 KIND = "tailbeat camera calibration"
 WATER = 1.333  # index of refraction, 20 degrees C, sodium light
-OLDEST = 30.0  # days; a camera gets knocked; chosen
+OLDEST = 30.0  # days; cameras are moved by accident; chosen
 FIELDS = ("made", "size", "matrix", "distortion", "rotation", "position", "index", "fish", "target",
           "lens_rms_px", "place_rms_m", "provenance")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """Pinhole `matrix` (3, 3) and `distortion` (5,) as OpenCV has them, of pictures of `size`
-    (columns, rows); rms of the fit [px]."""
+    """Pinhole `matrix` (3, 3) and `distortion` (5,) as in OpenCV, for pictures of `size` (columns,
+    rows); rms error of the fit [px]."""
 
     size: tuple[int, int]
     matrix: Array
@@ -42,8 +42,8 @@ class Lens:
 
 @dataclass(frozen=True, eq=False)
 class Hung:
-    """Where a camera hangs: `rotation` (3, 3) from the pool's axes to the camera's (x right, y
-    down, z ahead), `position` (3,) [m] with z above the water's surface; rms of the fit [m]."""
+    """Pose of a camera: `rotation` (3, 3) from the pool's axes to the camera's (x right, y down, z
+    ahead), `position` (3,) [m] with z above the water's surface; rms error of the fit [m]."""
 
     rotation: Array
     position: Array
@@ -52,8 +52,8 @@ class Hung:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """All a tracker needs: lens, place, water, the tags' sizes and heights, length and width of the
-    pool [m] (None in files made before they held it), and where from."""
+    """A calibration: lens, pose, refraction `index` of water, the tags' sizes and heights, length
+    and width of the pool [m] (None in older files), and provenance."""
 
     lens: Lens
     hung: Hung
@@ -65,16 +65,16 @@ class Calibration:
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def places(self, pixels: Array, height: float) -> Array:
-        """x, y (n, 2) [m] in the pool of what is seen at `pixels` (n, 2) and lies `height` [m]
-        above the water's surface, negative below; NaN where a ray does not come down."""
+        """Positions x, y (n, 2) [m] in the pool of `pixels` (n, 2) of points at `height` [m] above
+        the water's surface, negative below; NaN where a ray does not go down."""
         return places(self.lens, self.hung.rotation, self.hung.position, pixels, height, self.index)
 
 
 def places(
     lens: Lens, rotation: Array, position: Array, pixels: Array, height: Any, index: float
 ) -> Array:
-    """As `Calibration.places`, with the camera's rotation and position apart; `height` may differ
-    from pixel to pixel."""
+    """As `Calibration.places`, with rotation and position given; `height` may differ between
+    pixels."""
     flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2).astype(float), lens.matrix, lens.distortion)
     ahead = np.column_stack([flat[:, 0], np.ones(len(flat))]) @ rotation
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
@@ -89,7 +89,7 @@ def places(
 
 
 def write_calibration(path: Path, made: Calibration) -> None:
-    """One JSON file. Raises BadInput if it exists."""
+    """Write a calibration as JSON. Raises BadInput if the file exists."""
     write_json(
         path,
         {
@@ -114,8 +114,8 @@ def write_calibration(path: Path, made: Calibration) -> None:
 def read_calibration(
     path: Path, oldest: float = OLDEST, now: datetime | None = None
 ) -> Calibration:
-    """A file of `write_calibration`, not older than `oldest` days. Raises BadInput where a field is
-    missing, has another shape, is not finite or out of range."""
+    """Read a file of `write_calibration` that is at most `oldest` days old. Raises BadInput if a
+    field is missing, has another shape, is not finite or is out of range."""
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -136,8 +136,8 @@ def _check_age(path: Path, made: Any, oldest: float, now: datetime) -> None:
         raise BadInput(f"{path}: made {made!r}; give a date with its zone, ISO 8601.") from None
     if not -1 <= age <= oldest:
         raise BadInput(
-            f"{path}: made {made}, {age:.0f} days ago; at most {oldest:g} are allowed: cameras get"
-            f" knocked. Calibrate again, or allow more days."
+            f"{path}: made {made}, {age:.0f} days ago; at most {oldest:g} days are allowed, because"
+            f" cameras are moved by accident. Calibrate again, or allow more days."
         )
 
 
@@ -148,7 +148,9 @@ def _numbers(path: Path, name: str, value: Any, shape: tuple[int, ...]) -> Array
         made = np.array(math.nan)
     if made.shape != shape or not np.isfinite(made).all():
         what = " x ".join(map(str, shape)) or "one"
-        raise BadInput(f"{path}: {name} = {value}; {what} finite number(s) belong there.")
+        raise BadInput(
+            f"{path}: {name} = {value}; allowed: {what} finite number(s). Calibrate again."
+        )
     return made
 
 
@@ -164,7 +166,9 @@ def _checked(path: Path, data: dict[str, Any]) -> Calibration:
         ("rotation", straight), ("position", position[2] > 0), ("index", 1 <= index < 2),
     ):  # fmt: skip
         if not good:
-            raise BadInput(f"{path}: {name} = {data[name]}; no camera has it. Calibrate again.")
+            raise BadInput(
+                f"{path}: {name} = {data[name]} is impossible for a camera. Calibrate again."
+            )
     columns, rows = size.astype(int).tolist()
     lens = Lens((columns, rows), matrix, take("distortion", 5), float(take("lens_rms_px")))
     hung = Hung(rotation, position, float(take("place_rms_m")))
@@ -174,7 +178,7 @@ def _checked(path: Path, data: dict[str, Any]) -> Calibration:
 
 
 def _pool(path: Path, value: Any) -> tuple[float, float] | None:
-    """Length and width; files made before the field have none."""
+    """Length and width [m]; None in older files."""
     if value is None:
         return None
     length, width = _numbers(path, "pool", value, (2,)).tolist()
@@ -192,5 +196,5 @@ def _tag(path: Path, name: str, value: Any, highest: float) -> Tag:
         float(_numbers(path, f"{name}.{part}", given.get(part), ())) for part in ("side", "height")
     )
     if not (side > 0 and height < highest):
-        raise BadInput(f"{path}: {name} = {value}; a side above 0, a height below the camera.")
+        raise BadInput(f"{path}: {name} = {value}; allowed: side above 0, height below the camera.")
     return Tag(side, height)

@@ -1,9 +1,9 @@
-"""One seam for what gives pictures: a camera, a film, or the virtual pool's socket.
+"""One interface to all sources of pictures: a camera, a film, or the virtual camera's socket.
 
-`read` gives the newest frame and when its exposure's middle was, on this machine's monotonic clock
-(the virtual camera says its own station's). A thread drains whatever queues, since a queue is lag
-(OpenCV's holds four frames, and more where it is told one). A camera that is gone, or whose frames
-stop, raises one CameraFault; nothing hangs.
+`read` gives the newest frame and the middle of its exposure, on this machine's monotonic clock (for
+the virtual camera, on its own station's). A thread reads every frame and keeps the newest, because
+a queue adds latency (OpenCV's holds at least four frames). If a camera is gone or its frames stop,
+`read` raises CameraFault; it never blocks for ever.
 """
 
 import contextlib
@@ -26,23 +26,23 @@ Picture = NDArray[np.uint8]
 Stamped = tuple[Picture, int]
 HEADER = struct.Struct("<4sQQHH")  # magic, number, end of exposure [ns], columns, rows
 MAGIC = b"tbF1"
-LARGEST = 4096  # px of a side
+LARGEST = 4096  # px, longest side
 SECOND = 1_000_000_000
-PATIENCE = 1.0  # s without a frame: sixty of them
-FIRST = 10.0  # s for the first one: cameras set their exposure
-FROZEN = 60  # times the same picture: a still pool still has noise
+PATIENCE = 1.0  # s without a frame: sixty frames
+FIRST = 10.0  # s for the first frame: cameras set their exposure
+FROZEN = 60  # equal pictures that are a fault: a live picture has noise
 
 
 class CameraFault(Exception):
-    """The camera is gone, or no frame came in time; the message says what to look at."""
+    """The camera is gone, or no frame came in time; the message says what to check."""
 
 
 class Camera(Protocol):
-    """What `open_camera` gives."""
+    """A source of pictures, see `open_camera`."""
 
     def read(self) -> Stamped:
-        """A grey frame (rows, columns) that was not read before, the newest there is, and the
-        middle of its exposure [ns]. Raises CameraFault."""
+        """The newest grey frame (rows, columns) not yet read, and the middle of its exposure [ns].
+        Raises CameraFault."""
 
     def close(self) -> None:
         """Close it."""
@@ -50,8 +50,8 @@ class Camera(Protocol):
 
 @dataclass(eq=False)
 class Drained:
-    """A camera whose frames a thread takes as they come; only the newest is kept. `skipped` counts
-    those that came and were not read."""
+    """A camera whose frames a thread reads; only the newest is kept. `skipped` counts frames that
+    were not read."""
 
     name: str
     frames: Iterator[Stamped]
@@ -62,7 +62,7 @@ class Drained:
     newest: Stamped | None = None
     fault: str = ""
     same: int = 0
-    last: bytes = b""  # every eighth pixel of the last one
+    last: bytes = b""  # every eighth pixel of the last frame
     changed: threading.Condition = field(default_factory=threading.Condition)
 
     def __post_init__(self) -> None:
@@ -111,14 +111,14 @@ class Drained:
 
 @dataclass(eq=False)
 class Film:
-    """A film read frame by frame, none left out; stamps follow its frame rate from 0."""
+    """A film, read frame by frame without skipping; times follow its frame rate from 0."""
 
     name: str
     capture: Any
     number: int = 0
 
     def read(self) -> Stamped:
-        """See `Camera`; the end is a fault too."""
+        """See `Camera`; the end of the film raises CameraFault too."""
         good, image = self.capture.read()
         if not good:
             raise CameraFault(f"{self.name}: the film is over after {self.number} frames")
@@ -139,9 +139,12 @@ def open_camera(
     latency: float = 0.0,
     patience: float = PATIENCE,
 ) -> Camera:
-    """`unix:/path` of a virtual camera, `/dev/video0` (or 0), or a film's file. `exposure` and
-    `latency` [s], from the exposure's end to the stamp, are what is taken off the stamps. Raises
-    BadInput."""
+    """Open `unix:/path` of a virtual camera, `/dev/video0` (or 0), or a film's file.
+
+    `size` (columns, rows) and `rate` [Hz] are requested from a device. `exposure` [s] and `latency`
+    [s], from the end of the exposure to the time stamp, are subtracted from the stamps. Raises
+    BadInput.
+    """
     lag = round((exposure / 2 + latency) * SECOND)
     if where.startswith("unix:"):
         return _open_socket(where.removeprefix("unix:"), lag, patience)
@@ -156,7 +159,7 @@ def open_camera(
 
 
 def grey(image: Any) -> Picture:
-    """One channel of bytes."""
+    """Convert a picture to grey, one byte a pixel."""
     if image.ndim == 3:
         image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     return np.asarray(image, np.uint8)
@@ -186,7 +189,7 @@ def _from_socket(made: socket.socket) -> Iterator[Stamped]:
     while _fill(made, head):
         magic, _, stamp, columns, rows = HEADER.unpack(head)
         if magic != MAGIC or not (0 < columns <= LARGEST and 0 < rows <= LARGEST):
-            raise CameraFault("what it sends are no frames")
+            raise CameraFault("it sends something else than frames")
         image = np.empty((rows, columns), np.uint8)
         if not _fill(made, image.reshape(-1)):
             return
@@ -213,7 +216,7 @@ def _open_device(
     number = int(where) if where.isdigit() else where
     capture = cv2.VideoCapture(number, cv2.CAP_V4L2)
     if not capture.isOpened():
-        raise BadInput(f"{where}: no camera answers; is it plugged in, and yours to read?")
+        raise BadInput(f"{where}: no camera answers; check its plug, and that you may read it.")
     for setting, value in (
         (cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG")),  # raw 720p is too much for USB 2
         (cv2.CAP_PROP_FRAME_WIDTH, size[0]),
@@ -227,7 +230,7 @@ def _open_device(
 
 
 def _from_device(capture: Any, ended: threading.Event) -> Iterator[Stamped]:
-    """Grabbed and released by one thread, since OpenCV's captures are not safe in two."""
+    """Grab and release in one thread: OpenCV's captures are not thread-safe."""
     try:
         while not ended.is_set() and capture.grab():
             now = time.monotonic_ns()
@@ -239,7 +242,6 @@ def _from_device(capture: Any, ended: threading.Event) -> Iterator[Stamped]:
 
 
 def _stamp(capture: Any, now: int) -> int:
-    """The driver's own stamp where it gives one of the monotonic clock, else when it was
-    grabbed."""
+    """The driver's time stamp if it is on the monotonic clock, else the time of the grab."""
     driver = round(1e6 * capture.get(cv2.CAP_PROP_POS_MSEC))
     return driver if 0 <= now - driver < SECOND else now

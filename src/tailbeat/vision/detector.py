@@ -1,8 +1,9 @@
-"""The AprilTag detector, kept for the life of its process and used by one thread.
+"""The AprilTag detector; one per process, used by one thread.
 
-pyapriltags leaves the field `min_white_black_diff` at 5, so that every noisy tile of a picture is
-searched for edges: 10 to 30 times the time. It lies behind the fields that the binding names. It is
-set through a cast of ours, after what lies there has been seen to be the library's defaults.
+pyapriltags leaves the field `min_white_black_diff` at 5, so the detector searches every noisy tile
+of a picture for edges and takes 10 to 30 times longer. The binding does not name the field; it
+comes after the named ones. It is set through a cast, after a check that the memory there has the
+library's defaults.
 """
 
 import ctypes
@@ -35,13 +36,13 @@ class _Quads(ctypes.Structure):
     )
 
 
-DEFAULTS = (5, 10, 0.0, 0.98481, 10.0, 5, 0)  # what AprilTag 3.4 starts with
+DEFAULTS = (5, 10, 0.0, 0.98481, 10.0, 5, 0)  # defaults of AprilTag 3.4
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One tag in a picture: `corners` (4, 2) [px], pixel centres at whole numbers, in the tag's
-    order left bottom, right bottom, right top, left top; bits that were mended; decision margin."""
+    """One tag in a picture: `corners` (4, 2) [px], pixel centres at whole numbers, in the order
+    left bottom, right bottom, right top, left top of the tag; corrected bits; decision margin."""
 
     ident: int
     corners: Array
@@ -57,25 +58,25 @@ class Seen:
 
 @dataclass(eq=False)
 class Detector:
-    """See `open_detector`; `fast` tells whether the cast was taken."""
+    """See `open_detector`; `fast` tells whether the contrast could be set."""
 
     native: Any
     fast: bool
 
     def find(self, image: Picture, corner: tuple[int, int] = (0, 0)) -> list[Seen]:
-        """Every 36h11 tag of a grey picture (rows, columns), or of the part of one whose first
-        pixel lies at `corner` (column, row)."""
+        """Find every 36h11 tag in a grey picture (rows, columns), or in a part of one that starts
+        at pixel `corner` (column, row)."""
         found = self.native.detect(np.ascontiguousarray(image))
         shift = np.array(corner) - HALF
         return [Seen(t.tag_id, t.corners + shift, t.hamming, t.decision_margin) for t in found]
 
 
 def open_detector(contrast: int = 40) -> Detector:
-    """A detector on one thread, at full resolution; tiles with less than `contrast` grey levels
-    between black and white are passed over."""
+    """Make a detector with one thread, at full resolution. It skips tiles with less than `contrast`
+    grey levels between black and white."""
     native: Any = pyapriltags.Detector(FAMILY, nthreads=1, quad_decimate=1.0)
     known = native.tag_detector_ptr.contents
-    known.decode_sharpening = 0.25  # the binding makes a whole number, 0, of it
+    known.decode_sharpening = 0.25  # the binding rounds it to 0
     behind = _ApriltagDetector.debug.offset + _ApriltagDetector.debug.size
     quads = _Quads.from_address(ctypes.addressof(known) + behind)
     held = [getattr(quads, name) for name, _ in _Quads._fields_]

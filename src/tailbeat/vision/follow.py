@@ -1,4 +1,4 @@
-"""Track fish and target live: say what is seen, and sum up."""
+"""Track fish and target live: report what is seen, and summarise."""
 
 import time
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from tailbeat.vision.tracking import TrackerProcess, start_tracker
 
 Say = Callable[[str], None]
 EVERY = 0.5  # s between two lines
-STARTING = 20.0  # s that the tracker may take on top
+STARTING = 20.0  # s that the tracker may take to start
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,11 @@ class TrackConfig:
 
 @dataclass(frozen=True)
 class TrackSummary:
-    """What a watch came to: `seconds` since the first sighting, frames and their rate [Hz], in what
-    fraction of them fish and target were seen, how many finds were rejected by reason, how often
-    the tracker was restarted, and its last fault."""
+    """Summary of tracking.
+
+    `seconds` since the first sighting; frames and their rate [Hz]; fractions of frames in which
+    fish and target were seen; tags rejected by reason; restarts of the tracker; its last fault.
+    """
 
     camera: str
     seconds: float
@@ -59,7 +61,8 @@ def watch(config: TrackConfig) -> TrackerProcess:
 
 
 def track(config: TrackConfig, seconds: float, say: Say) -> TrackSummary:
-    """Watch for so many seconds (0: until told to stop), say a line now and then, sum up."""
+    """Track for `seconds` (0: until told to stop), report now and then, and summarise. Raises
+    BadInput."""
     tracker = watch(config)
     ended = told_to_end()
     try:
@@ -70,7 +73,7 @@ def track(config: TrackConfig, seconds: float, say: Say) -> TrackSummary:
 
 
 def _follow(tracker: Any, seconds: float, stop: Callable[[], bool], say: Say) -> float:
-    """Say what is seen; seconds from the first sighting to the end."""
+    """Report what is seen; returns the seconds from the first sighting to the end."""
     began, due, fault, first = time.monotonic(), 0.0, "", None
     while not stop():
         now = time.monotonic()
@@ -102,7 +105,7 @@ def line(sighting: Any) -> str:
 
 
 def summary(tracker: Any, config: TrackConfig, took: float) -> TrackSummary:
-    """What a watch came to."""
+    """Summarise tracking."""
     last = tracker.newest()
     frames = last.frames if last else 0
     seen = [(last.believed.get(ident, 0) / frames if frames else 0.0) for ident in config.ids]

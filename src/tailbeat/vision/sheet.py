@@ -1,4 +1,4 @@
-"""The sheets to print, at true size: fish tag, target tag, calibration board. Draws only."""
+"""Sheets to print at true size: fish tag, target tag, calibration board. Draws only."""
 
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,12 @@ A4 = (210.0, 297.0)  # mm
 INCH = 25.4
 DPI = 300
 FORMATS = (".pdf", ".svg", ".png")
-LARGEST = 150.0  # mm of a tag's black square on a page
+LARGEST = 150.0  # mm, largest black square of a tag on a page
 
 
 def write_sheets(out: Path, ids: tuple[int, int], side: float, board: Board) -> list[Path]:
-    """Fish, target and board, each on a page of A4: one PDF, or three files of SVG or PNG. `side`
-    of the tags' black squares [m]. Raises BadInput."""
+    """Write fish tag, target tag and board, each on an A4 page: one PDF, or three SVG or PNG files.
+    `side` [m] of the tags' black squares. Raises BadInput."""
     if out.suffix not in FORMATS:
         raise BadInput(f"{out}: give a name that ends in {', '.join(FORMATS)}.")
     if not 10 <= 1e3 * side <= LARGEST:
@@ -74,12 +74,12 @@ def tag_page(name: str, ident: int, side: float) -> Figure:
     middle = bottom - 12
     axes.annotate("", (left + whole, middle), (left, middle),
                   arrowprops={"arrowstyle": "-|>", "lw": 2, "color": "black"})  # fmt: skip
-    aim = "towards the nose" if name == "fish" else "any way"
+    aim = "towards the nose" if name == "fish" else "any direction"
     axes.text(A4[0] / 2, middle - 8, f"{name}, {aim}", ha="center", fontsize=14)
     words = (
-        f"{FAMILY}, id {ident}; black square {side:g} mm: print at 100 %, measure it, and give its"
-        f" side to calibrate.\nCut along the dashes: the white border belongs to it. Matt paper,"
-        f" stiff and flat; no gloss, no lamination that shines."
+        f"{FAMILY}, id {ident}; black square {side:g} mm: print at 100 %, measure it, and give the"
+        f" side to calibrate.\nCut along the dashed line: keep the white border. Use matt paper,"
+        f" stiff and flat; no glossy paper or lamination."
     )
     axes.text(A4[0] / 2, middle - 22, words, ha="center", va="top", fontsize=8)
     _ruler(axes, A4[0] / 2 - 50, 40)
@@ -87,7 +87,7 @@ def tag_page(name: str, ident: int, side: float) -> Figure:
 
 
 def board_page(board: Board) -> Figure:
-    """The ChArUco board, lying."""
+    """The ChArUco board on a landscape page."""
     page, axes = _page(A4[::-1])
     across, down = 1e3 * board.square * board.columns, 1e3 * board.square * board.rows
     left, bottom = (A4[1] - across) / 2, (A4[0] - down) / 2 + 7
@@ -96,7 +96,7 @@ def board_page(board: Board) -> Figure:
     axes.set(xlim=(0, A4[1]), ylim=(0, A4[0]), aspect="auto")
     words = (
         f"ChArUco {board.columns} x {board.rows}, DICT_5X5_100, squares {1e3 * board.square:g} mm,"
-        f" markers {1e3 * board.marker:g} mm; print at 100 %, glue it to something flat."
+        f" markers {1e3 * board.marker:g} mm; print at 100 %, glue it to a flat board."
     )
     axes.text(left, 12, words, fontsize=8)
     _ruler(axes, A4[1] - 125, 5)
@@ -104,7 +104,7 @@ def board_page(board: Board) -> Figure:
 
 
 def _ruler(axes: Any, x: float, y: float) -> None:
-    """100 mm, to see whether the printer scaled."""
+    """A ruler of 100 mm, to check that the printer did not scale."""
     axes.plot([x, x + 100], [y, y], color="black", lw=0.8)
     for at in range(0, 101, 10):
         axes.plot([x + at, x + at], [y, y + 2], color="black", lw=0.8)

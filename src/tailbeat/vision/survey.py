@@ -1,5 +1,5 @@
-"""What calibration measures: the lens from views of a ChArUco board, the camera's place from points
-at surveyed places in the pool, under water too.
+"""Calibration: the lens from views of a ChArUco board, the camera's pose from surveyed points in
+the pool, also under water.
 """
 
 import csv
@@ -19,17 +19,18 @@ from tailbeat.vision.tags import Board, charuco
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
-VIEWS = 8  # of the board, at least
-CORNERS = 12  # of the board in a view, at least
-WORST_LENS = 1.0  # px rms: beyond it something moved or is not flat; chosen
-WORST_PLACE = 0.02  # m: a surveyed point further off than this was written down wrong; chosen
+VIEWS = 8  # least number of views of the board
+CORNERS = 12  # least number of corners in a view
+WORST_LENS = 1.0  # px rms: above it the board is not flat or something moved; chosen
+WORST_PLACE = 0.02  # m: a point with a larger error was measured or written down wrong; chosen
 
 
 # ---- the lens -----------------------------------------------------------------------------------
 
 
 def board_corners(image: Picture, board: Board) -> tuple[Array, Array] | None:
-    """Places on the board (n, 3) [m] and pixels (n, 2) of the corners seen, or None if too few."""
+    """Positions on the board (n, 3) [m] and pixels (n, 2) of the corners seen, or None if too
+    few."""
     drawn = charuco(board)
     corners, ids, _, _ = cv2.aruco.CharucoDetector(drawn).detectBoard(image)
     if ids is None or len(ids) < CORNERS:
@@ -39,8 +40,8 @@ def board_corners(image: Picture, board: Board) -> tuple[Array, Array] | None:
 
 
 def fit_lens(images: Iterable[Picture], board: Board) -> Lens:
-    """The lens from views of a board, held everywhere in the picture and tilted. Raises BadInput
-    where too few show it, sizes differ or the fit is poor."""
+    """Fit the lens to views of a board that is held everywhere in the picture and tilted. Raises
+    BadInput if too few views show it, sizes differ or the fit is poor."""
     seen: list[tuple[Array, Array]] = []
     size, count = (0, 0), 0
     for count, image in enumerate(images, 1):
@@ -53,13 +54,16 @@ def fit_lens(images: Iterable[Picture], board: Board) -> Lens:
             seen.append(found)
     if len(seen) < VIEWS:
         raise BadInput(
-            f"the board was seen whole enough in {len(seen)} of {count} views; {VIEWS} are needed:"
-            f" light, focus, {board.columns} x {board.rows} squares of {1e3 * board.square:g} mm?"
+            f"the board was found in {len(seen)} of {count} views; {VIEWS} are needed. Check"
+            f" light, focus, {board.columns} x {board.rows} squares of {1e3 * board.square:g} mm."
         )
     points, pixels = ([pair[k].astype(np.float32) for pair in seen] for k in (0, 1))
     rms, matrix, distortion, *_ = cv2.calibrateCamera(points, pixels, size, None, None)
     if not rms <= WORST_LENS:
-        raise BadInput(f"the lens fits to {rms:.2f} px only; is the board flat, the focus fixed?")
+        raise BadInput(
+            f"the lens fits to {rms:.2f} px rms; at most {WORST_LENS:g} is allowed."
+            " Use a flat board and a fixed focus."
+        )
     return Lens(size, np.array(matrix, float), np.array(distortion, float).ravel()[:5], float(rms))
 
 
@@ -68,8 +72,8 @@ def fit_lens(images: Iterable[Picture], board: Board) -> Lens:
 
 @dataclass(frozen=True)
 class Surveyed:
-    """A point whose place is known: x, y and height above the water's surface [m]; the tag that
-    lies there, or the pixel where it was seen."""
+    """A point at a known position: x, y and height above the water's surface [m]; with the tag at
+    that point, or the pixel where it was seen."""
 
     place: tuple[float, float, float]
     tag: int | None = None
@@ -82,13 +86,13 @@ class Surveyed:
 
 
 def read_survey(path: Path) -> list[Surveyed]:
-    """A table x_m, y_m, z_m (0: the surface, negative under water) with `tag`, or u_px and v_px.
-    Raises BadInput."""
+    """Read a table x_m, y_m, z_m (0: the surface, negative under water) with `tag`, or u_px and
+    v_px. Raises BadInput."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise BadInput(f"{path}: {error}; give a table, CSV, of surveyed points.") from None
+        raise BadInput(f"{path}: {error}; give a CSV table of surveyed points.") from None
     return [_surveyed(path, number, row) for number, row in enumerate(rows, 1)]
 
 
@@ -104,13 +108,13 @@ def _surveyed(path: Path, number: int, row: dict[str, str]) -> Surveyed:
             f"{path}, row {number}: {row}; give x_m, y_m, z_m and tag, or u_px and v_px: numbers."
         ) from None
     if not all(map(math.isfinite, (x, y, z, *(made.pixel or ())))):
-        raise BadInput(f"{path}, row {number}: {row}; numbers must be finite.")
+        raise BadInput(f"{path}, row {number}: {row}; the numbers must be finite.")
     return made
 
 
 def hang(lens: Lens, points: Sequence[Surveyed], pixels: Array, index: float = WATER) -> Hung:
-    """Where the camera hangs, so that `pixels` (n, 2) lie at the surveyed points. Raises BadInput
-    for fewer than four, for points on a line, and where one does not fit the others."""
+    """Fit the camera's pose so that `pixels` (n, 2) are at the surveyed points. Raises BadInput for
+    fewer than four points, points on a line, or a point that does not fit the others."""
     known = np.array([point.place for point in points])
     if len(points) < 4 or np.linalg.svd(known[:, :2] - known[:, :2].mean(axis=0))[1][1] < 0.1:
         raise BadInput(
@@ -129,17 +133,19 @@ def hang(lens: Lens, points: Sequence[Surveyed], pixels: Array, index: float = W
     worst = int(np.argmax(errors))
     if not errors[worst] <= WORST_PLACE:
         raise BadInput(
-            f"{points[worst].name} lies {1e3 * errors[worst]:.0f} mm from where the others say;"
-            f" at most {1e3 * WORST_PLACE:g} are allowed. Measure it again, z (height) too."
+            f"{points[worst].name} is {1e3 * errors[worst]:.0f} mm from where the others put it;"
+            f" at most {1e3 * WORST_PLACE:g} mm are allowed. Measure it again, also its height z."
         )
     turn, _ = cv2.Rodrigues(best.x[:3])
     if best.x[5] <= 0:
-        raise BadInput("the camera would hang under water; are the survey's axes x, y left, z up?")
+        raise BadInput(
+            "the camera would be under water; the survey's axes must be x, y left, z up."
+        )
     return Hung(np.asarray(turn, float), best.x[3:], float(np.sqrt(np.mean(errors**2))))
 
 
 def _first_guess(lens: Lens, known: Array, pixels: Array, index: float) -> Array:
-    """As if water only lifted what lies in it; turn (3,) [rad] and position (3,) [m]."""
+    """First guess: water only raises what is under it. Turn (3,) [rad] and position (3,) [m]."""
     lifted = known.copy()
     lifted[:, 2] = np.where(known[:, 2] < 0, known[:, 2] / index, known[:, 2])
     _, turn, shift = cv2.solvePnP(

@@ -1,8 +1,8 @@
-"""AprilTag 36h11 as the tag library itself draws them, and the board that lenses are measured with.
+"""AprilTag 36h11 as the tag library draws them, and the calibration board.
 
-OpenCV's dictionary holds the same tags turned by 180 degrees, and may turn them back in a later
-version: a tag of it would swim backwards. So nothing here is drawn from it, on paper or in water.
-The board's own markers are of another family, which the tracker does not know.
+OpenCV's dictionary has the same tags rotated by 180 degrees, and another version may rotate them
+back: with such a tag, the fish would appear to swim backwards. So no tag here is drawn by OpenCV.
+The board's markers are of another family, which the tracker ignores.
 """
 
 import ctypes
@@ -21,7 +21,7 @@ from tailbeat.files import BadInput
 Picture = NDArray[np.uint8]
 FAMILY = "tag36h11"
 FISH, TARGET = 0, 1  # ids, unless others are given
-MODULES, BLACK = 10, 8  # of a side: with the white border, and of the black square
+MODULES, BLACK = 10, 8  # modules of a side: with the white border, and of the black square
 IDS = 587
 
 
@@ -36,8 +36,8 @@ class Tag:
 
 @dataclass(frozen=True)
 class Board:
-    """A ChArUco board: squares across and down, side of a square and of its marker [m]. Odd rows:
-    OpenCV 4.6 changed what an even number of them looks like."""
+    """A ChArUco board: squares across and down, sides of a square and of its marker [m]. The rows
+    are odd, because OpenCV 4.6 changed boards with an even number."""
 
     columns: int = 9
     rows: int = 7
@@ -46,14 +46,14 @@ class Board:
 
 
 def board_of(square: float) -> Board:
-    """The board with squares of another side [m]."""
+    """The board with squares of this side [m]."""
     return Board(square=square, marker=0.75 * square)
 
 
 @cache
 def tag_picture(ident: int) -> Picture:
-    """A tag's modules (10, 10), 0 or 255, its white border included; row 0 is the top, columns run
-    along the arrow. Drawn by `apriltag_to_image`. Raises BadInput for an id that 36h11 has not."""
+    """A tag's modules (10, 10), 0 or 255, with its white border; row 0 is the top, columns follow
+    the arrow. Drawn by `apriltag_to_image`. Raises BadInput for an id that 36h11 does not have."""
     if not 0 <= ident < IDS:
         raise BadInput(f"tag {ident}: {FAMILY} has 0 to {IDS - 1}; choose one of those.")
     detector: Any = pyapriltags.Detector(FAMILY)

@@ -1,9 +1,9 @@
-"""From frames to poses: which tags to believe, and where they are in the pool.
+"""From frames to poses: which tags to accept, and where they are in the pool.
 
-A tag is looked for in the whole picture until it is found, then in a window about its last place;
-now and then the whole picture is searched again, for a second print of the same tag. What fails a
-test is counted by its reason and not believed: unexpected, mended bits, too faint, at the picture's
-edge, turned over, of another size or no square, twice in view, jumped, turned too fast.
+A tag is searched for in the whole picture until it is found, then in a window about its last
+position. Now and then the whole picture is searched, for a second print of the same tag. A tag that
+fails a test is rejected and counted by reason: unexpected, corrected bits, too faint, at the
+picture's edge, turned over, of another size or not square, twice in view, jumped, turned too fast.
 """
 
 from collections import Counter, deque
@@ -27,28 +27,28 @@ SECOND = 1_000_000_000
 
 @dataclass(frozen=True)
 class TrackerLimits:
-    """What is believed; chosen. Speeds bound steps between two sightings, with `step` and `turn`
-    on top for noise; they are forgotten after `memory`."""
+    """Limits of what is accepted; chosen. Speeds bound the change between two sightings, plus
+    `step` and `turn` for noise. A sighting older than `memory` is not used."""
 
-    mended: int = 1  # bits of 36; two tags differ in 11
-    margin: float = 15.0  # of decision; a blurred or shone-on tag has less
-    edge: float = 4.0  # px from the picture's edge: corners there may be wrong
-    size: float = 0.25  # share that a side may be off
-    square: float = 0.25  # share that two sides or diagonals may differ
+    mended: int = 1  # corrected bits of 36; two tags differ in 11
+    margin: float = 15.0  # decision margin; blur and glare lower it
+    edge: float = 4.0  # px from the picture's edge within which corners may be wrong
+    size: float = 0.25  # largest relative error of the mean side
+    square: float = 0.25  # largest relative difference of two sides or diagonals
     speed: float = 3.0  # m/s
     step: float = 0.05  # m
     turning: float = 12.0  # rad/s: a fish's head beats, it does not spin
     turn: float = 0.5  # rad
     memory: float = 1.0  # s
     scan: int = 30  # frames between two searches of the whole picture
-    hunt: int = 3  # the same while a tag is missing: a full search takes ten windows' time
+    hunt: int = 3  # the same while a tag is missing: a full search takes as long as ten windows
 
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """One frame's outcome: the `frame` to send, the believed tags' corners by id (4, 2) [px];
-    rejects by reason, believed tags by id and frames so far; frames per second; whether all of
-    the picture was searched."""
+    """Result of one frame: the `frame` to send, corners (4, 2) [px] of accepted tags by id; so far
+    rejects by reason, accepted tags by id, and frames; frames per second; whether the whole picture
+    was searched."""
 
     frame: Frame
     corners: dict[int, Array]
@@ -61,7 +61,7 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class Last:
-    """Where a tag was believed last."""
+    """Where a tag was accepted last."""
 
     stamp: int
     pose: Pose
@@ -71,30 +71,31 @@ class Last:
 
 @dataclass(eq=False)
 class Tracker:
-    """Keeps one detector, so belongs to one thread; see `see`. `ids`: of fish and target."""
+    """Tracks the tags of fish and target, `ids`; see `see`. It has one detector, so use it in one
+    thread."""
 
     calibration: Calibration
     ids: tuple[int, int] = (FISH, TARGET)
     limits: TrackerLimits = field(default_factory=TrackerLimits)
     detector: Detector = field(default_factory=open_detector)
     rejected: Counter[str] = field(default_factory=Counter)
-    counts: Counter[int] = field(default_factory=Counter)  # believed, by id
+    counts: Counter[int] = field(default_factory=Counter)  # accepted, by id
     frames: int = 0
     last: dict[int, Last] = field(default_factory=dict)
-    searched: int = -(10**9)  # frame in which all was
+    searched: int = -(10**9)  # last frame that was searched as a whole
     stamps: deque[int] = field(default_factory=lambda: deque(maxlen=61))
 
     def __post_init__(self) -> None:
         if self.ids[0] == self.ids[1]:
-            raise BadInput(f"tag {self.ids[0]} for fish and target both; give two different ones.")
+            raise BadInput(f"fish and target both have tag {self.ids[0]}; give two different ones.")
 
     def see(self, image: Picture, stamp: int) -> Sighting:
-        """One grey frame (rows, columns), exposed at `stamp` [ns]. Raises BadInput where its size
-        is not the calibration's."""
+        """Track one grey frame (rows, columns), exposed at `stamp` [ns]. Raises BadInput if its
+        size is not the calibration's."""
         size = (image.shape[1], image.shape[0])
         if size != self.calibration.lens.size:
             raise BadInput(
-                f"the camera gives {size[0]} x {size[1]} pixels, calibrated were"
+                f"the camera gives {size[0]} x {size[1]} pixels, but the calibration is for"
                 f" {self.calibration.lens.size[0]} x {self.calibration.lens.size[1]}; set the"
                 f" camera's mode, or calibrate again."
             )
@@ -108,7 +109,7 @@ class Tracker:
     # ---- where to look --------------------------------------------------------------------------
 
     def _search_all(self, stamp: int) -> bool:
-        """Whether this frame is searched as a whole; forgets what is too old."""
+        """Whether this frame is searched as a whole; removes old sightings."""
         old = round(self.limits.memory * SECOND)
         self.last = {k: one for k, one in self.last.items() if 0 <= stamp - one.stamp <= old}
         before = self.stamps[-1] if self.stamps else 0
@@ -120,7 +121,8 @@ class Tracker:
         return False
 
     def _windows(self, image: Picture) -> list[Seen]:
-        """Tags in windows about their last places; windows are multiples of 32 pixels wide."""
+        """Find tags in windows about their last positions; windows are multiples of 32 pixels
+        wide."""
         found = []
         for ident, last in self.last.items():
             half = 16 * int(np.clip(np.ceil(3 * last.side / 32), 3, 12))
@@ -133,7 +135,7 @@ class Tracker:
             found += [one for one in self.detector.find(window, (x, y)) if one.ident == ident]
         return found
 
-    # ---- what to believe ------------------------------------------------------------------------
+    # ---- what to accept -------------------------------------------------------------------------
 
     def _believed(self, found: list[Seen], size: tuple[int, int], stamp: int) -> dict[int, Seen]:
         count = Counter(one.ident for one in found)
@@ -146,11 +148,13 @@ class Tracker:
                 believed[one.ident] = one
         for ident, times in count.items():
             if times > 1:
-                self.last.pop(ident, None)  # whichever it was: search all until one is left
+                self.last.pop(
+                    ident, None
+                )  # either may be ours: search the whole picture until one is left
         return believed
 
     def _doubt(self, one: Seen, size: tuple[int, int], stamp: int) -> str:
-        """Why a tag is not believed, or "" and it is remembered."""
+        """Why a tag is rejected; "" if it is accepted, and then it is stored."""
         limits = self.limits
         if one.ident not in self.ids:
             return "unexpected tag"
@@ -179,7 +183,7 @@ class Tracker:
         return bool((corners > edge).all() and (corners < np.array(size) - 1 - edge).all())
 
     def _jump(self, ident: int, pose: Pose, stamp: int) -> str:
-        """Whether a tag would have moved or turned faster than it can since it was believed."""
+        """Whether a tag moved or turned faster than possible since it was last accepted."""
         last, limits = self.last.get(ident), self.limits
         if last is None:
             return ""
@@ -188,10 +192,10 @@ class Tracker:
         if moved > limits.speed * since + limits.step:
             return "jumped"
         turned = abs(wrapped(pose[2] - last.pose[2]))
-        most = min(limits.turning * since + limits.turn, 0.75 * np.pi)  # turned over is never
+        most = min(limits.turning * since + limits.turn, 0.75 * np.pi)  # never half a turn
         return "turned too fast" if turned > most else ""
 
-    # ---- what to say ----------------------------------------------------------------------------
+    # ---- the result -----------------------------------------------------------------------------
 
     def _sighting(self, believed: dict[int, Seen], stamp: int, whole: bool) -> Sighting:
         fish, target = (self.last[k].pose if k in believed else None for k in self.ids)
@@ -205,16 +209,16 @@ class Tracker:
 
 
 def planar_pose(corners: Array) -> Pose:
-    """x, y [m] and yaw [rad] of a tag from its corners' places (4, 2), in the detector's order:
-    the middle, and the mean direction of its lower and upper edge, which is the arrow's."""
+    """x, y [m] and yaw [rad] of a tag from the positions of its corners (4, 2), in the detector's
+    order: their mean, and the mean direction of the lower and upper edge, along the arrow."""
     ahead = corners[1] - corners[0] + corners[2] - corners[3]
     x, y = corners.mean(axis=0)
     return float(x), float(y), float(np.arctan2(ahead[1], ahead[0]))
 
 
 def misshapen(corners: Array, side: float, limits: TrackerLimits) -> str:
-    """Why four places (4, 2) [m] are not the corners of a tag with black sides of `side` [m] seen
-    from above, or ""."""
+    """Why four positions (4, 2) [m] are not the corners of a tag with black sides of `side` [m]
+    seen from above; "" if they are."""
     if not np.isfinite(corners).all():
         return "not in the pool"
     x, y = corners.T
