@@ -101,7 +101,7 @@ def test_a_servo_at_another_baud_rate_is_found_there_and_one_without_power_is_no
     bench.device.put(8, 3)
     bench.device.faults.mute = 10**6
     servo, answer = doctor_devices.find_servo(bench.servo, deadline=0.01)
-    assert servo is None and answer.verdict == BAD and "nothing answers" in answer.found
+    assert servo is None and answer.verdict == BAD and "no reply within" in answer.found
     bench.device.faults.mute = 0
 
 
