@@ -25,7 +25,7 @@ MARK = "# needs hardware"
 HARDWARE = re.compile(r"/dev/|192\.168\.|\bsudo\b|raspi-config")
 QUICK = ("new-fish", "protocol", "tags", "camera --pictures", "calibrate", "key")
 # Until Ctrl-C; half an hour each; with a policy of such a training.
-NEVER = ("emulate", "train", "policy try runs/", "compare")
+NEVER = ("emulate", "station --replay", "train", "policy try runs/", "compare")
 PAGES = sorted([*DOCS.glob("start/*.md"), *DOCS.glob("how-to/*.md")])
 WHOLE = ("first-swim", "record", "calibrate-the-camera", "install-the-pi", "drive",
          "read-a-log-in-foxglove")  # fmt: skip
