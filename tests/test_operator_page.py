@@ -414,7 +414,7 @@ def test_a_browser_that_does_not_draw_gets_the_newest_when_it_does(lab):
 def test_where_a_console_cannot_be_is_one_sentence_and_an_open_one_is_warned_of(lab, monkeypatch):
     with pytest.raises(BadInput, match="choose another address or port"):
         open_client(lab.client.listening.getsockname(), ROOM)
-    with pytest.raises(BadInput, match="not all of them"):
+    with pytest.raises(BadInput, match="give the address of one"):
         open_client(("0.0.0.0", 0), ROOM)
     assert len(announce(lab.client)) == 1 and lab.client.token in announce(lab.client)[0]
     assert not is_local("192.168.4.1") and is_local("127.0.0.1")
@@ -519,7 +519,7 @@ def test_what_a_console_cannot_have_is_one_sentence(tmp_path: Path):
     }
     with pytest.raises(BadInput, match="the station shows it"):
         swim.drive("p", tmp_path / "a", page="127.0.0.1:0", **words)  # type: ignore[arg-type]
-    with pytest.raises(BadInput, match="give its --calibration"):
+    with pytest.raises(BadInput, match="--camera needs --calibration"):
         swim.station("127.0.0.1:1", tmp_path, "127.0.0.1:2", camera="/dev/video0")
     with pytest.raises(BadInput, match="give host:port"):
         open_page("8080")

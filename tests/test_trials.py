@@ -355,7 +355,7 @@ def test_a_page_of_runs_cut_short_says_so(evaluated, tmp_path):
     (copy / "run.json").write_text(json.dumps(run))
     path, found = of_folder(copy, "pulley-fish")
     assert isinstance(found, Evaluation) and found.cut_short == ("reach open",)
-    assert "Cut short" in path.read_text()
+    assert "Incomplete, read" in path.read_text()
 
 
 @pytest.mark.long
@@ -424,7 +424,7 @@ def test_what_does_not_fit_is_refused(evaluated, tmp_path):
             config = EvaluationConfig(pool="full", episodes=4, walls=_walls(size))
             where = evaluation.pool_of(load_policy(POLICY), config)
             evaluation.conditions_of(where, ["reach", "track"])
-    with pytest.raises(BadInput, match="empty or missing folder"):
+    with pytest.raises(BadInput, match="folder is empty or missing"):
         of_folder(tmp_path / "nothing", "pulley-fish")
     with pytest.raises(BadInput, match="--share '3/2'"):
         _share("3/2")

@@ -1,4 +1,4 @@
-"""How many targets does a policy reach, and where: in its twin, or zero-shot in pools."""
+"""How many targets a policy reaches, and where: in its twin, or zero-shot in pools."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -24,15 +24,16 @@ from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water, ensemble
 
-SECTOR = 30  # degrees of bearing, both sides together
+SECTOR = 30  # degrees of bearing, left and right together
 NEAREST, FARTHEST = 0.5, 3.0  # m
 
 
 @dataclass(frozen=True, kw_only=True)
 class Group(SuccessRates):
-    """The targets of one sector of bearing [deg], of one interval of range [m], or of one water
-    (`low` and `high` are its number). Within `median_s` and `p90_s` [s] half and nine in ten of
-    all targets were reached, a miss counting as infinite; None where so many were not."""
+    """The targets of one sector of bearing [deg], of one interval of distance [m], or of one water
+    (`low` and `high` are its index). Half and nine in ten of all targets were reached within
+    `median_s` and `p90_s` [s]; a miss counts as infinite, and None means that too few were
+    reached."""
 
     low: float
     high: float
@@ -53,8 +54,8 @@ class Cell(SuccessRates):
 
 @dataclass(frozen=True, kw_only=True)
 class SeededTrial(SuccessRates):
-    """Swims to seeded targets: fraction `reached`; of those the median time [s] and the median
-    path length over the distance, NaN where none was reached."""
+    """Swims to seeded targets: fraction `reached`; over those the median time [s] and the median
+    path length over the distance, NaN if none was reached."""
 
     targets: int
     reached: float
@@ -83,8 +84,8 @@ class ReachResult(SuccessRates):
 
 @dataclass(frozen=True)
 class TrialConfig:
-    """Targets within `arc` [deg] either side: `targets` of them, drawn from `seed`, in the twin
-    with all noise and randomisation (`exact`: undisturbed), or in `pools` waters of the pool."""
+    """`targets` targets within `arc` [deg] to either side, drawn from `seed`: in the twin with all
+    noise and randomisation (`exact`: without), or in `pools` waters of the pool."""
 
     arc: float = 120.0
     targets: int = 1000
@@ -94,13 +95,13 @@ class TrialConfig:
 
 
 def in_twin(fish: Fish, settings: Settings) -> Build:
-    """Worlds of the fish's own twin."""
+    """A function that builds worlds of the fish's own twin from seeds."""
     return lambda seeds: World(fish, settings, seeds)
 
 
 def in_pool(fish: Fish, settings: Settings, waters: Sequence[Water]) -> Build:
-    """Worlds of the plant, the waters one after the other; sensors and targets as `settings`
-    say, its physics ranges unused: what varies is the water."""
+    """A function that builds worlds of the plant from seeds, with the waters in turn. Sensors and
+    targets are those of `settings`; its physics ranges are not used."""
 
     def build(seeds: list[int]) -> World:
         each = [waters[i % len(waters)] for i in range(len(seeds))]
@@ -118,11 +119,11 @@ def reach(policy: Policy, build: Build, count: int, seed: int) -> SeededTrial:
 
 
 def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:
-    """Swim a policy to seeded targets. Raises BadInput where it was not trained for this fish."""
+    """Swim a policy to seeded targets. Raises BadInput if it was not trained for this fish."""
     if not 0 < config.arc <= 180 or config.targets < 1 or config.pools < 0:
         raise BadInput(
             f"--arc {config.arc:g}, --targets {config.targets}, --pools {config.pools}: allowed are"
-            f" 0 to 180, 1 and more, 0 and more."
+            f" above 0 to 180, 1 or more, 0 or more."
         )
     policy, described = load_policy(path), load_fish(fish)
     held = policy.contract
@@ -141,7 +142,8 @@ def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:
 
 
 def conditions(pool: Pool) -> list[Condition]:
-    """Bearings +-180 deg, 0.5-3 m: open water, inside the paper's walls, and the twin."""
+    """The conditions: bearings +-180 deg, 0.5-3 m, in open water, inside the paper's walls, and in
+    the twin."""
     around = (Surroundings(walls=pool.walls),)
     scene = grid(pool.fish, pool.count, pool.seed, NEAREST, FARTHEST, np.pi)
     inside = walled(pool.fish, pool.count, pool.seed, NEAREST, FARTHEST, pool.walls)
@@ -153,7 +155,7 @@ def conditions(pool: Pool) -> list[Condition]:
 
 
 def numbers(runs: Runs) -> ReachResult:
-    """What the swims of one condition came to."""
+    """Results of the swims of one condition."""
     hits = runs.reached
     start = runs.distance[:, 0]
     trained = (np.abs(runs.bearing) <= np.radians(120)) & (start <= 2.5)
@@ -174,7 +176,7 @@ def numbers(runs: Runs) -> ReachResult:
 
 
 def by_sector(bearing: Any, reached: Flags, nearest: Any, seconds: Any) -> tuple[Group, ...]:
-    """Success rates and times by bearing of the target at the start, both sides together."""
+    """Success rates and times by bearing of the target at the start, left and right together."""
     groups = [(*edges, inside) for edges, inside in _sectors(bearing)]
     return _groups(groups, reached, nearest, seconds)
 
@@ -215,7 +217,7 @@ def _ranges(start: Any) -> list[tuple[tuple[float, float], Flags]]:
 
 
 def by_water(runs: Runs) -> tuple[Group, ...]:
-    """Success rates and times by water; nothing where there is only one."""
+    """Success rates and times by water; empty if there is only one."""
     groups = [(number, number, runs.water == number) for number in np.unique(runs.water).tolist()]
     return _groups(groups, runs.reached, runs.nearest, runs.seconds) if len(groups) > 1 else ()
 

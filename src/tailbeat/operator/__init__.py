@@ -1,1 +1,1 @@
-"""What does the person at the pool see and say? The operator page and the tour of targets."""
+"""The operator's side: the operator page, the station, and tours of targets."""

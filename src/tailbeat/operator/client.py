@@ -1,7 +1,7 @@
-"""The station's end of the operator page: starts its server process, feeds it, takes orders.
+"""The station's end of the operator page: starts its server process, sends snapshots, takes orders.
 
-Both ways go through a pair of datagram sockets that never wait: where the server is slow, what is
-shown is dropped, and where the owner is, the server says so. A server that died is started again.
+Both directions use a pair of datagram sockets that never wait. If the server is slow, snapshots are
+dropped; if the station is slow, the server says so. A server that ended is started again.
 """
 
 import contextlib
@@ -27,16 +27,16 @@ from tailbeat.operator.snapshot import Change, snapshot
 from tailbeat.processes import start
 
 EVERY = 0.05  # s between two snapshots
-LARGEST = 180_000  # bytes of a datagram, so of a picture
-AGAIN = 5.0  # s before a server that died is started anew
+LARGEST = 180_000  # bytes, largest datagram and picture
+AGAIN = 5.0  # s between two starts of the server
 READY = 60.0  # s that it may take to start
-COMMANDS = 20  # read at once
+COMMANDS = 20  # most commands read at once
 CHANGES = 8  # of the state that the page lists
 
 
 @dataclass(eq=False)
 class OperatorClient:
-    """An open operator page; see `open_client`. `url` holds the token."""
+    """An open operator page; see `open_client`. `url` contains the token."""
 
     listening: socket.socket
     room: tuple[float, float]
@@ -60,8 +60,7 @@ class OperatorClient:
             self.changes.append(Change(at, status.state.value, status.text))
 
     def show(self, snapshot: dict[str, Any], picture: bytes) -> None:
-        """Show what is, and a JPEG where it is a new one; both are dropped where the server is
-        behind."""
+        """Send a snapshot, and a JPEG if it is new; both are dropped if the server is slow."""
         words = json.dumps(plain(snapshot), allow_nan=False).encode()
         image = b"" if picture is self.picture else picture
         self.picture = picture
@@ -71,8 +70,8 @@ class OperatorClient:
                     self.ours.send(datagram)
 
     def commands(self, patience: float = 0.0) -> list[dict[str, Any]]:
-        """What operators with the token asked for since, oldest first, waited for up to `patience`
-        [s]; the server's own first word is "ready"."""
+        """Orders of operators with the token since the last call, oldest first; waits up to
+        `patience` [s] for one. The server's own first message is "ready"."""
         found: list[dict[str, Any]] = []
         if patience:
             select.select([self.ours], [], [], patience)
@@ -85,14 +84,14 @@ class OperatorClient:
         """End the server."""
         if self.process is not None:
             assert self.process.stdin is not None
-            self.process.stdin.close()  # it ends when nobody holds this
+            self.process.stdin.close()  # the server ends when this closes
             self.process.terminate()
             self.process.wait(10)
         for one in (self.listening, self.ours, self.theirs):
             one.close()
 
     def _keep(self, now: float) -> None:
-        """Start the server where there is none."""
+        """Start the server if it does not run."""
         if now < self.again or (self.process is not None and self.process.poll() is None):
             return
         self.again = now + AGAIN
@@ -106,7 +105,9 @@ class OperatorClient:
         assert self.process.stdin is not None
         hosts = allowed_hosts(self.listening)
         words = {"token": self.token, "room": self.room, "hosts": hosts}
-        self.process.stdin.write(json.dumps(words).encode() + b"\n")  # not for all to see in `ps`
+        self.process.stdin.write(
+            json.dumps(words).encode() + b"\n"
+        )  # a command line would show the token
         self.process.stdin.flush()
 
 
@@ -135,7 +136,7 @@ def open_client(at: tuple[str, int], room: tuple[float, float]) -> OperatorClien
     client._keep(time.monotonic())
     if not client.commands(READY):
         client.close()
-        raise BadInput("the operator page's server did not start; see what it said above.")
+        raise BadInput("the operator page's server did not start; see its message above.")
     return client
 
 
@@ -143,7 +144,7 @@ def listen(at: tuple[str, int]) -> socket.socket:
     """A socket that listens for browsers at host and port (0: any free one). Raises BadInput where
     the address cannot be had."""
     if at[0] in ("", "0.0.0.0"):
-        raise BadInput("--page: give the address of one network, not all of them.")
+        raise BadInput("--page {at[0]!r}: this means all networks; give the address of one.")
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -169,12 +170,12 @@ def is_local(host: str) -> bool:
 
 
 def announce(client: OperatorClient) -> list[str]:
-    """What the operator must know: where it is, and whether others can reach it."""
+    """Messages for the operator: the page's address, and whether others can open it."""
     lines = [f"operator page: {client.url}"]
     if not is_local(client.listening.getsockname()[0]):
         lines.append(
-            "warning: the operator page is open to this network, unencrypted: everyone on it can"
-            " watch and STOP, and can read the token on the way. Use a network of your own."
+            "warning: the operator page is open to this network, unencrypted. Everyone on it can"
+            " watch, press STOP and read the token. Use a network of your own."
         )
     return lines
 
@@ -187,8 +188,8 @@ def turn(
     note: str = "",
     picture: bytes = b"",
 ) -> None:
-    """Do what the operators ask, and show them what is, where that is due at `now` [s]. `note` is
-    about the camera, `picture` its newest JPEG."""
+    """Follow the operators' orders, and send a snapshot if one is due at `now` [s]. `note` is about
+    the camera, `picture` is its newest JPEG."""
     for command in client.commands():
         _attend(sender, command, now)
     client.note(sender.status, time.time())
@@ -207,6 +208,6 @@ def _attend(sender: Sender, command: dict[str, Any], now: float) -> None:
         case "tag":
             sender.target = None
         case "ready":
-            pass  # a server that was started again
+            pass  # the server started again
         case wanted:
             sender.order(Order[wanted.upper()], now)

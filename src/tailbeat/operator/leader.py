@@ -1,4 +1,5 @@
-"""Leads the robot as an operator would: arms it, lets it swim, sends it through a tour."""
+"""Leads the robot as an operator would: arms it, starts the swim, sends it the targets of a
+tour."""
 
 import time
 from collections.abc import Callable
@@ -12,9 +13,9 @@ from tailbeat.link.status import State, Status
 from tailbeat.operator.tour import Pose, Tour, draw_targets
 
 Say = Callable[[str], None]
-STARTING, STUCK, AGAIN = 30.0, 15.0, 2.0  # s: to begin, not to swim, between two orders
-FRESH = 1.0  # s: an older status says nothing about now
-REARMED = 20  # times that a tour arms a robot that holds; each is said and counted
+STARTING, STUCK, AGAIN = 30.0, 15.0, 2.0  # s to start, without swimming, between orders
+FRESH = 1.0  # s: an older status is not used
+REARMED = 20  # most times that a tour arms a robot in HOLD; each is reported
 
 
 @dataclass(eq=False)
@@ -33,11 +34,11 @@ class Leader:
 
     @property
     def rearmed(self) -> int:
-        """How often a fish that had been armed was armed again."""
+        """How often the fish was armed again."""
         return max(self.armed - 1, 0)
 
     def lead(self, sender: Sender, pose: Pose | None, now: float, say: Say) -> None:
-        """Take what was seen, send what is next."""
+        """Take the newest pose and status, and send what is next."""
         status = sender.status if now - sender.heard < FRESH else None
         state = status.state if status else None
         if state is State.RUN:
@@ -72,14 +73,14 @@ class Leader:
         sender.target = tour.target or sender.target
 
     def over(self) -> bool:
-        """Whether all is swum, or the fish will not."""
+        """Whether the tour is over, or the fish does not swim any more."""
         if self.tour is None:
             return False
         return self.tour.target is None or time.monotonic() - self.ran > STUCK
 
 
 def drawn_tour(count: int, seed: int, pool: tuple[float, float] = POOL) -> Tour | None:
-    """A tour of so many targets in a pool of this length and width [m], or None for none. Raises
+    """A tour of `count` targets in a pool of this length and width [m]; None for 0. Raises
     BadInput."""
     if not 0 <= count <= 1000:
         raise BadInput(f"--tour {count}: allowed are 0 to 1000 targets.")

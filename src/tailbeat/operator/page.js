@@ -115,7 +115,7 @@ function rerun(run) {
   body.classList.add("replay");
   document.title = `${run.name} · tailbeat`;
   byId("player").hidden = byId("replayed").hidden = false;
-  byId("replayed").textContent = `replay of ${run.name}${run.whole ? "" : " · cut off: it ends where the log ends"}`;
+  byId("replayed").textContent = `replay of ${run.name}${run.whole ? "" : " · incomplete log"}`;
   byId("stop").disabled = true;
   byId("what").textContent = "not in a replay: no fish is connected";
   say("A replay takes no orders: no fish is connected.");
@@ -149,7 +149,7 @@ function state() {
   body.classList.toggle("silent", silent);
   byId("icon").setAttribute("d", ICONS[status?.state ?? "none"]);
   byId("state").textContent = status?.state ?? "no fish";
-  byId("reason").textContent = cut ? `no connection to the ${replay ? "replay" : "station"}: this is the last that came`
+  byId("reason").textContent = cut ? `no connection to the ${replay ? "replay" : "station"}: these are the last values`
     : !status ? "the fish has not answered yet"
     : silent ? `nothing from the fish for ${status.age.toFixed(1)} s; it was: ${status.reason}` : status.reason;
   countdown(status);
@@ -165,7 +165,7 @@ setInterval(state, 250);
 function where() {
   const at = now?.target && `at x ${now.target[0].toFixed(2)}, y ${now.target[1].toFixed(2)} m`;
   if (replay) return at ? `target ${at}` : "no target: the log holds it while the fish swims";
-  return at ? `target ${now.operator ? "by hand" : "by its tag"} ${at}` : "no target seen: drag it to where the fish shall go";
+  return at ? `target ${now.operator ? "by hand" : "by its tag"} ${at}` : "no target seen: drag it to a place in the pool";
 }
 
 const poseAge = (status) => (status.pose_age ?? Infinity) + Math.max(status.age - SLACK, 0);
@@ -201,9 +201,9 @@ function readings(status, limits) {
     ["Servo temperature", number(status.temperature, 0, "°C"), status.temperature / limits.temperature_stop, status.temperature >= limits.temperature_hold - 10],
     ["Servo voltage", number(volts, 1, "V"), (volts - low) / (high - low), volts !== null && (volts < low + 0.5 || volts > high - 0.5)],
     ["Servo current", number(status.current, 2, "A"), Math.abs(status.current) / limits.current_stop, Math.abs(status.current) > limits.current_stop / 2],
-    ["Clocks known to", ms(status.clock_doubt), status.clock_doubt / limits.clock_doubt, !known(status.clock_doubt) || status.clock_doubt > limits.clock_doubt / 2],
+    ["Clock error, at most", ms(status.clock_doubt), status.clock_doubt / limits.clock_doubt, !known(status.clock_doubt) || status.clock_doubt > limits.clock_doubt / 2],
     ["Motor → setpoint", `${degrees(status.angle)} → ${degrees(status.setpoint)}`, undefined, false],
-    ["Datagrams refused", `${status.rejects ?? "–"}`, undefined, status.rejects > 0],
+    ["Datagrams rejected", `${status.rejects ?? "–"}`, undefined, status.rejects > 0],
   ];
 }
 

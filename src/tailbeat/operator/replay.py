@@ -1,7 +1,7 @@
-"""A finished run, read from its log, as the operator page shows it: one snapshot for any time.
+"""A finished run for the operator page, read from its log: a snapshot for any time.
 
-The log has no pool size, no camera pictures and no counts of the link; what it lacks is None. The
-target is known while the policy swims.
+The log has no pool size, no camera pictures and no counts of the link: these are None. The target
+is known while the policy swims.
 """
 
 import math
@@ -22,8 +22,8 @@ from tailbeat.robot.safety import SafetyLimits
 NEEDED = ("time_s", "state", "reason")  # of every row
 POSE = ("x_m", "y_m", "yaw_rad")
 TARGET = slice(3, 5)  # of the newest frame in `decided_on`
-SPAN = 5  # rows over which the live page takes the longest of lateness and work: a status's
-TRAIL, STEP = 30.0, 8  # s of path that is shown, rows between two of its places
+SPAN = 5  # rows of one status, over which lateness and duration are the longest
+TRAIL, STEP = 30.0, 8  # s of path that is shown, rows between two of its points
 STATES = tuple(state.value for state in State)
 NO_PICTURES = "The log holds no camera pictures."
 Row = Mapping[str, Any]
@@ -32,7 +32,7 @@ Row = Mapping[str, Any]
 @dataclass(frozen=True, eq=False)
 class Run:
     """A log's rows (k,) without the policy's inputs, and their times [s] from the first (k,).
-    `whole`: whether its writer came to its end."""
+    `whole`: whether the log is complete."""
 
     name: str
     time: Sequence[float]
@@ -41,11 +41,11 @@ class Run:
 
     @property
     def seconds(self) -> float:
-        """How long it lasts."""
+        """Duration [s]."""
         return self.time[-1]
 
     def changes(self) -> tuple[Change, ...]:
-        """Every state and reason as it began, in seconds from the first row."""
+        """Every state and reason with its start [s] after the first row."""
         first = [Change(0.0, self.rows[0]["state"], self.rows[0]["reason"])]
         pairs = zip(self.time[1:], pairwise(self.rows), strict=True)
         return tuple(
@@ -59,8 +59,8 @@ class Run:
 
 
 def read_run(path: Path) -> Run:
-    """A log of `drive` or `swim`, up to where it is whole. Raises BadInput where it is none, or
-    lacks what a replay needs."""
+    """Read a log of `drive` or `swim`, up to where it is complete. Raises BadInput if it is not
+    one, or lacks a field that a replay needs."""
     rows = read_rows(path)
     for name in NEEDED:
         if all(row.get(name) is None for row in rows):
@@ -80,7 +80,7 @@ def read_run(path: Path) -> Run:
 
 
 def _fault(row: Row) -> str:
-    """What of a row cannot be shown, or ""."""
+    """Why a row cannot be shown, or ""."""
     if not _is_number(row.get("time_s")):
         return f"time_s is {row.get('time_s')!r}, not a time"
     if row.get("state") not in STATES:
@@ -101,7 +101,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _kept(row: Row) -> Row:
-    """Without what is large and not shown."""
+    """A row without the large fields that are not shown."""
     return {name: value for name, value in row.items() if name not in ("observation", "action")}
 
 
@@ -109,8 +109,8 @@ def _kept(row: Row) -> Row:
 
 
 def snapshot(run: Run, fish: Fish, room: tuple[float, float], at: float) -> dict[str, Any]:
-    """What the page shows at a time [s] after the first row; a time outside the run is its nearest
-    end. `room` is length and width of the pool [m]."""
+    """What the page shows at a time [s] after the first row; outside the run, its nearest end.
+    `room` is length and width of the pool [m]."""
     index = max(bisect_right(run.time, at) - 1, 0)
     row, limits = run.rows[index], SafetyLimits()
     return {
@@ -149,8 +149,8 @@ def _fish(fish: Fish, row: Row) -> dict[str, Any] | None:
 
 
 def _trail(run: Run, index: int) -> list[list[float]]:
-    """Age [s], x and y [m] of places on the way here, oldest first. The rows are fixed ones, so
-    that the path does not flicker from one moment to the next."""
+    """Age [s], x and y [m] of points of the path so far, oldest first. The same rows are used at
+    every time, so that the path does not flicker."""
     places, now = [], run.time[index]
     first = bisect_right(run.time, now - TRAIL)
     for k in [*range(first + -first % STEP, index, STEP), index]:
@@ -160,7 +160,7 @@ def _trail(run: Run, index: int) -> list[list[float]]:
 
 
 def _status(rows: Sequence[Row], limits: SafetyLimits) -> dict[str, Any]:
-    """The last of these rows as the fish's status would say it."""
+    """The last of these rows as the fish's status."""
     row = rows[-1]
     return {
         "state": row["state"],

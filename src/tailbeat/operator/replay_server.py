@@ -33,7 +33,7 @@ NO_ORDERS = "refused: this is the replay of a log; no fish is connected"
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What is replayed: a run, the fish as drawn, length and width of the pool [m]."""
+    """What is replayed: a run, the fish to draw, length and width of the pool [m]."""
 
     run: Run
     fish: Fish
@@ -41,13 +41,13 @@ class Shown:
 
 
 def _about(run: Run) -> dict[str, Any]:
-    """What the page is told first."""
+    """The first message to the page."""
     changes = [asdict(one) for one in run.changes()]
     return {"name": run.name, "seconds": run.seconds, "whole": run.whole, "changes": changes}
 
 
 def _answer(shown: Shown, text: str) -> dict[str, Any]:
-    """To one message of a browser: {"do": "at", "at": seconds}, or an order."""
+    """Answer one message of a browser: {"do": "at", "at": seconds}, or an order."""
     try:
         asked = json.loads(text[:LONGEST])
         wanted, at = asked["do"], asked.get("at")
@@ -114,7 +114,7 @@ def replay(config: ReplayConfig, say: Callable[[str], None]) -> None:
 
 
 def announce(run: Run, at: tuple[str, int]) -> list[str]:
-    """What a person must know: whether the log is whole, where the page is, who can see it."""
+    """Messages for the person: whether the log is complete, where the page is, who can see it."""
     lines = [] if run.whole else [f"{run.name}: cut off; the replay ends where the log ends"]
     lines.append(f"replay of {run.name}, {run.seconds:.1f} s: http://{at[0]}:{at[1]}/")
     if not is_local(at[0]):

@@ -1,8 +1,8 @@
-"""The operator page's server, a process of its own: page, live socket, newest camera picture.
+"""The operator page's server, its own process: page, live socket, newest camera picture.
 
-Everyone who reaches it may watch and STOP; every order that moves the fish needs the token. A
-browser gets the next snapshot when it has drawn the last, so a slow one sees fewer, never older.
-Started by `client`; it ends when the owner does.
+Everyone who can open it may watch and press STOP; every other order needs the token. A browser gets
+the next snapshot when it has drawn the last: a slow one gets fewer, but never old ones. `client`
+starts the server, and it ends with its owner.
 """
 
 import asyncio
@@ -43,7 +43,7 @@ HEADERS = {
 ORDERS = ("arm", "swim", "disarm")
 PICTURE_AGE = 2.0  # s
 PATIENCE = 1.0  # s for the owner to take a command
-LONGEST = 2000  # letters of a command
+LONGEST = 2000  # characters of a command
 
 
 @dataclass(eq=False)
@@ -60,7 +60,7 @@ class Shown:
     fresh: asyncio.Event = field(default_factory=asyncio.Event)
 
     def take(self) -> None:
-        """Everything that waits; the newest counts."""
+        """Read all messages; only the newest counts."""
         with contextlib.suppress(OSError):
             while True:
                 data = self.owner.recv(1 << 20)
@@ -73,11 +73,11 @@ class Shown:
         self.fresh = asyncio.Event()
 
     def filming(self) -> bool:
-        """Whether there is a picture, and not an old one."""
+        """Whether there is a picture that is not old."""
         return time.monotonic() - self.taken < PICTURE_AGE
 
     async def hand_over(self, command: dict[str, Any]) -> str:
-        """Give a command to the owner; "" or why not."""
+        """Give a command to the owner; returns "", or why not."""
         for _ in range(round(PATIENCE / 0.01)):
             try:
                 self.owner.send(json.dumps(command).encode())
@@ -91,7 +91,7 @@ class Shown:
 
 
 async def obey(shown: Shown, text: str) -> str:
-    """One message of a browser; what to tell it, "" for nothing."""
+    """Handle one message of a browser; returns the answer, "" for none."""
     try:
         asked = json.loads(text[:LONGEST])
         wanted, token = str(asked["do"]), str(asked.get("token", ""))
@@ -132,13 +132,13 @@ def is_place(at: Any) -> bool:
 
 
 def same_origin(origin: str | None, host: str | None) -> bool:
-    """Whether our own page asks, or no page at all; another site's page may not."""
+    """Whether our own page asks, or no page at all. Pages of other sites are refused."""
     return origin is None or urlsplit(origin).netloc == host
 
 
 @dataclass(eq=False)
 class Browser:
-    """One open page: what it is still to be told, and whether it has drawn what it got."""
+    """One open page: answers to send, and whether it has drawn the last snapshot."""
 
     socket: WebSocket
     said: list[str] = field(default_factory=list)
@@ -146,7 +146,7 @@ class Browser:
     seen: int = 0
 
     async def tell(self, shown: Shown) -> None:
-        """The newest snapshot, whenever there is a newer one and the last is drawn."""
+        """Send the newest snapshot whenever there is a newer one and the last is drawn."""
         while True:
             while shown.count == self.seen:
                 await shown.fresh.wait()
@@ -177,7 +177,7 @@ def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
         yield
 
     app = FastAPI(lifespan=listening, openapi_url=None)
-    # a page of elsewhere whose name now points to this machine (DNS rebinding) is none of ours
+    # refuse another site's page whose name was pointed to this machine (DNS rebinding)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=hosts)
     add_pages(app)
 
@@ -205,7 +205,7 @@ def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
 
 
 async def serve(browser: Browser, shown: Shown) -> None:
-    """Tell and hear one browser until it goes."""
+    """Serve one browser until it disconnects."""
     telling = asyncio.create_task(browser.tell(shown))
     try:
         await browser.hear(shown)
@@ -245,7 +245,7 @@ async def _main(listening: socket.socket, owner: socket.socket) -> None:
     server = uvicorn.Server(config)
 
     def left() -> None:
-        """The owner's end of our standard input closed."""
+        """End when the owner closes our standard input."""
         server.should_exit = not os.read(0, 1024)
 
     asyncio.get_running_loop().add_reader(0, left)

@@ -1,6 +1,6 @@
-"""What the page shows, as one JSON-ready dictionary: all that the station knows of the fish.
+"""What the page shows, as one JSON-ready dictionary: everything that the station knows of the fish.
 
-Lengths in metres, angles in radians, times in seconds, as everywhere; the page chooses its units.
+Lengths in metres, angles in radians, times in seconds; the page converts units.
 """
 
 from dataclasses import asdict, dataclass
@@ -18,8 +18,8 @@ from tailbeat.link.status import Status
 from tailbeat.robot.safety import SafetyLimits
 
 Array = NDArray[np.float64]
-FIN = 0.005  # m, half of a fin's thickness as drawn
-HEAD = ((0.1, 0.7), (0.35, 1.0), (0.7, 0.95))  # as drawn: where from nose to first hinge, how wide
+FIN = 0.005  # m, half of a fin's thickness in the drawing
+HEAD = ((0.1, 0.7), (0.35, 1.0), (0.7, 0.95))  # drawing: position from nose to hinge, width
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Change:
 def snapshot(
     sender: Sender, fish: Fish, room: tuple[float, float], now: float, note: str = ""
 ) -> dict[str, Any]:
-    """Everything at `now` [s]; None stands where nothing is known. `note` is about the camera."""
+    """Everything at `now` [s]; None where nothing is known. `note` is about the camera."""
     status, frame = sender.status, sender.seen
     return {
         "room": room,
@@ -61,7 +61,7 @@ def _fish(sender: Sender, fish: Fish, frame: Frame) -> dict[str, Any]:
 
 
 def _target(sender: Sender) -> tuple[float, float] | None:
-    """The one that is sent."""
+    """The target that is sent."""
     newest = sender.frames[-1].target if sender.frames else None
     return sender.target or newest
 
@@ -83,8 +83,10 @@ def _status(status: Status, age: float) -> dict[str, Any]:
 
 
 def body(fish: Fish, pose: tuple[float, float, float], motor: float) -> list[list[float]]:
-    """The fish from above, nose to fin: x, y and half the width [m] at each place. Only the tag's
-    pose and the motor angle are known, so the hinges share the bend alike: a picture, no estimate.
+    """The fish from above, nose to fin: x, y and half the width [m] at each point.
+
+    Only the tag's pose and the motor angle are known, so all hinges get the same bend: a picture,
+    not an estimate.
     """
     links = fish.tail.links
     line = outline(fish, guessed_shape(fish, pose, motor))

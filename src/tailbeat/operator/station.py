@@ -1,4 +1,5 @@
-"""The poolside station: camera to poses, poses to the fish, orders and readings to the page."""
+"""The poolside station: camera to poses, poses to the fish, orders and readings for the operator
+page."""
 
 import select
 import signal
@@ -24,8 +25,8 @@ if TYPE_CHECKING:  # needs OpenCV
     from tailbeat.vision.tracking import TrackerProcess
 
 Say = Callable[[str], None]
-TURN = 0.002  # s that a turn waits for a datagram: the clock's answer must not
-FAREWELL = 1.0  # s to have the order to stop taken at the end
+TURN = 0.002  # s that a turn waits for a datagram; longer would delay the clock's answer
+FAREWELL = 1.0  # s for the robot to take the order to stop at the end
 NO_CAMERA = "No camera given: the fish gets no poses."
 
 
@@ -33,13 +34,13 @@ NO_CAMERA = "No camera given: the fish gets no poses."
 def open_tracker(
     camera: str, calibration: Path | None, ids: tuple[int, int], exposure: float, latency: float
 ) -> "Iterator[TrackerProcess | None]":
-    """A tracker in a process of its own, or None without a camera; ids of fish and target, exposure
-    and latency of the camera [s]. Raises BadInput."""
+    """Start a tracker process, or yield None without a camera. `ids` of fish and target; `exposure`
+    and `latency` of the camera [s]. Raises BadInput."""
     if not camera:
         yield None
         return
     if calibration is None:
-        raise BadInput("--camera: give its --calibration, made by `tailbeat calibrate`.")
+        raise BadInput("--camera needs --calibration: give the file of `tailbeat calibrate`.")
     from tailbeat.vision.follow import TrackConfig, watch  # needs OpenCV
 
     tracker = watch(TrackConfig(camera, calibration, ids, exposure, latency))
@@ -52,7 +53,7 @@ def open_tracker(
 @dataclass(frozen=True)
 class StationConfig:
     """A station: host and port of the robot and its own, the key's file, host:port of the operator
-    page ("": none), and the fish as drawn (a file or a name)."""
+    page ("": none), and the fish to draw (a file or a name)."""
 
     robot: tuple[str, int]
     listen: tuple[str, int]
@@ -62,11 +63,11 @@ class StationConfig:
 
 
 def pool_of(tracker: "TrackerProcess | None", say: Say) -> tuple[float, float]:
-    """Length and width of the pool [m], from the tracker's calibration; says it where the file does
-    not hold them."""
+    """Length and width of the pool [m] from the tracker's calibration; reports if the file does not
+    have them."""
     known = tracker.watching.calibration.pool if tracker else POOL
     if known is None:
-        say(f"calibration: no pool size in it, so {POOL[0]:g} by {POOL[1]:g} m is assumed;"
+        say(f"calibration: it has no pool size; {POOL[0]:g} by {POOL[1]:g} m is assumed;"
             " calibrate again with --pool")  # fmt: skip
     return known or POOL
 
@@ -74,8 +75,10 @@ def pool_of(tracker: "TrackerProcess | None", say: Say) -> tuple[float, float]:
 def work(
     config: StationConfig, tracker: "TrackerProcess | None", leader: Leader | None, say: Say
 ) -> None:
-    """Send what the tracker sees and serve the page until told to end, or a tour is over; then
-    order the robot to stop, because nobody watches it any more. Raises BadInput."""
+    """Send the tracker's poses and serve the page until told to end, or a tour is over.
+
+    Then order the robot to stop, because nobody watches it any more. Raises BadInput.
+    """
     described, secret = load_fish(config.fish), link.read_key(config.key)
     made, pool = link.bind(*config.listen), pool_of(tracker, say)
     client = open_page(config.page, pool)
@@ -104,7 +107,7 @@ class Station:
 
 
 def _turns(station: Station, leader: Leader | None, over: Callable[[], bool], say: Say) -> None:
-    """Turn by turn; says every change of the robot's state."""
+    """Run the station; reports every change of the robot's state."""
     sender, tracker, sent, told = station.sender, station.tracker, -1, ""
     while not over():
         select.select([sender.socket], [], [], TURN)
@@ -123,7 +126,7 @@ def _turns(station: Station, leader: Leader | None, over: Callable[[], bool], sa
 
 
 def _show(station: Station, now: float) -> None:
-    """Serve the page, where there is one."""
+    """Serve the page, if there is one."""
     tracker = station.tracker
     if station.client is not None:
         note = tracker.fault if tracker else NO_CAMERA

@@ -1,7 +1,7 @@
-"""One target after the other, as the station sees it: which is next, and what became of the others.
+"""A tour of targets as the station sees it: which one is next, and the results of the others.
 
-Decisions alone: the caller gives the poses that the camera saw and sends the target. A
-target is reached when the tag comes within the arrival's distance of it, and given up after a time.
+The caller gives the camera's poses and sends the target. A target is reached when the tag comes
+within the arrival's distance of it. It is given up after a time.
 """
 
 import math
@@ -16,18 +16,18 @@ from tailbeat.link.places import POOL
 
 ARRIVAL = 0.05  # m (paper)
 PATIENCE = 30.0  # s for one target
-APART = 0.8  # m between one target and the next
-MARGIN = 0.65  # m that targets keep from the walls: room for the fish to turn behind them
-TRIES = 2000  # draws for one target
+APART = 0.8  # m, least distance of successive targets
+MARGIN = 0.65  # m, least distance of targets from the walls: the fish must be able to turn
+TRIES = 2000  # most draws per target
 Place = tuple[float, float]
 Pose = tuple[float, float, float]
 
 
 def draw_targets(count: int, seed: int, pool: tuple[float, float] = POOL) -> NDArray[np.float64]:
-    """Places (count, 2) inside a pool of this length and width [m], each well apart from the one
-    before. Raises BadInput."""
+    """Draw positions (count, 2) inside a pool of this length and width [m], each far enough from
+    the last. Raises BadInput."""
     if min(pool) <= 2 * MARGIN:
-        raise BadInput(f"--tour: the pool of {pool[0]:g} by {pool[1]:g} m has no room to turn.")
+        raise BadInput(f"--tour: the pool of {pool[0]:g} by {pool[1]:g} m is too small to turn in.")
     rng, room = np.random.default_rng(seed), np.array(pool) / 2 - MARGIN
     places = [np.zeros(2)]
     for _ in range(TRIES * count):
@@ -36,13 +36,13 @@ def draw_targets(count: int, seed: int, pool: tuple[float, float] = POOL) -> NDA
             places.append(place)
         if len(places) > count:
             return np.array(places[1:])
-    raise BadInput(f"{count} targets do not fit into the pool; ask for fewer.")
+    raise BadInput(f"{count} targets do not fit into the pool; give a smaller number.")
 
 
 @dataclass(frozen=True)
 class TargetResult:
-    """What became of a target, numbered from 1: its place [m], whether the fish reached it, the
-    closest approach [m], and the time [s] it took or was given."""
+    """Result of a target, numbered from 1: its position [m], whether the fish reached it, the
+    closest approach [m], and the time [s] it took."""
 
     target: int
     x: float
@@ -54,12 +54,12 @@ class TargetResult:
 
 @dataclass(eq=False)
 class Tour:
-    """`targets` [m] in their order; `rows` of those that are over."""
+    """A tour: `targets` [m] in order, and `rows` of those that are over."""
 
     targets: Sequence[Place]
     patience: float = PATIENCE
     arrival: float = ARRIVAL
-    began: float | None = None  # when the present target was first swum to [s]
+    began: float | None = None  # s, when the fish began to swim to the present target
     nearest: float = math.inf
     rows: list[TargetResult] = field(default_factory=list)
 
@@ -69,8 +69,8 @@ class Tour:
         return self.targets[len(self.rows)] if len(self.rows) < len(self.targets) else None
 
     def see(self, pose: Pose, now: float) -> None:
-        """Take a pose of a fish that swims, seen at `now` [s]; the next target follows an arrival
-        or the end of patience."""
+        """Take a pose of a swimming fish, seen at `now` [s]. The next target follows an arrival, or
+        after `patience`."""
         if self.target is None:
             return
         self.began = now if self.began is None else self.began

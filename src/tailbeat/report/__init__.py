@@ -1,1 +1,1 @@
-"""How does it look? Figures and pages: draws what others computed."""
+"""Figures and pages: draws what others computed."""

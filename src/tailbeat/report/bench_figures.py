@@ -1,4 +1,4 @@
-"""Figures of the two benches. Draws what others computed; computes nothing."""
+"""Figures of tail and servo from the test bench. Draws what others computed; computes nothing."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -58,7 +58,7 @@ def _reach(estimate: Estimate) -> list[list[float]]:
 
 
 def _draw_drag(axes: Axes, fit: TailFit) -> None:
-    """Im H, and what is left of it without the friction: a line through the origin."""
+    """Draw Im H, and Im H without the friction, which is a line through the origin."""
     omega = np.array([c.omega for c in fit.conditions])
     total = np.array([c.response.imag for c in fit.conditions])
     dry = np.array([4 * fit.coulomb.value / (np.pi * c.amplitude) for c in fit.conditions])

@@ -1,4 +1,4 @@
-"""A film of a fish in its pool, three-dimensional, from the log of its run or from a tour."""
+"""A film of a fish in its pool, in 3-D, from the log of its run or from a tour."""
 
 import os
 import time
@@ -22,17 +22,22 @@ from tailbeat.report.pool_scene import View
 Picture = NDArray[np.uint8]
 MOVIE, ANIMATED = ".mp4", (".webp", ".gif")
 SIZES = {MOVIE: (960, 540), ".webp": (640, 360), ".gif": (480, 270)}  # px, by suffix
-RATES = {MOVIE: 30.0, ".webp": 20.0, ".gif": 12.5}  # frames per second; a GIF counts in 10 ms
+RATES = {
+    MOVIE: 30.0,
+    ".webp": 20.0,
+    ".gif": 12.5,
+}  # frames per second; a GIF's times are multiples of 10 ms
 MOVIE_QUALITY = 6.0  # of 10
-LIMIT = 5_000_000  # bytes of an animated picture, so that a page of text loads
+LIMIT = 5_000_000  # bytes, largest animated picture, so that a page with it loads fast
 QUALITIES = {".webp": (80, 65, 50, 35, 20), ".gif": (128, 64, 32, 16)}  # of 100; colours
 LONGEST = 600.0  # s
 
 
 @dataclass(frozen=True)
 class FilmConfig:
-    """Film the run of `log` as `out`, whose suffix says how: MP4, WebP or GIF. `side` is where the
-    camera is; `fish` names the fish that swam, `pool` is its pool's length and width [m]."""
+    """Film the run of `log` as `out`, whose suffix gives the format: MP4, WebP or GIF. `side` is
+    the camera's position; `fish` names the fish that swam; `pool` is the pool's length and width
+    [m]."""
 
     log: Path
     out: Path
@@ -44,8 +49,8 @@ class FilmConfig:
 
 @dataclass(frozen=True)
 class Film:
-    """A film that was written: `frames` at a `rate` [Hz] that show `seconds` of the run, the
-    file's size, and the time [s] it took. `whole` is false for a log that was cut off."""
+    """A written film: `frames` at a `rate` [Hz] that show `seconds` of the run, the file's size,
+    and the time [s] that it took. `whole` is false for an incomplete log."""
 
     file: str
     frames: int
@@ -57,8 +62,11 @@ class Film:
 
 
 def film(config: FilmConfig, progress: Progress) -> Film:
-    """Film a run's log. Raises BadInput: for a log that lacks what a film needs, a suffix other
-    than MP4, WebP and GIF, a place that cannot be written, and where no GL library renders."""
+    """Film a run's log.
+
+    Raises BadInput for a log without the fields that a film needs, a suffix other than MP4, WebP
+    and GIF, a path that cannot be written, or if no GL library renders.
+    """
     from tailbeat.robot.log import is_whole  # needs the extra
 
     began, rate = time.monotonic(), rate_of(config.out)
@@ -85,7 +93,7 @@ def film(config: FilmConfig, progress: Progress) -> Film:
 def rate_of(out: Path) -> float:
     """Frames per second of a film with this suffix. Raises BadInput."""
     if out.suffix not in RATES:
-        raise BadInput(f"--out {out}: a film is an {', '.join(RATES)}; choose one of these.")
+        raise BadInput(f"--out {out}: unknown format; allowed are {', '.join(RATES)}.")
     return RATES[out.suffix]
 
 
@@ -106,7 +114,7 @@ def _counted(shot: Shot, progress: Progress) -> Iterator[Picture]:
 
 
 def _write_movie(images: Iterator[Picture], path: Path, rate: float) -> None:
-    first = next(images)  # a machine that cannot render says so before a file is begun
+    first = next(images)  # an error of rendering comes before a file is begun
     with imageio.get_writer(path, fps=rate, macro_block_size=None, quality=MOVIE_QUALITY) as writer:
         writer.append_data(first)  # type: ignore[attr-defined]
         for image in images:
@@ -114,7 +122,8 @@ def _write_movie(images: Iterator[Picture], path: Path, rate: float) -> None:
 
 
 def _write_animated(images: list[Image.Image], path: Path, rate: float) -> None:
-    """As good as fits into the limit. Raises BadInput for a film too long for it."""
+    """Write with the best quality that fits into the limit. Raises BadInput for a film that is too
+    long."""
     save: Callable[[list[Image.Image], Path, float, int], None]
     save = _save_webp if path.suffix == ".webp" else _save_gif
     for quality in QUALITIES[path.suffix]:
@@ -122,7 +131,7 @@ def _write_animated(images: list[Image.Image], path: Path, rate: float) -> None:
         if os.path.getsize(path) <= LIMIT:
             return
     raise BadInput(
-        f"--out: {len(images) / rate:.1f} s do not fit into {LIMIT / 1e6:g} MB as"
+        f"--out: {len(images) / rate:.1f} s of film do not fit into {LIMIT / 1e6:g} MB as"
         f" {path.suffix}; give fewer --seconds, or .mp4."
     )
 
@@ -133,7 +142,8 @@ def _save_webp(images: list[Image.Image], path: Path, rate: float, quality: int)
 
 
 def _save_gif(images: list[Image.Image], path: Path, rate: float, colours: int) -> None:
-    """All frames with the palette of the middle one, without dither: what stays is not sent."""
+    """Write all frames with the palette of the middle one, without dither: unchanged pixels are not
+    stored."""
     none = Image.Dither.NONE
     palette = images[len(images) // 2].quantize(colours, dither=none)
     few = [image.quantize(palette=palette, dither=none) for image in images]

@@ -1,4 +1,4 @@
-"""A film's frames, rendered by MuJoCo without a screen; shared among processes."""
+"""A film's frames, rendered by MuJoCo without a screen, in several processes."""
 
 import multiprocessing
 import os
@@ -23,21 +23,21 @@ from tailbeat.report.pool_scene import View, build_scene
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 Side = Literal["follow", "side"]
-WORKERS = 2  # processes at most; more would wait for the encoder
-GEOMS = 2000  # of a scene at most
-FOLLOW_DISTANCE, FOLLOW_ELEVATION, FOLLOW_BESIDE = 1.35, -40.0, 34.0  # m, deg, deg off its tail
-SIDE_DISTANCE, SIDE_ELEVATION = 0.75, -46.0  # of the pool's length; deg
+WORKERS = 2  # most processes; more would wait for the encoder
+GEOMS = 2000  # most geoms of a scene
+FOLLOW_DISTANCE, FOLLOW_ELEVATION, FOLLOW_BESIDE = 1.35, -40.0, 34.0  # m, deg, deg from its tail
+SIDE_DISTANCE, SIDE_ELEVATION = 0.75, -46.0  # fraction of the pool's length; deg
 LIGHTS_OFF = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION,
               mujoco.mjtRndFlag.mjRND_HAZE, mujoco.mjtRndFlag.mjRND_FOG)  # fmt: skip
 
 
 class NoPicture(BadInput):
-    """No GL library renders here."""
+    """No GL library can render on this machine."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """What is filmed, and from where."""
+    """What to film, and from where."""
 
     fish: Fish
     motion: Motion
@@ -61,7 +61,7 @@ def camera_of(shot: Shot, frame: int, follow: tuple[Array, Array]) -> mujoco.Mjv
 
 
 def rendered(shot: Shot, chosen: range) -> Iterator[Picture]:
-    """The chosen frames (height, width, 3). Raises NoPicture where no GL library works."""
+    """Render the chosen frames (height, width, 3). Raises NoPicture if no GL library works."""
     model = build_scene(shot.fish, shot.view)
     data, scene = mujoco.MjData(model), mujoco.MjvScene(model, GEOMS)
     for flag in LIGHTS_OFF:
@@ -86,7 +86,7 @@ def rendered(shot: Shot, chosen: range) -> Iterator[Picture]:
 
 
 def _place(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion, frame: int) -> None:
-    """Fish and target where they are; a target that is not there lies far below the floor."""
+    """Place fish and target; without a target, its body is far below the floor."""
     data.qpos[:] = motion.qpos[frame]
     target = motion.target[frame]
     seen = not np.isnan(target).any()
@@ -96,7 +96,8 @@ def _place(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion, frame: in
 
 
 def _turn_light(model: mujoco.MjModel, context: mujoco.MjrContext, time: float, shown: int) -> int:
-    """Show floor and surface at a time [s], unless this turn of their loop is shown; the turn."""
+    """Show floor and surface at `time` [s], unless this step of their loop is shown; returns the
+    step."""
     turn = int(time * pictures.TURNS / pictures.LOOP) % pictures.TURNS
     if turn == shown:
         return turn
@@ -109,7 +110,7 @@ def _turn_light(model: mujoco.MjModel, context: mujoco.MjrContext, time: float, 
 
 
 def _read(context: mujoco.MjrContext, scene: mujoco.MjvScene, view: View) -> Picture:
-    """Render, and scale down."""
+    """Render and scale down."""
     width, height = view.rendered
     whole = mujoco.MjrRect(0, 0, width, height)
     mujoco.mjr_render(whole, scene, context)
@@ -121,7 +122,7 @@ def _read(context: mujoco.MjrContext, scene: mujoco.MjvScene, view: View) -> Pic
 
 @contextmanager
 def _context(model: mujoco.MjModel, view: View) -> Iterator[mujoco.MjrContext]:
-    """A place to render to. Raises NoPicture."""
+    """A context to render in. Raises NoPicture."""
     made = getattr(mujoco.gl_context, "GLContext", None)
     try:
         if made is None:
@@ -150,8 +151,7 @@ def _first_line(error: Exception) -> str:
 
 
 def frames(shot: Shot) -> Iterator[Picture]:
-    """Every frame in turn, rendered by as many processes as there are cores, two at most.
-    Raises NoPicture."""
+    """Every frame in order, rendered by one process per core, at most two. Raises NoPicture."""
     count = min(WORKERS, os.cpu_count() or 1, shot.motion.frames)
     beside = multiprocessing.get_context("spawn")
     ends, workers = [], []
@@ -176,15 +176,15 @@ def _receive(end: Any) -> bytes:
     try:
         sent = end.recv()
     except EOFError:
-        raise NoPicture("the process that renders ended; its last words stand above.") from None
+        raise NoPicture("the process that renders ended; see its message above.") from None
     if isinstance(sent, Exception):
         raise sent
     return bytes(sent)
 
 
 def _work(shot: Shot, chosen: range, end: Any) -> None:
-    """A process: render the chosen frames and send each. Mesa's software renderer gets one thread:
-    there is a process for each core."""
+    """The process: renders the chosen frames and sends each. Mesa's software renderer gets one
+    thread, because there is a process for each core."""
     os.environ.setdefault("LP_NUM_THREADS", "1")
     try:
         for image in rendered(shot, chosen):

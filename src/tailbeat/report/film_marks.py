@@ -1,6 +1,7 @@
-"""What a film draws beside the bodies: the fish's shadow, its fading wake, targets it reached.
+"""What a film draws besides the bodies: the fish's shadow, its fading wake, targets that it
+reached.
 
-These are geoms of the scene that is rendered, not of the model: each frame adds its own.
+These are geoms of the rendered scene, not of the model: each frame adds its own.
 """
 
 import mujoco
@@ -13,17 +14,19 @@ from tailbeat.operator.tour import ARRIVAL
 from tailbeat.report.pool_scene import DEPTH, SUN
 
 Array = NDArray[np.float64]
-WAKE_SECONDS, WAKE_RATE = 4.5, 45.0  # how long a wake is seen [s]; its pieces per second
+WAKE_SECONDS, WAKE_RATE = 4.5, 45.0  # duration of a visible wake [s]; its pieces per second
 NARROW, WIDE = 0.004, 0.014  # m: half the width of a new wake and of an old one
 FOAM, WAKE_OPACITY = (0.93, 0.98, 1.0), 0.42
 SHADE, SHADE_OPACITY = (0.0, 0.10, 0.14), 0.14
 REACHED = (0.20, 0.70, 0.38, 0.75)
 JUST_BELOW = -0.004  # m: just under the water's surface
-LARGEST_SPECK = 1e-3  # m: ellipsoids smaller than this silence the fluid law and show nothing
+LARGEST_SPECK = (
+    1e-3  # m: smaller ellipsoids only switch the engine's fluid law off and are not drawn
+)
 
 
 def tail_tips(model: mujoco.MjModel, motion: Motion) -> Array:
-    """Where the rearmost part's end is at every frame (k, 2) [m]."""
+    """Position of the rear end of the rearmost part at every frame (k, 2) [m]."""
     data, geom = mujoco.MjData(model), _rearmost(model)
     half = model.geom_size[geom, 0]
     tips = np.empty((motion.frames, 2))
@@ -36,7 +39,7 @@ def tail_tips(model: mujoco.MjModel, motion: Motion) -> Array:
 
 
 def _rearmost(model: mujoco.MjModel) -> int:
-    """The wetted ellipsoid that lies furthest back when the fish is straight."""
+    """The wetted ellipsoid that is rearmost when the fish is straight."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     return min(wetted(model), key=lambda geom: data.geom_xpos[geom, 0] - model.geom_size[geom, 0])
@@ -49,7 +52,7 @@ def wetted(model: mujoco.MjModel) -> list[int]:
 
 
 def add_shadow(scene: mujoco.MjvScene, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Each part's shadow on the floor, where the sun throws it."""
+    """Draw each part's shadow on the floor."""
     for geom in wetted(model):
         place = data.geom_xpos[geom].copy()
         fall = DEPTH + place[2]
@@ -71,7 +74,7 @@ def wake_of(tips: Array, rate: float) -> Array:
 
 
 def add_wake(scene: mujoco.MjvScene, wake: Array, time: float) -> None:
-    """The tail tip's path up to a time [s], wider and fainter with its age."""
+    """Draw the tail tip's path up to `time` [s], wider and fainter with its age."""
     last, whole = int(time * WAKE_RATE + 1e-6), round(WAKE_SECONDS * WAKE_RATE)
     places = wake[max(last - whole, 0) : last + 1]
     for index in range(len(places) - 1):
@@ -88,7 +91,7 @@ def add_wake(scene: mujoco.MjvScene, wake: Array, time: float) -> None:
 
 
 def add_reached(scene: mujoco.MjvScene, motion: Motion, frame: int) -> None:
-    """A green disc, as wide as the arrival's circle, at each target reached so far."""
+    """Draw a green disc of the arrival's size at each target reached so far."""
     for when, x, y in motion.arrivals():
         if when <= frame:
             size = np.array([ARRIVAL, 0.002, 0.0])
@@ -104,7 +107,7 @@ def _add(
     yaw: float,
     rgba: tuple[float, ...],
 ) -> None:
-    """One geom, level, turned by `yaw`; left out where the scene is full."""
+    """Add one horizontal geom, turned by `yaw`, unless the scene is full."""
     if scene.ngeom >= scene.maxgeom:
         return
     c, s = np.cos(yaw), np.sin(yaw)

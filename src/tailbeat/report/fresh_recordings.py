@@ -1,4 +1,4 @@
-"""Figures of a bench day: tail, servo and swims measured anew beside the twin, as in the paper."""
+"""Figures of new recordings of tail, servo and swims, compared with the twin, as in the paper."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from tailbeat.report import bench_figures, figures
 
 
 def draw(out: Path, twin: Fish) -> list[Path]:
-    """Tail response, servo overlay and fluid fit, as in the paper; PNG and SVG each."""
+    """Draw tail response, servo overlay and fluid fit, as in the paper; PNG and SVG each."""
     day = read(out)
     sweeps = [one for one in day.tail if "sweep" in one.name]
     static = next((one for one in day.tail if "static" in one.name), None)

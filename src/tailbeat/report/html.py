@@ -1,4 +1,4 @@
-"""A page of sections that needs no other file: tables, figures and films inside it."""
+"""A page of sections in one file: tables, figures and films are inside it."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from tailbeat.report.tables import as_cell
 
 @dataclass(frozen=True)
 class Block:
-    """A piece of a section: `rows` of a table, the `text` of a heading or warning, or the base64
+    """A block of a section: `rows` of a table, the `text` of a heading or warning, or the base64
     `data` of a picture (SVG) or film (MP4)."""
 
     kind: Literal["table", "heading", "warning", "picture", "film"]
@@ -34,7 +34,8 @@ class Section:
 
 
 def write(out: Path, sections: Sequence[Section], data: Any, title: str) -> Path:
-    """`report.html` of the sections and `report.json` of the data in a folder; the page's path."""
+    """Write `report.html` with the sections and `report.json` with the data into a folder; returns
+    the page's path."""
     loader = FileSystemLoader(Path(__file__).parent)
     pages = Environment(loader=loader, autoescape=True, trim_blocks=True)
     pages.filters["cell"] = lambda value: as_cell(value, 3)
@@ -47,25 +48,25 @@ def write(out: Path, sections: Sequence[Section], data: Any, title: str) -> Path
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> Block:
-    """Rows as a table, its columns those of the first row; nothing of no rows."""
+    """Rows as a table with the columns of the first row; empty for no rows."""
     return Block("table", rows=tuple(rows))
 
 
 def values(of: Mapping[str, Any]) -> Block:
-    """A table of names and values, a row each."""
+    """A table of names and values, one row each."""
     return table([{"": name, "value": value} for name, value in of.items()])
 
 
 def figure(drawn: Figure, out: Path, name: str) -> Block:
-    """A figure, saved in `figures/`."""
+    """Save a figure in `figures/`, as a block."""
     return picture(swim_figures.save(drawn, out / "figures" / name)[0])
 
 
 def picture(path: Path) -> Block:
-    """A drawn SVG."""
+    """A block with an SVG."""
     return Block("picture", text=path.stem, data=base64.b64encode(path.read_bytes()).decode())
 
 
 def film(path: Path) -> Block:
-    """A film, MP4."""
+    """A block with an MP4 film."""
     return Block("film", data=base64.b64encode(path.read_bytes()).decode())

@@ -12,7 +12,8 @@ from tailbeat.report import figures
 
 @dataclass(frozen=True)
 class OpenLoopReport(OpenLoop):
-    """The same of a `fish` beaten at a frequency [Hz]; how it was `rendered`, and the files."""
+    """An open-loop swim of a `fish` at a beat frequency [Hz], how it was `rendered`, and its
+    files."""
 
     fish: str
     beat_frequency: float
@@ -22,7 +23,7 @@ class OpenLoopReport(OpenLoop):
 
 
 def open_loop(fish: Fish, out: Path) -> OpenLoopReport:
-    """Beat a fish open-loop and write picture, film, figure and summary under `out`."""
+    """Swim a fish open-loop and write picture, film, figure and summary under `out`."""
     frequency = 1.5 if fish.motor.kind == "pulley" else 1.0
     done, twin = beat(fish, frequency)
     figures.open_loop(done, twin.motor, out / "open-loop.png", True)

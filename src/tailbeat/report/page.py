@@ -1,6 +1,6 @@
-"""One page of what a folder holds: numbers beside the paper's, every figure, where it came from.
+"""One page of a folder's results: numbers compared with the paper's, every figure, provenance.
 
-Computes nothing but what `evaluation.read` and `comparison.read` give.
+Computes nothing except what `evaluation.read` and `comparison.read` return.
 """
 
 from collections.abc import Iterable
@@ -26,8 +26,8 @@ Result = Evaluation | Comparison
 
 
 def report(out: Path, fish: Fish, twin: Fish, data: Result | None = None) -> tuple[Path, Result]:
-    """The page of an evaluation or a comparison, from its numbers where they are at hand, else read
-    from the folder. Raises BadInput for a folder without either."""
+    """Write the page of an evaluation or a comparison, from `data` or read from the folder. Raises
+    BadInput for a folder without either."""
     if data is None:
         data = _read(out)
     if isinstance(data, Evaluation):
@@ -42,15 +42,16 @@ def _read(out: Path) -> Result:
         return evaluation.read(out)
     if comparison.has_cells(out):
         return comparison.read(out)
-    raise BadInput(f"{out}: holds neither an evaluation nor a comparison; make one first.")
+    raise BadInput(f"{out}: contains neither an evaluation nor a comparison; make one first.")
 
 
 def of_folder(
     out: Path, fish: str, twin: str | None = None, data: Result | None = None
 ) -> tuple[Path, Result]:
-    """The page of a folder, with fish by name; `data` are its numbers, if they are at hand."""
+    """Write the page of a folder, with fish by name; `data` are its numbers, if known. Raises
+    BadInput."""
     if not out.is_dir() or not any(out.iterdir()):
-        raise BadInput(f"{out}: an empty or missing folder; evaluate into it first.")
+        raise BadInput(f"{out}: folder is empty or missing; run `tailbeat evaluate` into it first.")
     described = load_fish(fish)
     trained = store.read_description(out).twin if store.has_runs(out) else fish
     return report(out, described, load_fish(twin or trained), data)
@@ -61,7 +62,7 @@ def of_folder(
 
 def evaluated(out: Path, data: Evaluation, fish: Fish, twin: Fish) -> list[Section]:
     """Sections of an evaluation, figures drawn into `figures/`."""
-    sections = [Section("Beside the paper", (*_warnings(data), table(beside_paper(data))))]
+    sections = [Section("Compared with the paper", (*_warnings(data), table(beside_paper(data))))]
     sections += _reach(out, data, fish)
     sections += _costs(out, data.disturb, "Disturbed", "disturb")
     sections += _costs(out, data.out_of_distribution, "Out of distribution", "out-of-distribution")
@@ -77,12 +78,12 @@ def evaluated(out: Path, data: Evaluation, fish: Fish, twin: Fish) -> list[Secti
         sections.append(Section(f"Velocity power, band {low:g} to {high:g} Hz", blocks))
     if data.twin is not None:
         sections.append(_fresh(out, data.twin, twin))
-    return [*sections, Section("Where this comes from", (_provenance(data),))]
+    return [*sections, Section("Provenance", (_provenance(data),))]
 
 
 def _warnings(data: Evaluation) -> list[Block]:
     cut = ", ".join(data.cut_short)
-    return [Block("warning", f"Cut short, read up to their ends: {cut}.")] if cut else []
+    return [Block("warning", f"Incomplete, read as far as they go: {cut}.")] if cut else []
 
 
 def _costs(out: Path, rows: tuple[ConditionResult, ...], heading: str, name: str) -> list[Section]:
@@ -104,7 +105,7 @@ def _fresh(out: Path, found: FreshResult, twin: Fish) -> Section:
         for end in (".svg", ".png"):
             figures.speed_map(found.speeds, out / "figures" / f"speeds{end}", overwrite=True)
         blocks.append(picture(out / "figures" / "speeds.svg"))
-    return Section("The twin beside fresh recordings", tuple(blocks))
+    return Section("The twin on new recordings", tuple(blocks))
 
 
 def _reach(out: Path, data: Evaluation, fish: Fish) -> list[Section]:
@@ -151,12 +152,12 @@ def compared(out: Path, data: Comparison) -> list[Section]:
     return [
         Section("Gap between twin and pool", (drawn, table(_plain(data.kinds)))),
         Section("Every policy in every water", (table(_plain(data.rows)),)),
-        Section("Where this comes from", (values(vars(data.provenance)),)),
+        Section("Provenance", (values(vars(data.provenance)),)),
     ]
 
 
 def _plain(records: Iterable[Any]) -> list[dict[str, Any]]:
-    """Records as rows, a difference with its interval as one cell."""
+    """Records as rows; a difference with its interval is one cell."""
     return [
         {name: _gap(one) if isinstance(one, Difference) else one for name, one in row.items()}
         for row in as_rows(records)

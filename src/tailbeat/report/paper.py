@@ -1,4 +1,4 @@
-"""The paper's numbers of its own fish in its own pool, beside those of an evaluation."""
+"""The paper's numbers of its own fish in its own pool, compared with an evaluation's."""
 
 from collections.abc import Callable
 
@@ -20,7 +20,7 @@ def within_20cm(rates: SuccessRates | None) -> str:
 
 
 def beside_paper(data: Evaluation) -> list[dict[str, str]]:
-    """The paper's figures of its own fish in its own pool (targets placed by hand) and ours."""
+    """The paper's numbers of its own fish in its own pool (targets placed by hand), and ours."""
     return [{"": name, "paper": text, "here": ours(data) or "-"} for name, text, ours in PAPER]
 
 

@@ -1,6 +1,6 @@
-"""Pictures that cover the film's pool: tiles in moving light, glints on the water, a tag.
+"""Textures of the film's pool: tiles in moving light, glints on the water, a tag.
 
-Tiles and glints repeat without a seam. All sizes and colours are chosen for the looks alone.
+Tiles and glints repeat without a seam. All sizes and colours are chosen only for their looks.
 """
 
 from functools import cache
@@ -12,17 +12,21 @@ from scipy.ndimage import gaussian_filter, zoom
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
-SIDE = 1.2  # m of pool that a picture covers
-TILES = 8  # in a row of it, each 15 cm
-PIXELS = 384  # of its side
-COARSE = 192  # px of the light, and half the rays, on a side
-JOINT = 2  # px on either side of a tile
+SIDE = 1.2  # m, side of the area that a texture covers
+TILES = 8  # tiles along a side, each 15 cm
+PIXELS = 384  # pixels along a side
+COARSE = 192  # pixels of the light along a side, with two rays per pixel
+JOINT = 2  # px of joint on each side of a tile
 TILE, GROUT = (70, 150, 172), (128, 190, 202)
 # Waves of the surface: whole numbers over the picture's side in x and y, and over the loop.
 WAVES = ((3, 1, 1), (-2, 4, -1), (4, -3, 1), (1, -5, -1), (-5, -2, 2), (3, 6, -1), (6, -4, 1))
-TILT = 0.0055  # share of SIDE by which a wave of number 1 bends a ray
-TURNS, LOOP = 36, 3.6  # pictures of a loop, and how long it lasts [s]
-SHADE, SHINE, BRIGHTEST = 0.80, 0.22, 3.5  # floor without caustics; what they add; their limit
+TILT = 0.0055  # fraction of SIDE by which a wave of number 1 moves a ray
+TURNS, LOOP = 36, 3.6  # pictures of a loop, and its duration [s]
+SHADE, SHINE, BRIGHTEST = (
+    0.80,
+    0.22,
+    3.5,
+)  # brightness of the floor without caustics; gain of caustics; their limit
 WATER, GLINT = (70, 160, 185), (255, 255, 255)
 
 
@@ -42,7 +46,7 @@ def caustic(turn: int) -> Array:
 
 
 def _splat(column: Array, row: Array) -> Array:
-    """Share each ray among the four pixels about it: how many reach each (COARSE, COARSE)."""
+    """Distribute each ray over the four pixels around it: the number at each (COARSE, COARSE)."""
     left, top = column.astype(int), row.astype(int)
     right, below = column - left, row - top
     hits = np.zeros(COARSE * COARSE)
@@ -55,7 +59,7 @@ def _splat(column: Array, row: Array) -> Array:
 
 @cache
 def tiles() -> Array:
-    """The floor's own colours (PIXELS, PIXELS, 3), 0 to 255; no two tiles quite alike."""
+    """The floor's colours (PIXELS, PIXELS, 3), 0 to 255; every tile is slightly different."""
     place = np.arange(PIXELS) % (PIXELS // TILES)
     edge = (place < JOINT) | (place >= PIXELS // TILES - JOINT)
     joint = edge[:, None] | edge
@@ -66,7 +70,7 @@ def tiles() -> Array:
 
 @cache
 def lit_tiles(turn: int) -> Picture:
-    """The floor (PIXELS, PIXELS, 3) at a turn of the loop."""
+    """The floor (PIXELS, PIXELS, 3) at a step of the loop."""
     level = SHADE + SHINE * np.minimum(caustic(turn), BRIGHTEST)
     return np.clip(tiles() * level[..., None], 0, 255).astype(np.uint8)
 
@@ -80,8 +84,8 @@ def surface(turn: int) -> Picture:
 
 
 def tag(ident: int, module: int = 16) -> Picture:
-    """A tag as it lies under the camera (n, n, 3), row 0 at the top; a plain plate where the
-    library that draws tags is not installed."""
+    """A tag as the camera sees it (n, n, 3), row 0 at the top; a plain plate if the library that
+    draws tags is not installed."""
     if find_spec("pyapriltags") is None or find_spec("cv2") is None:
         return np.full((10 * module, 10 * module, 3), 235, np.uint8)
     from tailbeat.vision.tags import tag_picture

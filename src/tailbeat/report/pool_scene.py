@@ -1,4 +1,5 @@
-"""The film's scene: a fish in its tiled pool, as an engine model for looks; it is never stepped."""
+"""The film's scene: a fish in its tiled pool, as an engine model that is only drawn, never
+stepped."""
 
 from dataclasses import dataclass
 
@@ -15,7 +16,7 @@ from tailbeat.report import pool_pictures as pictures
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
-FINER = 1.5  # of what is rendered against what is shown: smooth edges
+FINER = 1.5  # rendered size over shown size, for smooth edges
 DEPTH = 0.6  # m of water, chosen; so are all lengths and colours here
 RIM, DECK, LIP = 0.05, 0.30, 0.015  # m: height above the water and width of the coping; how far
 # it reaches over the walls, so that no two faces lie in one plane
@@ -23,8 +24,8 @@ SUNK = 0.03  # m from the surface to the highest point of fish and tag
 PLATE = 0.1  # m: side of the tag's sheet, white border included
 SKY_HIGH, SKY_LOW = [0.50, 0.62, 0.70], [0.72, 0.79, 0.82]
 COPING, GROUND = [0.72, 0.72, 0.69, 1.0], [0.55, 0.58, 0.57, 1.0]
-SUN = [0.12, 0.16, -1.0]  # where its light goes
-WATERY, SWELL = 0.16, 1.37  # opacity of the surface; its glints' size against the floor's light
+SUN = [0.12, 0.16, -1.0]  # direction of its light
+WATERY, SWELL = 0.16, 1.37  # opacity of the surface; size of its glints over the floor's light
 COLOURS = Colours([0.09, 0.17, 0.27, 1.0], [1.0, 0.52, 0.16, 1.0], [1.0, 0.66, 0.26, 1.0])
 BUOY = [1.0, 0.46, 0.10, 1.0]
 PLANE, BOX = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX
@@ -40,7 +41,7 @@ class View:
 
     @property
     def rendered(self) -> tuple[int, int]:
-        """Width and height of what is rendered [px], before it is scaled down."""
+        """Width and height of the rendered picture [px], before it is scaled down."""
         return round(FINER * self.width), round(FINER * self.height)
 
 
@@ -59,7 +60,7 @@ def build_scene(fish: Fish, view: View) -> mujoco.MjModel:
 
 
 def sunk(fish: Fish) -> float:
-    """How deep the fish's frame lies [m]: its highest part just under water."""
+    """Depth of the fish's frame [m], so that its highest part is just under water."""
     parts = [part for body in (fish.head, *fish.tail.links) for part in body.parts]
     tops = [part.position[2] + part.size[2] / 2 for part in parts]
     return max(*tops, fish.tracked[2]) + SUNK
@@ -91,7 +92,7 @@ def _add_textures(spec: mujoco.MjSpec, fish: Fish) -> None:
 def _add_material(
     spec: mujoco.MjSpec, name: str, picture: Picture, side: float | None, opacity: float = 1.0
 ) -> None:
-    """A picture that repeats every `side` [m], or covers its geom once."""
+    """A texture that repeats every `side` [m], or covers its geom once."""
     texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
     texture.height, texture.width, texture.nchannel = picture.shape
     texture.data = np.ascontiguousarray(picture).tobytes()
@@ -104,7 +105,7 @@ def _add_material(
 
 
 def _add_pool(spec: mujoco.MjSpec, pool: tuple[float, float]) -> None:
-    """Floor, four walls, a coping about them, the ground, and the water's surface."""
+    """Add floor, four walls, a coping around them, the ground, and the water's surface."""
     length, width = pool
     _add_plane(spec, [0, 0, -DEPTH], [length / 2, width / 2], [0, 0, 1], "tiles")
     middle = (RIM - DEPTH) / 2
@@ -156,7 +157,7 @@ def _add_tag(spec: mujoco.MjSpec, fish: Fish) -> None:
 
 
 def _add_target(spec: mujoco.MjSpec) -> None:
-    """A ring afloat, as wide as the arrival's circle, with a buoy in its middle."""
+    """Add a floating ring of the arrival's size with a buoy in its middle."""
     body = spec.worldbody.add_body(name="target", mocap=True)
     vertices, faces = _ring(ARRIVAL + 0.02, 0.012)
     mesh = spec.add_mesh(name="ring")

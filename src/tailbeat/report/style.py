@@ -20,14 +20,14 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
 )  # fmt: skip
 # What is compared.
 MEASURED, TWIN, POOL, IDEALISED = BLACK, BLUE, PURPLE, SKY
-# What was asked for: a motor's angle, a place in the pool. Then what became of it.
+# What was commanded: a motor's angle, a target. Then the result.
 COMMAND, TARGET = "#808080", ORANGE
 REACHED, NEARLY, MISSED = GREEN, ORANGE, RED
 LIMIT = "#606060"  # lines of reference: zero, an edge of the band, a threshold, an interval
 WAY = "#B3B3B3"  # the whole path of a fish that is drawn upon it
 WHITE = "#FFFFFF"
-SERIES = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)  # of things without a colour of their own
-RATES = "cividis"  # of a map of success rates: as light rises, so does the rate
+SERIES = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)  # of lines without their own colour
+RATES = "cividis"  # of a map of success rates: lighter is higher
 SETTINGS: dict[Any, Any] = {
     "font.size": 9.5,
     "axes.titlesize": "medium",
@@ -59,14 +59,14 @@ def styled(draw: Callable[Given, Drawn]) -> Callable[Given, Drawn]:
 
 
 def colour_of(name: str) -> str:
-    """Of runs by the name of their condition: swims in the twin, in the pool, or recordings made
+    """Colour of runs by the name of their condition: swims in the twin, in the pool, or recordings
     for an identification."""
     return TWIN if name.endswith("twin") else MEASURED if name == "identification" else POOL
 
 
 def label_ends(axes: Axes) -> None:
-    """Write each labelled line's name beside its right end, in its colour, instead of a legend.
-    Names that would lie over each other are moved apart."""
+    """Write each line's label at its right end, in its colour, instead of a legend. Overlapping
+    labels are moved apart."""
     lines = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
     ends = [_height(axes, line) for line in lines]
     low = -np.inf
@@ -77,7 +77,7 @@ def label_ends(axes: Axes) -> None:
 
 
 def _height(axes: Axes, line: Line2D) -> float:
-    """Where a line ends, from 0 at the axis' bottom to 1 at its top."""
+    """Height at which a line ends, from 0 at the axis' bottom to 1 at its top."""
     seen = np.column_stack([np.asarray(one, float) for one in line.get_data()])
     seen = seen[np.isfinite(seen).all(axis=1)]
     if not len(seen):

@@ -43,7 +43,7 @@ from tailbeat.report.style import (
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write `stem`.svg and `stem`.png, over what is there."""
+    """Write `stem`.svg and `stem`.png; existing files are replaced."""
     paths = [stem.with_suffix(end) for end in (".svg", ".png")]
     for path in paths:
         with new_file(path, overwrite=True) as beside:
@@ -173,7 +173,7 @@ def _draw_path(axes: Axes, runs: Runs, fish: Fish, number: int) -> None:
 
 @styled
 def following(by_path: Mapping[str, Runs], rows: Sequence[TrackResult]) -> Figure:
-    """Targets that go round, and the fish behind them."""
+    """Moving targets, and the fish that follow them."""
     columns = 4
     figure = _figure(3.2 * columns, 2.6 * -(-len(rows) // columns))
     axes = np.ravel(figure.subplots(-(-len(rows) // columns), columns))
@@ -205,14 +205,15 @@ def power(rows: Sequence[SpectrumRow], bins: Any, band: Sequence[float]) -> Figu
     for edge in band:
         axes.axvline(edge, color=LIMIT, lw=0.8)
     axes.set(xlabel="frequency [Hz]", ylabel="velocity power below [%]", ylim=(0, 102))
-    axes.set(title=f"part below {band[1]:g} Hz; lines at the band's edges")
+    axes.set(title=f"fraction below {band[1]:g} Hz; lines at the band's edges")
     axes.legend(fontsize="x-small")
     return figure
 
 
 @styled
 def gaits(runs: Runs, seconds: float = 6.0) -> Figure:
-    """The first seconds of some swims: setpoint, motor, and which way the fish goes."""
+    """The first seconds of some swims: setpoint, motor angle, and whether the fish swims
+    backward."""
     figure, steps = _figure(9, 5.4), round(seconds / PERIOD)
     speed, time = surge(runs), PERIOD * np.arange(round(seconds / PERIOD))
     for axes, number in zip(np.ravel(figure.subplots(2, 3)), range(runs.count), strict=False):
@@ -275,6 +276,6 @@ def transfer(rows: Sequence[Kind]) -> Figure:
         )
     axes.axhline(0, color=LIMIT, lw=0.8)
     axes.set_xticks(range(len(conditions)), conditions)
-    axes.set(ylabel="twin less pool, success rate\nwithin 20 cm [percentage points]")
+    axes.set(ylabel="twin minus pool, success rate\nwithin 20 cm [percentage points]")
     axes.legend(fontsize="small")
     return figure

@@ -1,11 +1,11 @@
-"""Tables: how a value reads in a cell, records as rows, and rows as Markdown."""
+"""Tables: values as cells, records as rows, rows as Markdown."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 
 def as_cell(value: Any, digits: int = 4) -> str:
-    """How a value reads in a cell; None is a dash."""
+    """A value as a cell; None is a dash."""
     if value is None:
         return "-"
     if isinstance(value, bool):
@@ -20,7 +20,7 @@ def as_cell(value: Any, digits: int = 4) -> str:
 
 
 def as_rows(records: Iterable[Any], *left_out: str) -> list[dict[str, Any]]:
-    """Dataclass records as rows by field name, some fields left out."""
+    """Dataclass records as rows by field name, without the fields `left_out`."""
     return [{k: v for k, v in vars(one).items() if k not in left_out} for one in records]
 
 

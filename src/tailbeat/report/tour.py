@@ -27,14 +27,14 @@ from tailbeat.report.film_frames import Shot
 from tailbeat.report.html import Block, Section
 from tailbeat.report.style import LIMIT, MISSED, POOL, REACHED, TARGET, WAY, styled
 
-FILM_SECONDS = 16.0  # of a tour's film, which begins where the tour does
+FILM_SECONDS = 16.0  # duration of a tour's film, from the tour's start
 
 
 @dataclass(frozen=True)
 class TourReport:
-    """A tour's summary: how it was asked for, the fish and its pool's water, what became of each
+    """Summary of a tour: its configuration, the fish and the pool's water, the result of each
     target, how many the fish came within 5 and 20 cm of, the time of the whole tour and the median
-    time [s] of the targets reached, and where the policy and the numbers come from."""
+    time [s] of the targets reached, and the provenance of policy and numbers."""
 
     policy: str
     seed: int
@@ -54,8 +54,8 @@ class TourReport:
 def write(
     swum: Swum, out: Path, counting: Counting, film_seconds: float = FILM_SECONDS
 ) -> TourReport:
-    """Film, picture, page and summary of a swim; the summary first: a film takes its time. Where
-    none can be rendered the page says why and stands without it."""
+    """Write summary, film, picture and page of a swim; the summary first, because a film takes
+    long. If no film can be rendered, the page says why."""
     own, data = swum.pool.fish, summary(swum)
     write_json(out / "summary.json", data, overwrite=True)
     with counting() as progress:
@@ -63,14 +63,14 @@ def write(
     drawn = html.figure(picture(swum.tour, own), out, "swim")
     blocks = (shown, drawn, html.table(rows(data.targets)))
     origin = html.values({**vars(data.provenance), **data.training})
-    sections = [Section("The swim", blocks), Section("Where this comes from", (origin,))]
+    sections = [Section("The swim", blocks), Section("Provenance", (origin,))]
     html.write(out, sections, data, f"{own.name} in the virtual pool")
     return data
 
 
 def _film(swum: Swum, path: Path, seconds: float, progress: Progress) -> Block:
-    """The tour's first seconds in three dimensions, or why there are none."""
-    path.unlink(missing_ok=True)  # of an earlier tour
+    """The film of the tour's first seconds, or a warning why there is none."""
+    path.unlink(missing_ok=True)  # the film of an earlier tour
     rate, span, fish = film.rate_of(path), Span(seconds), swum.pool.fish
     try:
         if swum.log is None:
@@ -84,7 +84,7 @@ def _film(swum: Swum, path: Path, seconds: float, progress: Progress) -> Block:
 
 
 def summary(swum: Swum) -> TourReport:
-    """What a swim came to."""
+    """Summarise a swim."""
     tour, hits = swum.tour, swum.tour.reached
     return TourReport(
         policy=swum.asked.policy,
@@ -104,7 +104,7 @@ def summary(swum: Swum) -> TourReport:
 
 
 def rows(targets: Iterable[TargetResult]) -> list[dict[str, Any]]:
-    """Rows of a table, a target each."""
+    """Rows of a table, one per target."""
     return [
         {
             "target": one.target,
@@ -120,7 +120,8 @@ def rows(targets: Iterable[TargetResult]) -> list[dict[str, Any]]:
 
 @styled
 def picture(tour: Tour, fish: Fish) -> Figure:
-    """The pool from above: the whole path, the targets in their order, the fish now and then."""
+    """Draw the pool from above: the whole path, the targets in order, the fish every two
+    seconds."""
     figure = Figure(figsize=(9, 4.8), layout="constrained")
     axes = figure.subplots()
     _draw(axes, tour, fish, len(tour.goal) - 1, len(tour.goal))

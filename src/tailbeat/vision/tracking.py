@@ -27,15 +27,17 @@ PREVIEW = 0.1  # s between two pictures for the operator page
 PREVIEW_SIZE = (640, 360)  # px of each of its two halves, the fish close up and the whole pool
 CLOSE = 3  # times larger than in the whole picture
 QUALITY = 70  # of their JPEG
-SILENT = 5.0  # s without a word from a process that has spoken: it hangs; cameras give up earlier
-STARTING = 60.0  # the same for its first word
+SILENT = (
+    5.0  # s without a message from a process that has sent one: it hangs; cameras give up earlier
+)
+STARTING = 60.0  # s for its first message
 RUN = "import sys; from tailbeat.vision.tracking import work; work(int(sys.argv[1]))"
-PAUSES = (0.1, 0.5, 1.0, 2.0)  # s before it is started for the first, second, … time in a row
+PAUSES = (0.1, 0.5, 1.0, 2.0)  # s before the first, second, … restart in a row
 
 
 @dataclass(frozen=True)
 class Watching:
-    """What a process watches: as `open_camera` and `Tracker` take it."""
+    """Configuration of a tracker process, as for `open_camera` and `Tracker`."""
 
     camera: str
     calibration: Calibration
@@ -48,8 +50,8 @@ class Watching:
 
 @dataclass(eq=False)
 class TrackerProcess:
-    """See `start_tracker`. `fault` says why nothing is seen, "" while frames come; `restarts`
-    counts processes that were started after the first; `pid` is the present one's."""
+    """A tracker process; see `start_tracker`. `fault` says why nothing is seen, "" while frames
+    arrive; `restarts` counts restarted processes."""
 
     watching: Watching
     fault: str = ""
@@ -61,11 +63,11 @@ class TrackerProcess:
     shown: bytes = b""
 
     def newest(self) -> Sighting | None:
-        """The last sighting, None before the first. Look at its stamp: it may be old."""
+        """The newest sighting, None before the first. Check its time: it may be old."""
         return self.seen
 
     def after(self, stamp: int, patience: float) -> Sighting | None:
-        """The newest sighting past a stamp [ns], waited for up to `patience` [s], or None."""
+        """The newest sighting after a stamp [ns], waited for up to `patience` [s], or None."""
         with self.changed:
             self.changed.wait_for(
                 lambda: self.seen is not None and self.seen.frame.captured > stamp, patience
@@ -79,7 +81,7 @@ class TrackerProcess:
 
     @property
     def pid(self) -> int | None:
-        """Of the process that looks."""
+        """Process id of the present tracker."""
         return None if self.process is None else self.process.pid
 
     def close(self) -> None:
@@ -103,7 +105,7 @@ class TrackerProcess:
                 self.restarts += 1
 
     def _one_life(self) -> bool:
-        """Start a process and listen until it is gone; whether it saw anything."""
+        """Start a process and read its messages until it ends; returns whether it saw anything."""
         ours, theirs = multiprocessing.Pipe()
         end = theirs.fileno()
         self.process = start(["-c", RUN, str(end)], pass_fds=[end], stdin=subprocess.DEVNULL)
@@ -111,7 +113,7 @@ class TrackerProcess:
         try:
             ours.send(self.watching)
             return self._listen(ours)
-        except OSError:  # it was gone before it listened
+        except OSError:  # it ended before it read
             self._obituary()
             return False
         finally:
@@ -120,7 +122,7 @@ class TrackerProcess:
             self.process.wait()
 
     def _listen(self, ours: Connection) -> bool:
-        """Take what comes; says why it ended."""
+        """Handle its messages; report why they ended."""
         heard, due = False, time.monotonic() + STARTING
         while not self.over.is_set():
             try:
@@ -128,7 +130,7 @@ class TrackerProcess:
                     heard = self._take(ours.recv()) or heard
                     due = time.monotonic() + SILENT
                 elif time.monotonic() > due:
-                    self._say("the tracker's process hung; it is started anew")
+                    self._say("the tracker's process hung; it is started again")
                     return heard
             except (EOFError, OSError):
                 self._obituary()
@@ -136,7 +138,7 @@ class TrackerProcess:
         return heard
 
     def _take(self, word: Sighting | bytes | str) -> bool:
-        """A sighting, a preview, or why there are none; whether it was a sighting."""
+        """Handle a sighting, a preview, or a fault; returns whether it was a sighting."""
         if isinstance(word, str):
             self._say(word)
         elif isinstance(word, bytes):
@@ -154,11 +156,11 @@ class TrackerProcess:
         except subprocess.TimeoutExpired:
             code = None
         if code == 0:
-            return  # it said why
+            return  # it sent the reason
         how = f"code {code}"
         if code is not None and code < 0:
             how = f"signal {-code} ({signal.Signals(-code).name})"
-        self._say(f"the tracker's process died with {how}; it is started anew")
+        self._say(f"the tracker's process ended with {how}; it is started again")
 
     def _say(self, fault: str) -> None:
         with self.changed:
@@ -170,10 +172,12 @@ def start_tracker(
     camera: str, calibration: Calibration, ids: tuple[int, int] = (FISH, TARGET), **more: Any
 ) -> TrackerProcess:
     """Watch a camera (see `open_camera`) for the tags of fish and target; `more` as in `Watching`.
-    Returns at once: what is wrong with the camera stands in `fault`, and it is tried again. Raises
-    BadInput for ids that are the same."""
+
+    Returns at once. A problem with the camera is reported in `fault`, and the camera is opened
+    again. Raises BadInput for ids that are equal.
+    """
     if ids[0] == ids[1]:
-        raise BadInput(f"tag {ids[0]} for fish and target both; give two different ones.")
+        raise BadInput(f"fish and target both have tag {ids[0]}; give two different ones.")
     made = TrackerProcess(Watching(camera, calibration, ids, **more))
     made.begin()
     return made
@@ -183,7 +187,7 @@ def start_tracker(
 
 
 def work(end: int) -> None:
-    """The process: told what to watch through the pipe whose descriptor is `end`."""
+    """The process: gets its configuration through the pipe with descriptor `end`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
     cv2.setNumThreads(1)
     speak: Connection = Connection(end)
@@ -192,7 +196,7 @@ def work(end: int) -> None:
     except (BadInput, CameraFault) as fault:
         speak.send(str(fault))
     except (EOFError, ConnectionError):
-        pass  # the parent is gone
+        pass  # the parent has ended
 
 
 def _watch(made: Watching, speak: Connection) -> None:
