@@ -215,7 +215,7 @@ def test_the_state_its_reason_and_the_readings_are_shown(lab, page):
     until(lambda: "30 °C" in shown(page, "gauges") and "12.0 V" in shown(page, "gauges"))
     readings = shown(page, "gauges")
     for name in ("Pose age", "Poses lost, status lost", "Loop late", "Periods missed",
-                 "inside the band", "Servo current", "Clocks known"):  # fmt: skip
+                 "inside the band", "Servo current", "Clock error"):  # fmt: skip
         assert name in readings
     assert page.find_element(By.ID, "fish").get_attribute("d").count("Q") > 10
     assert shown(page, "dark") == "No camera picture."

@@ -73,8 +73,9 @@ class OrdinaryFish(MujocoEnv):
 
 @dataclass(frozen=True)
 class EnvironmentRow:
-    """Control steps per second of our environment and of the bare engine with `fish` fish, their
-    ratio, and the ratio's quartiles over the turns, which show the effect of a shared machine."""
+    """Control steps per second of our environment and of the bare engine with `fish` fish, and
+    their ratio. `pairs` are the ratio's quartiles over the turns, which show the effect of a shared
+    machine."""
 
     fish: int
     steps_per_s: float

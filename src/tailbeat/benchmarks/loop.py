@@ -20,8 +20,8 @@ MINUTE = 60.0
 
 @dataclass(frozen=True)
 class LatencyResult:
-    """The drive's result, how often it went to HOLD and was armed again, and how much later the
-    last tenth of its periods began than the first tenth [ms], median."""
+    """The drive's result, and how often it went to HOLD and was armed again. `drift_ms`: how much
+    later the last tenth of its periods began than the first tenth [ms], median."""
 
     drive: DriveResult
     armed_anew: int

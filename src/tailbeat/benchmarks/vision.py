@@ -187,8 +187,11 @@ def _costs(told: Told) -> Costs:
 
 
 def live_bench(seconds: float = 5.0) -> LiveRow:
-    """Measure camera and tracker as processes: frames per second, the delay from the middle of an
-    exposure to the pose in this process, and the time without poses after the tracker is killed."""
+    """Measure camera and tracker as processes.
+
+    Frames per second; the delay from the middle of an exposure to the pose in this process; the
+    time without poses after the tracker is killed.
+    """
     line, scripted, filming = fish_line(), ScriptedSwim(), Filming()
     calibration = calibrated(filming.optics)
     with tempfile.TemporaryDirectory(prefix="tailbeat-") as folder:

@@ -1,8 +1,8 @@
 """Real faults of the emulated devices: bytes, cables, datagrams, clocks.
 
 Each fault is a function of the rig; `FAULTS` names them. `serve_broken` serves a rig in its own
-process. It is told over a pipe which fault to make, and answers with what the servo did and when:
-torque and goal are read inside the servo, a thousand times a second.
+process. It is told over a pipe which fault to make, and answers with what the servo did and when.
+Torque and goal are read inside the servo, a thousand times a second.
 """
 
 import gc
@@ -230,4 +230,4 @@ def _serve(pipe: Connection, rig: Rig, folder: Path) -> None:
         return True
 
     while not ended[0]:
-        bench.serve(rig, order)  # anew after each order: the lines may be others
+        bench.serve(rig, order)  # again after each order: the lines may have changed

@@ -1,7 +1,7 @@
 """Fish, camera, station and pool as processes, in real time.
 
-They are the verbs that a lab runs: `emulate` replaces the devices, `station` finds the fish in the
-camera's pictures and serves the operator page, `drive` is the fish. They are started, told each
+They are the verbs that a lab runs. `emulate` replaces the devices. `station` finds the fish in the
+camera's pictures and serves the operator page. `drive` is the fish. They are started, told each
 other's addresses, and ended here.
 """
 

@@ -75,7 +75,7 @@ def settings_of(
 
 
 def scaled(figures: Figures, share: float) -> Figures:
-    """Multiply every error or width by `share`."""
+    """Multiply every error or width by the factor `share`."""
     small = {name: share * size for name, size in vars(figures).items() if name not in RATES}
     return replace(figures, **small)
 

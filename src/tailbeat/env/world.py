@@ -204,8 +204,8 @@ class World:
     def _judge(self, action: Array, seen: NDArray[np.float32], lost: Flags) -> Outcome:
         """Reward and ends, from the exact distance (paper: only the reward uses it).
 
-        A diverged fish counts as `limit` away. Out of range counts as a truncation, not as an end:
-        every step costs its distance, so a policy would learn to leave the range to end the costs.
+        A diverged fish counts as `limit` away. Out of range counts as a truncation, not as an end.
+        Every step costs its distance, so a policy would otherwise learn to leave the range.
         """
         weights, task = self.settings.reward, self.task
         away = np.where(lost, task.limit, np.hypot(*(self.target - self.pose[:, :2]).T))

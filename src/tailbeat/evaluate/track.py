@@ -33,9 +33,11 @@ class TargetPath:
 
 @dataclass(frozen=True)
 class TrackResult:
-    """Results of following a target on one path: the target's mean speed [m/s], the distance to it
-    and the rms distance to its path [m], how many swims kept it, and how many crossed the eight's
-    middle cleanly twice."""
+    """Results of following a target on one path.
+
+    The target's mean speed [m/s]; the distance to it and the rms distance to its path [m]; how many
+    swims kept it; how many crossed the eight's middle cleanly twice.
+    """
 
     condition: str
     swims: int

@@ -67,9 +67,12 @@ LENGTH = HEAD.size + FIRST.size + NUMBERS.size + MAC_BYTES
 
 @dataclass(frozen=True)
 class Status:
-    """A status: state, reason and its text, periods `missed` within a second, datagrams rejected
-    since the start, number of the newest `order` taken, sender's clock minus the fish's [s], and
-    the numbers."""
+    """A status of the robot.
+
+    State, reason and its text; periods `missed` within a second; datagrams rejected since the
+    start; number of the newest `order` taken; sender's clock minus the fish's, `offset` [s]; and
+    the numbers.
+    """
 
     state: State
     reason: Reason

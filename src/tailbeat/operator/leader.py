@@ -20,10 +20,12 @@ REARMED = 20  # most times that a tour arms a robot in HOLD; each is reported
 
 @dataclass(eq=False)
 class Leader:
-    """Leads a fish as an operator would: arms it once and lets it swim; through a tour, sends the
-    targets, arms a fish that holds anew (`rearmed` so many times), gives up one that does not swim.
-    `ran` is when it last swam. Without a tour it is sent to `aim` [m], and the operator leads from
-    then on."""
+    """Leads a fish as an operator would.
+
+    It arms the fish once and starts the swim. In a tour it sends the targets, arms a fish in HOLD
+    again (`rearmed` times), and ends if the fish does not swim. `ran` is the last time at which it
+    swam. Without a tour, the target is `aim` [m], and the operator leads from then on.
+    """
 
     tour: Tour | None
     aim: tuple[float, float] | None = None
@@ -59,7 +61,7 @@ class Leader:
         elif self.rearmed < REARMED:
             if self.swam:
                 self.armed += 1
-                say(f"{state.value}: {status.text}; armed anew, time {self.rearmed}")
+                say(f"{state.value}: {status.text}; armed again, time {self.rearmed}")
             self.armed = max(self.armed, 1)
             sender.order(Order.ARM, now)
 

@@ -2,7 +2,7 @@
 
 from numba import njit
 
-# A division by zero gives inf or NaN, as numpy's does. Numba's own way is to raise, which ends a
-# parallel lane without a word: a fish that diverged kept samples that were never written.
+# A division by zero gives inf or NaN, as in numpy. By default numba raises an error, which ends a
+# parallel lane silently: a fish that diverged then kept samples that were never written.
 compiled = njit(cache=True, error_model="numpy")
 compiled_parallel = njit(cache=True, error_model="numpy", parallel=True)

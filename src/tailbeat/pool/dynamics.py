@@ -1,8 +1,8 @@
 """One step of one fish in the pool's water, compiled: assemble, add the water, solve, move on.
 
-The added mass is in the inertia (fed back as a force it blows up within 15 steps). Second order:
-forces at the middle of the step, predicted with the last acceleration a; joints, tendons and servo
-linearly implicit about it, for the tendons are stiff:
+The added mass is in the inertia (as a fed-back force, it diverges within 15 steps). Second order:
+forces are taken at the middle of the step, predicted with the last acceleration a. Joints, tendons
+and servo are linearly implicit about it, because the tendons are stiff:
 
     (M + M_A + dt/2 D + dt^2/4 K) qdd = forces(q + dt/2 qd, qd + dt/2 a) + dt/2 D a
 
@@ -21,7 +21,7 @@ from tailbeat.pool.tendons import add_tendons
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.void]
-COULOMB = 0.02  # rad/s over which dry friction turns round
+COULOMB = 0.02  # rad/s over which dry friction changes sign
 WALL, WALL_DAMPING = 300.0, 20.0  # N/m, N s/m of a pool's wall against a point of the fish
 LOCKED = 1e9  # kg, kg m^2: a held root
 
@@ -39,9 +39,11 @@ class Moving(NamedTuple):
 
 
 class Around(NamedTuple):
-    """What is around and on one fish, or on n of them with one row each: rows `water` and `servo`,
-    `modes` (m,) of the flow, half the pool's length and width `walls` (2,) [m] (0: none), `pokes`
-    (k,), whether the head is held."""
+    """Surroundings and servo of one fish, or of n fish with one row each.
+
+    Rows `water` and `servo`; `modes` (m,) of the flow; `walls` (2,) [m], half the pool's length and
+    width (0: none); `pokes` (k,); `held`: whether the head is held.
+    """
 
     water: Rows
     servo: Rows

@@ -64,8 +64,8 @@ class Film:
 def film(config: FilmConfig, progress: Progress) -> Film:
     """Film a run's log.
 
-    Raises BadInput for a log without the fields that a film needs, a suffix other than MP4, WebP
-    and GIF, a path that cannot be written, or if no GL library renders.
+    Raises BadInput for a log without the fields that a film needs, for a suffix other than MP4,
+    WebP and GIF, and for a path that cannot be written. Also if no GL library renders.
     """
     from tailbeat.robot.log import is_whole  # needs the extra
 

@@ -16,7 +16,7 @@ FEW = 4  # curves that are labelled at their ends
 
 @styled
 def courses(curves: Mapping[str, Sequence[TrainingRow]], path: Path) -> None:
-    """Rolling share of targets acquired, and the stage, over the minutes of each training."""
+    """Rolling success rate and stage over the minutes of each training."""
     figure = Figure(figsize=(8, 5), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     for colour, (label, rows) in zip(SERIES, curves.items(), strict=False):

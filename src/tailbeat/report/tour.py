@@ -32,9 +32,12 @@ FILM_SECONDS = 16.0  # duration of a tour's film, from the tour's start
 
 @dataclass(frozen=True)
 class TourReport:
-    """Summary of a tour: its configuration, the fish and the pool's water, the result of each
-    target, how many the fish came within 5 and 20 cm of, the time of the whole tour and the median
-    time [s] of the targets reached, and the provenance of policy and numbers."""
+    """Summary of a tour.
+
+    Its configuration; the fish and the pool's water; the result of each target; how many the fish
+    came within 5 and 20 cm of; the time of the whole tour and the median time of the targets
+    reached [s]; the provenance of policy and numbers.
+    """
 
     policy: str
     seed: int

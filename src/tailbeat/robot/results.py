@@ -12,9 +12,12 @@ from tailbeat.link.reasons import Reason
 
 @dataclass(frozen=True)
 class SwimSummary:
-    """Summary of a log: its length `seconds`, time under the policy `swum` [s], rows per second
-    `rate` [Hz], median age of the newest pose [s], and smallest distance to the target [m]. The
-    last two are None if the robot never swam."""
+    """Summary of a log.
+
+    Its length `seconds`, time under the policy `swum` [s], rows per second `rate` [Hz]; median age
+    of the newest pose [s] and smallest distance to the target [m], both None if the robot never
+    swam.
+    """
 
     seconds: float
     swum: float

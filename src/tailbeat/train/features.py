@@ -3,7 +3,7 @@
 Distances are observed in units of two metres. In the last ten centimetres, a twentieth of a unit,
 it matters whether a turn is tight enough, and a network learns to resolve them late. So the
 target's position ahead and left in the newest frame is given once more, divided by distance plus
-`RANGE`: far away this is the bearing's cosine and sine, near the target the position in units of
+`RANGE`. Far away this is the bearing's cosine and sine; near the target, the position in units of
 `RANGE`. The features follow from the observation, so the policy's contract does not change.
 """
 

@@ -74,9 +74,11 @@ class Progress:
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """Result of a training: folder and policy, how many of its stages it passed and whether it
-    passed all, whether the last one took longer than its budget, hours in all sessions, a row for
-    every promotion, and the last row."""
+    """Result of a training.
+
+    Folder and policy; how many of its stages it passed, and whether all; whether the last one took
+    longer than its budget; hours in all sessions; a row for every promotion; the last row.
+    """
 
     folder: Path
     policy: Path

@@ -1,6 +1,8 @@
-"""The tracker in a process of its own, started anew when it dies: native code may crash, the sender
-and its console may not. It is a fresh interpreter that imports this room alone, so that starting
-anew is quick; both ends of a pipe between them belong to us, and what they send is pickled.
+"""The tracker in its own process, which is started again when it ends.
+
+Native code may crash, but the station and its page must go on. The process is a fresh interpreter
+that imports only this room, so that a restart is fast. Both ends of the pipe are our own processes;
+its messages are pickled.
 """
 
 import multiprocessing
@@ -220,8 +222,8 @@ def _watch(made: Watching, speak: Connection) -> None:
 
 
 def preview(image: Picture, middle: NDArray[np.float64]) -> bytes:
-    """A small JPEG for the operator page: the surroundings of `middle` (x, y) [px], where the fish
-    was seen last, and below them the whole frame, in which a line frames them."""
+    """A small JPEG for the operator page. It shows the surroundings of `middle` (x, y) [px], where
+    the fish was last seen, and below them the whole frame with these surroundings outlined."""
     rows, columns = image.shape
     size = np.array([columns, rows]) // (2 * CLOSE)  # half of it
     x, y = np.clip(np.asarray(middle, int), size, np.array([columns, rows]) - size).tolist()
