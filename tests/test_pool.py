@@ -1,5 +1,7 @@
 """The plant: the twin's tree, exact added mass, conservation, convergence, and no surprises."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -304,6 +306,25 @@ def random_year(count: int, seed: int) -> np.ndarray:
     state.v[:, :3] = rng.normal(0, 0.5, (count, 3))
     swum = step_plant(plant, state, held, 50)
     return swum.lost | (np.abs(swum.q[:, :, 4:]).max(axis=(1, 2)) > np.pi)
+
+
+ALONE = """
+import numba, numpy as np
+from tailbeat.fish.store import load_fish
+from tailbeat.pool.plant import at_rest, build_plant, step_plant
+plant = build_plant(load_fish("pulley-fish"))
+step_plant(plant, at_rest(plant), np.zeros((1, 2)))
+try:
+    print(numba.threading_layer())
+except ValueError:  # none was started
+    print("no threads")
+"""
+
+
+def test_a_fish_alone_is_stepped_without_a_pool_of_threads():
+    """On a busy machine they waited for each other, 35 ms a step: the servo's emulator was late."""
+    done = subprocess.run([sys.executable, "-c", ALONE], capture_output=True, text=True)
+    assert done.stdout == "no threads\n", done.stderr
 
 
 @pytest.mark.parametrize("speed", [1e2, 1e8, 1e200])
