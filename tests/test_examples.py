@@ -9,6 +9,9 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
+from tailbeat.fish.show import shaft_stiffness
+from tailbeat.fish.store import load_fish
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 
@@ -65,3 +68,12 @@ def test_the_python_of_the_first_lines_runs(capsys):
     assert f"`found.within_5cm` is {float(rate):.1f}" in text
     for code in others:
         exec(code, {})
+
+
+def test_the_tutorial_s_two_fish_differ_in_tail_and_servo_alone():
+    """The pool swims what the reader described, but for the numbers that the tutorial identifies."""
+    guess, lab = (load_fish(EXAMPLES / "your-fish" / f"{name}.toml") for name in ("my-fish", "lab"))
+    same = {"name", "summary", "tail", "servos"}
+    assert guess.model_dump(exclude=same) == lab.model_dump(exclude=same)
+    found = shaft_stiffness(lab) / shaft_stiffness(guess)
+    assert found == pytest.approx(1.3, abs=0.03)

@@ -1,4 +1,4 @@
-"""The commands of the pages under Start and How to, run as a reader would type them.
+"""The commands of the pages under Start, Your fish and How to, run as a reader would type them.
 
 A block that needs a servo, a camera or a pool begins with `# needs hardware`. The quick verbs run
 here in the order of the page; the rest runs in the slow test. Not run anywhere: trainings, which
@@ -26,7 +26,9 @@ HARDWARE = re.compile(r"/dev/|192\.168\.|\bsudo\b|raspi-config")
 QUICK = ("new-fish", "protocol", "tags", "camera --pictures", "calibrate", "key")
 # Until Ctrl-C; half an hour each; with a policy of such a training.
 NEVER = ("emulate", "station --replay", "train", "policy try runs/", "compare")
-PAGES = sorted([*DOCS.glob("start/*.md"), *DOCS.glob("how-to/*.md")])
+PAGES = sorted(
+    page for room in ("start", "your-fish", "how-to") for page in DOCS.glob(f"{room}/*.md")
+)
 WHOLE = ("first-swim", "record", "calibrate-the-camera", "install-the-pi", "drive",
          "read-a-log-in-foxglove")  # fmt: skip
 SHELL = """
