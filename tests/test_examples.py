@@ -71,7 +71,7 @@ def test_the_python_of_the_first_lines_runs(capsys):
 
 
 def test_the_tutorial_s_two_fish_differ_in_tail_and_servo_alone():
-    """The pool swims what the reader described, but for the numbers that the tutorial identifies."""
+    """The pool swims what the reader described, but for the numbers that he identifies."""
     guess, lab = (load_fish(EXAMPLES / "your-fish" / f"{name}.toml") for name in ("my-fish", "lab"))
     same = {"name", "summary", "tail", "servos"}
     assert guess.model_dump(exclude=same) == lab.model_dump(exclude=same)
