@@ -337,7 +337,7 @@ def test_a_million_control_steps_leave_no_trace():
     ("settings", "complaint"),
     [
         (Settings(task=Task(nearest=0.01)), "arrival < nearest"),
-        (Settings(task=Task(farthest=9.0)), "beyond limit 6"),
+        (Settings(task=Task(farthest=9.0)), "above limit 6 m"),
         (Settings(task=Task(nearest=2.0, walls=(5.5, 2.7))), "fits into walls"),
         (Settings(task=Task(arc=4.0)), "allowed are 0 to pi"),
         (Settings(actions=Generator(-1.0, 1.0, ceiling=6.0)), "identified band ends at 4 Hz"),
