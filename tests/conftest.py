@@ -53,6 +53,12 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     return (os.cpu_count() or 1) + 2
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Beside tests that measure time, the others get what processor time is left (`pytest -n`)."""
+    if "PYTEST_XDIST_WORKER" in os.environ and item.get_closest_marker("realtime") is None:
+        os.nice(19 - os.nice(0))  # for good: the tests that measure time were handed out first
+
+
 class TogetherOrApart(LoadScopeScheduling):
     """Which tests one process of `pytest -n` runs together, told by their files.
 
