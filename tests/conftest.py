@@ -58,7 +58,8 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
     Beside tests that measure time, the others get what processor time is left (`pytest -n`).
     """
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    if hasattr(os, "sched_setscheduler"):  # Linux
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     if "PYTEST_XDIST_WORKER" in os.environ and item.get_closest_marker("realtime") is None:
         os.nice(19 - os.nice(0))  # for good: the tests that measure time were handed out first
 
