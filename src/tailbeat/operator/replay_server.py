@@ -25,7 +25,7 @@ from tailbeat.link.addresses import address
 from tailbeat.link.places import POOL
 from tailbeat.operator.client import allowed_hosts, is_local, listen
 from tailbeat.operator.replay import Run, read_run, snapshot
-from tailbeat.operator.server import LONGEST, add_pages, same_origin
+from tailbeat.operator.server import LONGEST, accepted, add_pages
 from tailbeat.processes import told_to_end
 
 NO_ORDERS = "refused: this is the replay of a log; no fish is connected"
@@ -72,10 +72,8 @@ def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
 
     @app.websocket("/live")
     async def live(browser: WebSocket) -> None:
-        if not same_origin(browser.headers.get("origin"), browser.headers.get("host")):
-            await browser.close(1008)
+        if not await accepted(browser):
             return
-        await browser.accept()
         first = {
             "replay": _about(shown.run),
             "now": snapshot(shown.run, shown.fish, shown.room, 0.0),

@@ -136,6 +136,15 @@ def same_origin(origin: str | None, host: str | None) -> bool:
     return origin is None or urlsplit(origin).netloc == host
 
 
+async def accepted(browser: WebSocket) -> bool:
+    """Accept a browser that shows our own page, and close the connection to any other."""
+    if not same_origin(browser.headers.get("origin"), browser.headers.get("host")):
+        await browser.close(1008)
+        return False
+    await browser.accept()
+    return True
+
+
 @dataclass(eq=False)
 class Browser:
     """One open page: answers to send, and whether it has drawn the last snapshot."""
@@ -195,10 +204,8 @@ def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
 
     @app.websocket("/live")
     async def live(browser: WebSocket) -> None:
-        if not same_origin(browser.headers.get("origin"), browser.headers.get("host")):
-            await browser.close(1008)
+        if not await accepted(browser):
             return
-        await browser.accept()
         await serve(Browser(browser), shown)
 
     return app
