@@ -7,11 +7,13 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
     from multiprocessing.context import ForkServerContext
+    from multiprocessing.process import BaseProcess
 
 LINGER = 10.0  # s that a process may take to end
 ALONE = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # one fish needs one thread
@@ -48,6 +50,19 @@ def fork_server(preload: Sequence[str]) -> "ForkServerContext":
             os.environ.pop(name)
         os.environ.update(before)
     return context
+
+
+def spawn(target: Callable[..., None], *words: Any) -> "tuple[BaseProcess, Connection]":
+    """Start `target(*words, pipe)` in a fresh process that ends with this one. Returns the process
+    and this end of the pipe, from which its messages are read."""
+    import multiprocessing
+
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=target, args=(*words, theirs), daemon=True)
+    process.start()
+    theirs.close()
+    return process, ours
 
 
 def end_with_parent() -> None:

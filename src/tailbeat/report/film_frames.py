@@ -1,6 +1,5 @@
 """A film's frames, rendered by MuJoCo without a screen, in several processes."""
 
-import multiprocessing
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +15,7 @@ from PIL import Image
 from tailbeat.evaluate.motion import Motion, followed
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
+from tailbeat.processes import spawn
 from tailbeat.report import film_marks as marks
 from tailbeat.report import pool_pictures as pictures
 from tailbeat.report.pool_scene import View, build_scene
@@ -153,21 +153,16 @@ def _first_line(error: Exception) -> str:
 def frames(shot: Shot) -> Iterator[Picture]:
     """Every frame in order, rendered by one process per core, at most two. Raises NoPicture."""
     count = min(WORKERS, os.cpu_count() or 1, shot.motion.frames)
-    beside = multiprocessing.get_context("spawn")
-    ends, workers = [], []
-    for first in range(count):
-        ours, theirs = beside.Pipe(duplex=False)
-        chosen = range(first, shot.motion.frames, count)
-        workers.append(beside.Process(target=_work, args=(shot, chosen, theirs), daemon=True))
-        workers[-1].start()
-        theirs.close()
-        ends.append(ours)
+    started = [
+        spawn(_work, shot, range(first, shot.motion.frames, count)) for first in range(count)
+    ]
     try:
         shape = (shot.view.height, shot.view.width, 3)
         for frame in range(shot.motion.frames):
-            yield np.frombuffer(_receive(ends[frame % count]), np.uint8).reshape(shape)
+            _, pipe = started[frame % count]
+            yield np.frombuffer(_receive(pipe), np.uint8).reshape(shape)
     finally:
-        for worker in workers:
+        for worker, _ in started:
             worker.terminate()
             worker.join()
 
