@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tailbeat.robot.findings import Finding, finding
 
-ROOM_WARN, ROOM_BAD = 2e9, 2e8  # bytes: a log takes about 120 MB an hour
+ROOM_WARN, ROOM_BAD = 2e9, 2e8  # bytes: a log takes about 250 MB an hour
 
 
 def check_disk(folder: Path) -> Finding:

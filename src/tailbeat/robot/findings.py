@@ -34,7 +34,7 @@ ADVICE = {
     "pose age": "the camera queues frames, or the network is slow",
     "fish seen": "show its tag whole in view and without glare",
     "target seen": "put the target's tag in view, or give drive --target x,y",
-    "disk": "choose a folder you may write to, or delete old logs: 120 MB an hour",
+    "disk": "choose a folder you may write to, or delete old logs: 250 MB an hour",
     "real-time priority": "run it as a service (tailbeat unit), or allow rtprio 40 in limits.conf",
     "locked memory": "run it as a service (tailbeat unit), or memlock unlimited in limits.conf",
     "processor's clock": "cpupower frequency-set -g performance",
