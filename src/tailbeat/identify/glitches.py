@@ -191,6 +191,8 @@ def _chain(time, values, weight, limits, circular):  # type: ignore[no-untyped-d
     """Which samples are in the chain of largest weight. After a skipped window a new one starts."""
     speed, acceleration, noise = limits
     n = time.size
+    if _unbroken(time, values, limits, circular):  # no chain weighs more than all samples
+        return np.ones(n, dtype=np.bool_)
     score = np.zeros((n, WINDOW + 1))  # of the chain that ends i, j with i = j - column; 0: at j
     back = np.full((n, WINDOW + 1), -1)  # columns to go back from i to the sample before it
     before = np.full(n, -1)  # of a chain that starts at j: the last sample of the chain before
@@ -221,6 +223,22 @@ def _chain(time, values, weight, limits, circular):  # type: ignore[no-untyped-d
         if score[j, column[j]] > best:
             best, best_at = score[j, column[j]], j
     return _traced(n, best_at, column, back, before)
+
+
+@njit(cache=True)
+def _unbroken(time, values, limits, circular):  # type: ignore[no-untyped-def]
+    """Whether all samples, one after the other, are one chain."""
+    speed, acceleration, noise = limits
+    before, soft = 0.0, np.inf
+    for j in range(1, time.size):
+        slope, off = _slope(time, values, j - 1, j, noise, circular)
+        if abs(slope) > speed + off:
+            return False
+        reach = acceleration * (time[j] - time[max(j - 2, 0)]) / 2
+        if abs(slope - before) > reach + off + soft:
+            return False
+        before, soft = slope, off
+    return True
 
 
 @njit(cache=True)
