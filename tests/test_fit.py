@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tailbeat.identify import search as whole
+from tailbeat.identify.intervals import estimates, intervals, trade_offs
 from tailbeat.identify.search import (
     Effort,
     Fit,
@@ -15,14 +16,11 @@ from tailbeat.identify.search import (
     bounds,
     cost,
     covariance,
-    estimates,
-    intervals,
     noise_level,
     polish,
     search,
     search_once,
     sensitivity,
-    trade_offs,
 )
 
 LOG = Parameter("stiffness", "N m/rad", 0.1, 10.0, 2.0, 0.5)

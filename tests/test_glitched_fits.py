@@ -10,7 +10,8 @@ import pytest
 from broken_sensors import glitched
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.estimate import Estimate
-from tailbeat.identify.search import Fit, estimates, polish
+from tailbeat.identify.intervals import estimates
+from tailbeat.identify.search import Fit, polish
 from tailbeat.identify.servo import (
     as_bench,
     blocks,

@@ -99,7 +99,11 @@ def test_what_is_not_understood_is_one_sentence(words, answer):
 
 @pytest.mark.parametrize(
     ("typed", "offered"),
-    [("dr", "drive"), ("identify ", "tail\nservo\nfluid\nall"), ("drive --em", "--emulated")],
+    [
+        ("dr", "drive"),
+        ("identify ", "tail\nservo\nfluid\nposterior\nnext\nall"),
+        ("drive --em", "--emulated"),
+    ],
 )
 def test_the_shell_completes_verbs_and_options(typed, offered):
     asked = {"_TAILBEAT_COMPLETE": "complete_bash", "COMP_WORDS": f"tailbeat {typed}"}

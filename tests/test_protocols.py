@@ -12,8 +12,11 @@ from tailbeat.evaluate import fresh_recordings
 from tailbeat.files import BadInput
 from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import load_fish
+from tailbeat.identify import posterior
 from tailbeat.identify.chain import ChainPaths, identify_all, read_folder
+from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.job import FluidConfig
+from tailbeat.identify.protocol import limits
 from tailbeat.identify.search import Effort
 from tailbeat.identify.tail import identify_tail
 from tailbeat.pool.protocols import record_fluid, record_servo, record_tail
@@ -24,14 +27,14 @@ from tailbeat.recording import Recording, read_recording, write_recording
 from tailbeat.report.identified import DRAWINGS
 
 FISH = load_fish("pulley-fish")
-LITTLE = FluidConfig(zones=1, seeds=1, effort=Effort(generations=1))
+LITTLE = FluidConfig(zones=1, seeds=1, effort=Effort(generations=1), draws=6)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """All three experiments, as files."""
     out = tmp_path_factory.mktemp("pool")
-    for kind in ("tail", "servo", "fluid"):
+    for kind in ("tail", "servo", "fluid", "check"):
         record(kind, "pulley-fish", out, seed=0)
     return out
 
@@ -75,6 +78,27 @@ def test_swims_start_at_rest_cover_the_band_and_stay_off_the_walls():
     assert sum(turn > 0.7 for turn in turns) >= 3
 
 
+def test_check_swims_stay_inside_the_limits_and_every_seed_has_others():
+    limit = limits(FISH)
+    made = check_swims(FISH, limit)
+    assert len(made) == 10
+    for command in made.values():
+        angle = command.columns["command_rad"] - limit.centre
+        assert np.abs(angle).max() <= limit.angle + 1e-9
+        assert np.abs(np.gradient(angle, command.time)).max() < 1.3 * limit.speed
+        assert angle[0] == 0.0
+    other = check_swims(FISH, limit, seed=1)
+    for name, command in made.items():
+        mine, theirs = (one.columns["command_rad"] for one in (command, other[name]))
+        assert abs(np.corrcoef(mine, theirs)[0, 1]) < 0.9, name
+
+
+def test_check_swims_judge_the_fit_and_are_never_fitted(folder):
+    sorted_out = read_folder(folder)
+    assert len(sorted_out.check) == 10
+    assert not {*sorted_out.check} & {*sorted_out.fluid_fit, *sorted_out.fluid_validate}
+
+
 def test_the_bench_gives_back_the_plant_s_stiffness():
     sweep = next(record_tail(FISH, seed=0))
     fit = identify_tail([sweep])
@@ -86,7 +110,8 @@ def test_one_folder_one_command(folder, tmp_path):
     """The whole chain with little effort: every stage runs, and its result goes on to the next."""
     few = tmp_path / "few"
     few.mkdir()
-    for name in ("tail-sweep", "servo-chirp", "servo-steps", "servo-beat", "fluid-01", "fluid-05"):
+    benches = ("tail-sweep", "servo-chirp", "servo-steps", "servo-beat")
+    for name in (*benches, "fluid-01", "fluid-05", "check-01-mixed", "check-02-sweep"):
         (few / f"{name}.csv").write_bytes((folder / f"{name}.csv").read_bytes())
     (few / "fluid-06.csv").write_bytes((folder / "fluid-07.csv").read_bytes())
     out = tmp_path / "mine.toml"
@@ -102,6 +127,9 @@ def test_one_folder_one_command(folder, tmp_path):
     assert "fluid-06 | held out" in page and "mine-tail.png" in page
     saved = json.loads((tmp_path / "mine.json").read_text())
     assert saved["stages"]["servo"]["parameters"]["kp"]["value"] == pytest.approx(5.41, rel=0.05)
+    known = posterior.of(str(out))
+    assert known is not None and known.held_out == ("check-01-mixed", "check-02-sweep")
+    assert known.discrepancy is not None and known.discrepancy.swims == 2
     assert not list(tmp_path.glob(".*"))
 
 

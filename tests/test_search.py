@@ -3,15 +3,13 @@
 import numpy as np
 import pytest
 
+from tailbeat.identify.intervals import estimates, intervals, trade_offs
 from tailbeat.identify.search import (
     Effort,
     Fit,
     Parameter,
     covariance,
-    estimates,
-    intervals,
     search,
-    trade_offs,
     values,
 )
 

@@ -55,7 +55,10 @@ def test_the_servo_is_recovered(report):
         assert row["decided_by_data"], name
     limit = report["parameters"]["force_limit"]["value"]
     assert limit == pytest.approx(TRUTH.force_limit, rel=0.05)
-    assert report["parameters"]["delay"]["value"] == pytest.approx(TRUTH.delay, abs=1e-3)
+    delay = report["parameters"]["delay"]
+    assert delay["value"] == pytest.approx(TRUTH.delay, abs=1e-3)
+    assert delay["interval"][0] <= TRUTH.delay <= delay["interval"][1]
+    assert np.ptp(delay["interval"]) < 1.5e-3
     assert report["parameters"]["friction"]["value"] < 0.01
 
 

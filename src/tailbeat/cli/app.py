@@ -9,7 +9,12 @@ from tailbeat.files import EXTRA_OF, BadInput, missing
 INTERRUPTED = 130  # exit code of a verb that Ctrl-C ended
 
 # Options that take several values, with their verb. Of other verbs, `--servo` is one port.
-LISTS = {"--fit": "identify", "--validate": "identify", "--commands": "record"}
+LISTS = {
+    "--fit": "identify",
+    "--validate": "identify",
+    "--check": "identify",
+    "--commands": "record",
+}
 LISTS |= {"--servo": "speed-map", "--tasks": "evaluate", "--only": "faults"}
 LISTS |= {"--against": "coverage", "--fitted-on": "predict"}
 

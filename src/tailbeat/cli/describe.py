@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tailbeat.cli import output
+from tailbeat.cli import identified, output
 from tailbeat.cli.options import JsonOption
 
 
@@ -23,9 +23,14 @@ def show(
     viewer: Annotated[bool, typer.Option(help="Open MuJoCo's viewer.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Print what a fish compiles to and render a picture."""
+    """Print what a fish compiles to and render a picture. With a posterior beside the fish, also
+    print which identified numbers its recordings decide."""
     from tailbeat.fish import show as compiled
+    from tailbeat.identify import posterior
 
+    known = posterior.of(fish)
     shown = compiled.show(fish, picture, viewer, json)
     output.tables(shown.tables)
+    if known is not None:
+        output.tables({"identified numbers": identified.parameters(posterior.as_rows(known))})
     output.say(f"picture ({shown.how}): {shown.picture}")

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from tailbeat.cli import output, progress, results
+from tailbeat.cli import identified, output, progress
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
 from tailbeat.files import refuse_existing, write_json
 
@@ -40,6 +40,12 @@ def identify_fluid(
     validate: Annotated[
         list[Path] | None, typer.Option("--validate", help="Recordings to test on; not fitted.")
     ] = None,
+    check: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Swims unlike the fitted ones, from which the width of predictions comes."
+        ),
+    ] = None,
     zones: Annotated[int, typer.Option(help="1: one set of coefficients; 3: one per zone.")] = 3,
     seeds: Annotated[
         int, typer.Option(help="Number of independent searches; the best is kept.")
@@ -55,20 +61,65 @@ def identify_fluid(
     json: JsonOption = None,
 ) -> None:
     """Fit the fluid coefficients to recorded swims. Writes the fish and, beside it, a report
-    (.json) and a figure (.png). The same command resumes an interrupted search."""
-    from tailbeat.identify import job, stages
+    (.json), a figure (.png) and the posterior (.parquet). The same command resumes an interrupted
+    search."""
+    from tailbeat.identify import fluid_report, job, stages
     from tailbeat.identify.search import Effort
     from tailbeat.report.figures import measured_against_twin
 
     effort, whole = Effort(generations=generations), law == "whole"
     config = job.FluidConfig(zones, seeds, seed, effort, start_weight, added_inertia, whole)
-    paths = stages.Paths(fish, fit, out, validate or [], json)
+    paths = stages.Paths(fish, fit, out, validate or [], json, check or [])
     with progress.search_progress() as report:
         found = stages.fluid(paths, config, report, measured_against_twin)
-    said = job.as_report(found, config)
-    results.identified(said)
+    said = fluid_report.as_report(found, config)
+    identified.identified(said)
     output.say(f"wrote {', '.join(map(str, paths.written))}")
     _exit_untrusted(said)
+
+
+def identify_posterior(
+    fish: FishOption,
+    fit: Annotated[list[Path], typer.Option("--fit", help="Recordings it was fitted to.")],
+    check: Annotated[
+        list[Path] | None,
+        typer.Option(help="Swims unlike those, from which the width of predictions comes."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="File to write, .parquet; default: beside the fish."),
+    ] = None,
+    seed: SeedOption = 0,
+) -> None:
+    """Write the posterior of a fish that is identified already. Nothing is fitted. Use it when you
+    have new swims to check the fish on."""
+    from tailbeat.identify import posterior, posterior_job
+
+    path = posterior_job.write_posterior(fish, fit, check or [], out, seed)
+    known = posterior.read(path)
+    output.tables({"identified numbers": identified.parameters(posterior.as_rows(known))})
+    output.say(f"wrote {path}")
+
+
+def identify_next(
+    fish: FishOption,
+    goal: Annotated[
+        str, typer.Option(help="Prediction to improve: speed, turning or reach.")
+    ] = "turning",
+    count: Annotated[int, typer.Option(help="Number of swims to choose.")] = 3,
+    json: JsonOption = None,
+) -> None:
+    """Rank the swims that could be recorded next by what a prediction would gain. Needs the fish's
+    posterior. Each swim is chosen given those above it."""
+    from tailbeat.identify import next_swim
+
+    if json is not None:
+        refuse_existing(json)
+    found = next_swim.advise_on(fish, goal, count)
+    rows = [{**asdict(one), "gain_per_minute": one.gain_per_minute} for one in found]
+    output.tables({f"for {goal}": identified.advice(rows)})
+    if json is not None:
+        write_json(json, {"goal": goal, "swims": rows})
 
 
 def identify_tail(
@@ -89,7 +140,7 @@ def identify_tail(
     paths = stages.Paths(fish, sweeps, out, json=json)
     found = stages.tail(paths, static, ring_down, bench_figures.tail)
     said = tail_report.as_report(found)
-    results.tail(said)
+    identified.tail(said)
     output.say(f"wrote {', '.join(map(str, paths.written))}")
     _exit_untrusted(said)
 
@@ -130,7 +181,7 @@ def identify_servo(
     with progress.search_progress() as report:
         found = stages.servo(paths, config, report, bench_figures.servo_fit)
     said = servo_report.as_report(found)
-    results.servo(said)
+    identified.servo(said)
     output.say(f"wrote {', '.join(map(str, paths.written))}")
     _exit_untrusted(said)
 
@@ -161,7 +212,7 @@ def identify_all(
     paths = chain.ChainPaths(fish, folder, out, json)
     with progress.search_progress() as report:
         found = chain.identify_all(paths, config, report, DRAWINGS)
-    results.first(found.verdict)
+    identified.first(found.verdict)
     output.tables({"summary": [{k: v for k, v in asdict(found).items() if k != "verdict"}]})
     output.say(f"wrote {out} and, beside it, {out.with_suffix('.md').name}")
     _exit_untrusted(asdict(found))
@@ -177,19 +228,24 @@ def predict(
         list[Path] | None,
         typer.Option("--fitted-on", help="Recordings to fit a naive model of five numbers on."),
     ] = None,
+    posterior: Annotated[
+        Path | None,
+        typer.Option(help="Posterior for 95 % bands; default: the one beside the fish, if any."),
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Predict recorded swims with the twin and compare with what was measured. Exit code 1 if the
-    twin diverged or reached no steady speed. With --fitted-on, compare it with a naive model."""
+    twin diverged or reached no steady speed. With --fitted-on, compare it with a naive model. With
+    a posterior, give 95 % bands and count the swims inside."""
     from tailbeat.evaluate import replay
 
     if json is not None:
         refuse_existing(json)
-    found = replay.predict_swims(fish, recordings, fitted_on or [])
+    found = replay.predict_swims(fish, recordings, fitted_on or [], posterior)
     result = replay.as_json(found)
     if json is not None:
         write_json(json, result)
-    results.predicted(result)
+    identified.predicted(result)
     if not found.settled:
         raise typer.Exit(1)
 
@@ -218,6 +274,6 @@ def coverage(
     result = as_json(found)
     if json is not None:
         write_json(json, result)
-    results.covered(result)
+    identified.covered(result)
     if not found.covered:
         raise typer.Exit(1)

@@ -15,7 +15,7 @@ SourceOption = Annotated[
 
 
 def protocol(
-    kind: Annotated[str, typer.Argument(help="tail, servo or fluid.")],
+    kind: Annotated[str, typer.Argument(help="tail, servo, fluid or check.")],
     fish: FishOption,
     out: Annotated[Path, typer.Option("--out", help="Folder of the command recordings.")],
     speed: Annotated[
@@ -34,7 +34,7 @@ def protocol(
 
 
 def record(
-    kind: Annotated[str, typer.Argument(help="tail, servo or fluid.")],
+    kind: Annotated[str, typer.Argument(help="tail, servo, fluid or check.")],
     fish: FishOption,
     out: Annotated[Path, typer.Option("--out", help="Folder of the recordings.")],
     commands: Annotated[

@@ -81,6 +81,18 @@ PANELS = {
             "--fish servo.toml --fit swim1.csv swim2.csv --validate swim3.csv --out mine.toml",
         ),
         Verb(
+            "identify posterior",
+            "identify:identify_posterior",
+            "Write the posterior of a fish that is identified already.",
+            "--fish mine.toml --fit bench/fluid-*.csv --check bench/check-*.csv",
+        ),
+        Verb(
+            "identify next",
+            "identify:identify_next",
+            "Rank the swims that could be recorded next by what a prediction would gain.",
+            "--fish mine.toml --goal turning",
+        ),
+        Verb(
             "identify all",
             "identify:identify_all",
             "Fit tail, servo and fluid to the recordings of one folder.",

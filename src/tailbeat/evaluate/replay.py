@@ -8,22 +8,32 @@ from typing import Any
 from tailbeat.evaluate.runs import as_recordings
 from tailbeat.evaluate.store import read_chunk
 from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
 from tailbeat.fish.store import load_fish
 from tailbeat.identify import coverage as cover
 from tailbeat.identify import kinematic
+from tailbeat.identify import posterior as store
+from tailbeat.identify.bands import Band, bands, swim_all
+from tailbeat.identify.bands import as_json as bands_json
 from tailbeat.identify.coverage import Coverage
+from tailbeat.identify.posterior import Posterior
 from tailbeat.identify.predict import Prediction, predict
 from tailbeat.identify.predict import as_json as predictions_json
-from tailbeat.identify.runs import as_runs
+from tailbeat.identify.runs import Run, as_runs
 from tailbeat.recording import Recording, read_recording
+
+DRAWS = 32  # of a posterior, for bands
+AT_ONCE = 16  # swims of all draws, about 0.2 GB of samples
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """A twin's predictions of swims, and the naive model's if requested."""
+    """A twin's predictions of swims, the naive model's if requested, and the 95 % bands of all
+    swims if the fish has a posterior."""
 
     predictions: tuple[Prediction, ...]
     rival: kinematic.Rival | None = None
+    bands: tuple[Band, ...] = ()
 
     @property
     def settled(self) -> bool:
@@ -31,23 +41,40 @@ class Replay:
         return all(one.settled for one in self.predictions)
 
 
-def predict_swims(fish: str, swims: Sequence[Path], fitted_on: Sequence[Path] = ()) -> Replay:
+def predict_swims(
+    fish: str,
+    swims: Sequence[Path],
+    fitted_on: Sequence[Path] = (),
+    posterior: Path | None = None,
+) -> Replay:
     """Compare measured and predicted numbers of recordings, logs or an evaluation's chunks. With
-    `fitted_on`, also those of the naive model fitted to these recordings. Raises BadInput."""
+    `fitted_on`, also those of the naive model fitted to these recordings. `posterior` is a file
+    (None: the one beside the fish, if there is one). Raises BadInput."""
     described = load_fish(fish)
+    known = store.of(fish, posterior)
     played = [recording for path in swims for recording in read_swims(path)]
     runs = [run for recording in played for run in as_runs(recording, described)]
-    found = predict(described, runs)
+    found = tuple(predict(described, runs))
+    drawn = () if known is None else _bands(described, known, runs)
     if not fitted_on:
-        return Replay(tuple(found))
-    known = [run for path in fitted_on for run in as_runs(read_recording(path), described)]
-    return Replay(tuple(found), kinematic.beside(found, known))
+        return Replay(found, None, drawn)
+    fitted = [run for path in fitted_on for run in as_runs(read_recording(path), described)]
+    return Replay(found, kinematic.beside(found, fitted), drawn)
+
+
+def _bands(fish: Fish, known: Posterior, runs: Sequence[Run]) -> tuple[Band, ...]:
+    """Bands of every swim, a few swims at a time: together they would not fit in memory."""
+    drawn = store.fishes(fish, known, DRAWS)
+    parts = [runs[i : i + AT_ONCE] for i in range(0, len(runs), AT_ONCE)]
+    swims = [one for part in parts for one in swim_all(drawn, part)]
+    return tuple(band for one in swims for band in bands(one, known.discrepancy))
 
 
 def as_json(replay: Replay) -> dict[str, Any]:
     """The result of `tailbeat predict`."""
     rival = {} if replay.rival is None else kinematic.as_json(replay.rival)
-    return {**predictions_json(replay.predictions), **rival}
+    known = bands_json(replay.bands) if replay.bands else {}
+    return {**predictions_json(replay.predictions), **rival, **known}
 
 
 def coverage(fish: str, swims: Sequence[Path], against: Sequence[Path]) -> Coverage:

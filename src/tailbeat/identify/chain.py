@@ -10,7 +10,7 @@ from typing import Any
 
 from tailbeat.files import BadInput, new_file, refuse_existing, write_json
 from tailbeat.fish.store import check_fish_name, fish_path, load_fish
-from tailbeat.identify import job, stages
+from tailbeat.identify import job, posterior, stages
 from tailbeat.identify.protocol import EVERY, HELD_OUT_SERVO, present_name
 from tailbeat.identify.servo_job import ServoConfig
 from tailbeat.identify.stages import DrawFluid, DrawServo, DrawTail, Paths, Progress
@@ -27,6 +27,7 @@ class Folder:
     servo_validate: list[Path]
     fluid_fit: list[Path]
     fluid_validate: list[Path]
+    check: list[Path]
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ def read_folder(folder: Path) -> Folder:
     names = sorted([*folder.glob("*.csv"), *folder.glob("*.parquet")])
     found = {
         kind: [path for path in names if present_name(path.stem).startswith(kind)]
-        for kind in ("tail-sweep", "tail-static", "tail-release", "servo-", "fluid-")
+        for kind in ("tail-sweep", "tail-static", "tail-release", "servo-", "fluid-", "check-")
     }
     for kind in ("tail-sweep", "servo-", "fluid-"):
         if not found[kind]:
@@ -66,6 +67,7 @@ def read_folder(folder: Path) -> Folder:
         held,
         [p for i, p in enumerate(swims) if (i + 1) % EVERY],
         swims[EVERY - 1 :: EVERY],
+        found["check-"],
     )
 
 
@@ -131,6 +133,7 @@ def _targets(paths: ChainPaths) -> dict[str, Path]:
         "fish": out,
         "json": paths.json or out.with_suffix(".json"),
         "page": out.with_suffix(".md"),
+        "posterior": posterior.beside(out),
     }
     targets |= {name: Path(f"{stem}-{name}.png") for name in ("tail", "servo", "fluid")}
     for path in targets.values():
@@ -144,7 +147,7 @@ def _key(fish: str, data: Folder, config: job.FluidConfig) -> str:
     singles = [path for path in (data.static, data.release) if path is not None]
     for path in [*data.sweeps, *singles, *data.servo_fit, *data.servo_validate, *data.fluid_fit]:
         digest.update(path.read_bytes())
-    for path in data.fluid_validate:
+    for path in [*data.fluid_validate, *data.check]:
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -167,7 +170,7 @@ def _run_stages(
         commands = Paths(str(tail), data.servo_fit, servo, data.servo_validate)
         stages.servo(commands, servo_config, progress, drawings.servo)
     if not _done(fluid):
-        swims = Paths(str(servo), data.fluid_fit, fluid, data.fluid_validate)
+        swims = Paths(str(servo), data.fluid_fit, fluid, data.fluid_validate, check=data.check)
         stages.fluid(swims, config, progress, drawings.fluid)
 
 
@@ -176,7 +179,7 @@ def _done(fish: Path) -> bool:
     removed."""
     if fish.is_file():
         return True
-    for stale in (fish.with_suffix(".json"), fish.with_suffix(".png")):
+    for stale in (fish.with_suffix(".json"), fish.with_suffix(".png"), posterior.beside(fish)):
         stale.unlink(missing_ok=True)
     return False
 
@@ -194,6 +197,8 @@ def _publish(
     write_json(targets["json"], report)
     with new_file(targets["page"]) as beside:
         beside.write_text(text, encoding="utf-8")
+    with new_file(targets["posterior"]) as beside:
+        shutil.copyfile(posterior.beside(places["fluid"]), beside)
     with new_file(targets["fish"]) as beside:
         shutil.copyfile(places["fluid"], beside)
 

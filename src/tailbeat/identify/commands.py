@@ -5,14 +5,15 @@ from pathlib import Path
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.fish.store import load_fish
 from tailbeat.identify import protocol
+from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.manoeuvres import manoeuvres
 from tailbeat.recording import write_recording
 
-PROTOCOLS = ("tail", "servo", "fluid")
+PROTOCOLS = ("tail", "servo", "fluid", "check")
 
 
 def write_protocol(kind: str, fish: str, out: Path, speed: float) -> list[Path]:
-    """Write the command recordings of one test bench, `kind` tail, servo or fluid, into a folder.
+    """Write the command recordings of one test bench, one of `PROTOCOLS`, into a folder.
 
     `speed` is the largest shaft speed [rad/s]. Returns the paths, .csv. Raises BadInput for another
     kind, a crank, a speed that is not above 0, or a file that exists.
@@ -28,6 +29,8 @@ def write_protocol(kind: str, fish: str, out: Path, speed: float) -> list[Path]:
         }
     elif kind == "servo":
         made = protocol.servo_commands(described, limit)
+    elif kind == "check":
+        made = check_swims(described, limit)
     else:
         made = {**protocol.fluid_runs(described, limit), **manoeuvres(described, limit)}
     paths = [out / f"{name}.csv" for name in made]

@@ -128,6 +128,18 @@ def residual_function(
     )
 
 
+def owners(fish: Fish, runs: Sequence[Run]) -> NDArray[np.int_]:
+    """The number of the run of each residual (r,) of `residual_function`; forward checks come after
+    the runs."""
+    everything = (*runs, *forward_checks(fish, runs))
+    done = repeat([fish], everything)[0]
+    sizes = [
+        _compare(fish, run, one, None, Cruise()).size
+        for run, one in zip(everything, done, strict=True)
+    ]
+    return np.repeat(np.arange(len(sizes)), sizes)
+
+
 def forward_checks(fish: Fish, runs: Sequence[Run]) -> list[Run]:
     """Cruises that were not recorded, at half the slowest recorded beat: from rest, and with a
     trailing edge also launched backward.

@@ -4,10 +4,9 @@ import hashlib
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,28 +14,26 @@ from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
-from tailbeat.identify.estimate import Estimate, as_row
-from tailbeat.identify.fluid import apply, fluid_space, insensitive, residual_function
-from tailbeat.identify.glitch_report import as_rows
-from tailbeat.identify.kinematic import errors_row, fit_kinematic, predict_kinematic, replayable
-from tailbeat.identify.launch import Launched, check_launches, stuck
-from tailbeat.identify.naive_swim import Compared, compare
-from tailbeat.identify.predict import Prediction, predict, row, speed_mae
+from tailbeat.identify.bands import Discrepancy, Drawn, discrepancy, swim_all
+from tailbeat.identify.doubt import Doubt, by_swims, draw
+from tailbeat.identify.estimate import Estimate
+from tailbeat.identify.fluid import apply, fluid_space, insensitive, owners, residual_function
+from tailbeat.identify.intervals import estimates
+from tailbeat.identify.kinematic import fit_kinematic, predict_kinematic, replayable
+from tailbeat.identify.launch import Launched, check_launches
+from tailbeat.identify.predict import Prediction, predict, speed_mae
 from tailbeat.identify.protocol import largest, limits
 from tailbeat.identify.runs import Run
 from tailbeat.identify.search import (
     Effort,
     Fit,
     Parameter,
-    estimates,
     search_once,
-    trade_offs,
     values,
 )
-from tailbeat.identify.trust import Contest, Verdict, share_left_out, verdict
 
 Array = NDArray[np.float64]
-NAMED = 8  # most swims that every identified number names; if there are more, the heading does
+BANDED = 32  # draws that swim the held-out swims
 Progress = Callable[[int, str, float, float], None]  # seed, stage, fraction done, best cost
 
 
@@ -45,7 +42,7 @@ class FluidConfig:
     """What to fit: `zones` (1: one shared set, 3: one set per zone), number of `seeds` from
     `first_seed` on, effort, whether the start of replayed runs counts four times the end (None: if
     a run starts from rest). Before the fit the description gets this `added_inertia` (None: as
-    described), or the `whole` law (`fish.water.whole`)."""
+    described), or the `whole` law (`fish.water.whole`). `draws` is the posterior's size."""
 
     zones: int = 3
     seeds: int = 5
@@ -54,6 +51,7 @@ class FluidConfig:
     start_weight: bool | None = None
     added_inertia: float | None = None
     whole: bool = False
+    draws: int = 100
 
 
 def check(config: FluidConfig) -> None:
@@ -83,15 +81,19 @@ class SeedResult:
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """The result: one fit per seed, best first, and the best one's fish, predictions and launch
-    checks. `idle` are parameters without effect, which were not fitted. `rival` has the naive
-    model's predictions of the held-out swims (`kinematic.py`), empty without replayed swims.
-    `spread` has the seeds, best first; `seconds` [s] is the duration."""
+    """The result: one fit per seed, best first, each with its doubt, and the best one's fish,
+    predictions and launch checks. `idle` are parameters without effect, which were not fitted.
+    `draws` (n, p) are the posterior's values, in each parameter's unit; `drawn` are the check swims
+    (without any, the held-out ones) as the first of them swim. `rival` has the naive model's
+    predictions of the held-out swims (`kinematic.py`), empty without replayed swims. `spread` has
+    the seeds, best first; `seconds` [s] is the duration."""
 
     space: tuple[Parameter, ...]
     idle: tuple[str, ...]
-    fits: tuple[Fit, ...]
+    doubts: tuple[Doubt, ...]
     fish: Fish
+    draws: Array
+    drawn: tuple[Drawn, ...]
     fitted: tuple[Prediction, ...]
     validated: tuple[Prediction, ...]
     launched: tuple[Launched, ...]
@@ -99,9 +101,20 @@ class Identified:
     spread: tuple[SeedResult, ...]
     seconds: float
 
+    @property
+    def fits(self) -> tuple[Fit, ...]:
+        """One fit per seed, best first."""
+        return tuple(one.fit for one in self.doubts)
+
+    @property
+    def discrepancy(self) -> Discrepancy | None:
+        """The discrepancy on the swims of `drawn`, None without any."""
+        return discrepancy(self.drawn) if self.drawn else None
+
     def estimates(self) -> dict[str, Estimate]:
         """Field -> value, unit, 95 % interval and prior of every free number."""
-        return estimates(self.space, self.fits)
+        best = self.doubts[0]
+        return estimates(self.space, self.fits, best.excess, best.freedom)
 
 
 def identify_fluid(
@@ -111,9 +124,11 @@ def identify_fluid(
     config: FluidConfig,
     scratch: Path,
     progress: Progress = lambda seed, stage, share, best: None,
+    check: Sequence[Run] = (),
 ) -> Identified:
-    """Fit on `fit`, and predict both. Interrupted work in the folder `scratch` is resumed. Raises
-    BadInput if `fit` is empty or an uncertain number of the fish is outside its range."""
+    """Fit on `fit`, and predict `validate` too. The discrepancy comes from `check`, swims unlike
+    the fitted ones, else from `validate`. Interrupted work in the folder `scratch` is resumed.
+    Raises BadInput if `fit` is empty or an uncertain number of the fish is outside its range."""
     began = time.monotonic()
     if not fit:
         raise BadInput("--fit is empty; give at least one recording to fit.")
@@ -125,7 +140,13 @@ def identify_fluid(
         for seed in range(config.first_seed, config.first_seed + config.seeds)
     ]
     fits.sort(key=lambda found: found.cost)
-    return _conclude(fish, fit, validate, space, idle, fits, time.monotonic() - began)
+    owner = owners(apply(fish, values(space, fits[0].z)), fit)
+    doubts = tuple(by_swims(one, owner) for one in fits)
+    drawn = draw(space, doubts, residuals, config.draws, config.first_seed)
+    found = Found(
+        fish, space, idle, doubts, np.array([list(values(space, z).values()) for z in drawn])
+    )
+    return _conclude(found, fit, validate, check or validate, began)
 
 
 def _sensitive_space(
@@ -148,31 +169,46 @@ def _key(fish: Fish, fit: Sequence[Run], config: FluidConfig) -> str:
     return digest.hexdigest()[:16]
 
 
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What the searches found for a described `fish`; the other fields as in `Identified`."""
+
+    fish: Fish
+    space: tuple[Parameter, ...]
+    idle: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
+    draws: Array
+
+
 def _conclude(
-    fish: Fish,
-    fit: Sequence[Run],
-    validate: Sequence[Run],
-    space: tuple[Parameter, ...],
-    idle: tuple[str, ...],
-    fits: list[Fit],
-    seconds: float,
+    found: Found, fit: Sequence[Run], validate: Sequence[Run], judged: Sequence[Run], began: float
 ) -> Identified:
-    everything = [*fit, *validate]
-    found = [predict(apply(fish, values(space, f.z)), everything) for f in fits]
-    spread = tuple(_seed_result(f, p, len(fit), space) for f, p in zip(fits, found, strict=True))
-    best = apply(fish, values(space, fits[0].z))
+    """Predict all swims with every seed's fish, and the held-out ones with the draws."""
+    everything, space = [*fit, *validate], found.space
+    fits = [one.fit for one in found.doubts]
+    predicted = [predict(apply(found.fish, values(space, f.z)), everything) for f in fits]
+    seeds = [_seed_result(f, p, len(fit), space) for f, p in zip(fits, predicted, strict=True)]
+    best = apply(found.fish, values(space, fits[0].z))
+    drawn = [with_row(found.fish, space, row) for row in found.draws[:BANDED]]
     return Identified(
         space,
-        idle,
-        tuple(fits),
+        found.idle,
+        found.doubts,
         best,
-        tuple(found[0][: len(fit)]),
-        tuple(found[0][len(fit) :]),
+        found.draws,
+        tuple(swim_all(drawn, judged) if judged else ()),
+        tuple(predicted[0][: len(fit)]),
+        tuple(predicted[0][len(fit) :]),
         tuple(check_launches(best, gaits(best, everything))),
         _rival(fit, validate),
-        spread,
-        seconds,
+        tuple(seeds),
+        time.monotonic() - began,
     )
+
+
+def with_row(fish: Fish, space: Sequence[Parameter], row: Array) -> Fish:
+    """The fish with one draw's values (p,)."""
+    return apply(fish, {p.path: float(value) for p, value in zip(space, row, strict=True)})
 
 
 def gaits(fish: Fish, runs: Sequence[Run]) -> list[tuple[float, float | None]]:
@@ -203,90 +239,6 @@ def _seed_result(
         speed_mae(held_out) if held_out else None,
         values(space, fit.z),
     )
-
-
-def as_report(found: Identified, config: FluidConfig) -> dict[str, Any]:
-    """The JSON report."""
-    known = found.estimates()
-    naive = compare(found.fitted, found.validated, found.rival)
-    said = _verdict(found, naive)
-    return {
-        "verdict": list(said.sentences),
-        "trusted": said.trusted,
-        "parameters": {path: as_row(one) for path, one in known.items()},
-        "undecided": [path for path, one in known.items() if not one.decided],
-        "without_effect": list(found.idle),
-        "trade_offs": [
-            {"parameters": [a, b], "correlation": r}
-            for a, b, r in trade_offs(found.space, found.fits[0])
-        ],
-        "zones": config.zones,
-        "added_inertia": found.fish.added_inertia,
-        "seeds": [asdict(one) for one in found.spread],
-        "fit": [row(p) for p in found.fitted],
-        "validate": [row(p) for p in found.validated],
-        "fit_speed_mae": speed_mae(found.fitted),
-        "validate_speed_mae": speed_mae(found.validated) if found.validated else None,
-        "launches": [asdict(one) for one in found.launched],
-        "launches_that_end_backward": len(stuck(found.launched)),
-        "naive": [{**asdict(one), "best": one.best, "ratio": one.ratio} for one in naive],
-        "glitches": as_rows(g for p in (*found.fitted, *found.validated) for g in p.run.glitches),
-        "rival": [errors_row(p) for p in found.rival],
-        "engine": f"mujoco {mujoco.__version__}",
-        "tailbeat": version("tailbeat"),
-        "seconds": found.seconds,
-    }
-
-
-def _verdict(found: Identified, naive: Sequence[Compared]) -> Verdict:
-    contests = [Contest(one.quantity, one.ratio, one.best) for one in naive]
-    samples = [(p.run, p.run.track.time.size) for p in found.fitted]
-    return verdict(contests, [(r.name, share_left_out(r.glitches, n)) for r, n in samples])
-
-
-def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Field -> {value, unit, interval, source} for `store.write_identified`, one for each zone."""
-    few = len(recordings) <= NAMED
-    swims = ", ".join(recordings) if few else f"{len(recordings)} swims, named on top"
-    source = f"identified on {swims}"
-    written: dict[str, dict[str, Any]] = {}
-    for path, known in found.estimates().items():
-        remark = source if known.decided else f"{source}; not decided by the data"
-        entry = {
-            "value": float(f"{known.value:.6g}"),
-            "unit": known.unit,
-            "interval": [float(f"{edge:.4g}") for edge in known.interval],
-            "source": remark,
-        }
-        for zone in found.fish.zones if "*" in path else [""]:
-            written[path.replace("*", zone)] = entry
-    return {**_assumed(found.fish), **written}
-
-
-def _assumed(fish: Fish) -> dict[str, Any]:
-    """The numbers of the fluid law that the fit assumed, from the fitted fish."""
-    numbers = {"added_inertia": (fish.added_inertia, "1"), "added_along": (fish.added_along, "1")}
-    if (blend := fish.trailing_edge) is not None:
-        numbers["trailing_edge.speed"] = (blend.speed, "m/s")
-        numbers["trailing_edge.reverse"] = (blend.reverse, "1")
-    written: dict[str, Any] = {
-        path: {"value": value, "unit": unit, "source": "the fit's assumption"}
-        for path, (value, unit) in numbers.items()
-    }
-    return {**written, "simulation.integrator": fish.simulation.integrator}
-
-
-def heading(found: Identified, config: FluidConfig) -> str:
-    """The first lines of an identified fish: what was fitted, with which error and engine."""
-    lines = [
-        "Identified by `tailbeat identify fluid`; the report beside this file has the details.",
-        f"Fitted on {', '.join(p.run.name for p in found.fitted)}, cost {found.fits[0].cost:.3g},"
-        f" best of {len(found.fits)} seeds, {config.zones} zone(s).",
-        f"Mean absolute speed error {speed_mae(found.fitted):.4f} m/s fitted"
-        + (f", {speed_mae(found.validated):.4f} m/s held out." if found.validated else "."),
-        f"mujoco {mujoco.__version__}, tailbeat {version('tailbeat')}.",
-    ]
-    return "\n".join(lines)
 
 
 def clear(scratch: Path) -> None:

@@ -1,4 +1,4 @@
-"""Find parameters: CMA-ES over the whole range, a least-squares polish, and 95 % intervals.
+"""Find parameters: CMA-ES over the whole range and a least-squares polish.
 
 Everything works on z, the distance of each parameter from its prior in prior spreads, and on a
 batched residual function: candidates (n, p) in, residuals (n, r) out, in standard deviations. A
@@ -6,17 +6,15 @@ residual that is not finite means that the twin diverged.
 """
 
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import cma
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from tailbeat.files import new_file
-from tailbeat.identify.estimate import Estimate
 
 Array = NDArray[np.float64]
 Residuals = Callable[[Array], Array]
@@ -261,33 +259,3 @@ def _step(found: Array, slope: Array, z: Array, damping: float) -> Array:
 def covariance(slope: Array) -> Array:
     """Covariance of z (p, p) from the data's Jacobian (r, p), in units of noise, and the prior."""
     return np.asarray(np.linalg.inv(slope.T @ slope + np.eye(slope.shape[1])))
-
-
-def intervals(space: tuple[Parameter, ...], fits: Sequence[Fit]) -> list[tuple[float, float]]:
-    """95 % interval of every parameter, inside its range, from fits sorted best first.
-
-    From the best fit's covariance, widened to include every seed that fits as well (a cost within
-    the 95 % point of chi-square): the covariance is local, and the cost's valleys are curved.
-    """
-    reach = stats.norm.ppf(0.975) * np.sqrt(np.diag(fits[0].covariance))
-    equals = np.array([f.z for f in fits if f.cost < fits[0].cost + stats.chi2.ppf(0.95, 1)])
-    low = np.minimum(fits[0].z - reach, equals.min(axis=0))
-    high = np.maximum(fits[0].z + reach, equals.max(axis=0))
-    return [(p.from_z(a), p.from_z(b)) for p, a, b in zip(space, low, high, strict=True)]
-
-
-def estimates(space: tuple[Parameter, ...], fits: Sequence[Fit]) -> dict[str, Estimate]:
-    """Field -> the best fit's value with its interval, from fits sorted best first."""
-    found = zip(space, values(space, fits[0].z).values(), intervals(space, fits), strict=True)
-    return {p.path: Estimate(value, span, p.unit, p.prior) for p, value, span in found}
-
-
-def trade_offs(space: tuple[Parameter, ...], fit: Fit, least: float = 0.9) -> list[tuple]:
-    """Pairs of parameters whose estimates are correlated beyond `least`: (path, path, r)."""
-    spread = np.sqrt(np.diag(fit.covariance))
-    correlation = fit.covariance / np.outer(spread, spread)
-    rows, columns = np.where(np.triu(np.abs(correlation), 1) > least)
-    return [
-        (space[i].path, space[j].path, float(correlation[i, j]))
-        for i, j in zip(rows, columns, strict=True)
-    ]

@@ -18,6 +18,7 @@ from tailbeat.identify.glitches import SHAFT, find
 from tailbeat.identify.hinges import tail_inertia
 from tailbeat.identify.response import STILL
 from tailbeat.identify.search import Fit, Parameter, sensitivity
+from tailbeat.identify.shaft import STEP as SHAFT_STEP
 from tailbeat.identify.shaft import Bench, Load, free_run
 from tailbeat.recording import Recording, require, stretches
 
@@ -281,3 +282,15 @@ def load_doubt(space: tuple[Parameter, ...], z: Array, benches: Sequence[Bench])
             if p.path in IN_PROPORTION:
                 shift[i] = 1.0 / p.spread if p.log else p.from_z(float(z[i])) / p.spread
     return LOAD_DOUBT**2 * np.outer(shift, shift)
+
+
+def step_doubt(space: tuple[Parameter, ...]) -> Array:
+    """Covariance (p, p) in z from the simulation's step.
+
+    A mean command acts from the start of its step on, half a step early. So the delay with which
+    the twin moves as a real servo is up to half a step longer than the servo's own (uniform; a
+    simulated servo has such an error of its own).
+    """
+    deviation = SHAFT_STEP / 2 / np.sqrt(3)
+    spread = [deviation / p.spread if p.path == "delay" else 0.0 for p in space]
+    return np.diag(np.square(spread))

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.estimate import Estimate
+from tailbeat.identify.intervals import estimates
 from tailbeat.identify.naive_servo import Naive, naive_servos
 from tailbeat.identify.response import drive_frequency
 from tailbeat.identify.search import (
     Effort,
     Fit,
     Parameter,
-    estimates,
     search_once,
     values,
 )
@@ -33,6 +33,7 @@ from tailbeat.identify.servo import (
     load_doubt,
     residual_function,
     servo_space,
+    step_doubt,
     with_honest_intervals,
 )
 from tailbeat.identify.shaft import Bench, free_run
@@ -210,7 +211,7 @@ def _seeds(
     fits = [search_once(residuals, space, s, config.effort, scratch, progress) for s in seeds]
     fits.sort(key=lambda found: found.cost)
     best = with_honest_intervals(fits[0], residuals, blocks(fit))
-    doubt = load_doubt(space, best.z, fit)
+    doubt = load_doubt(space, best.z, fit) + step_doubt(space)
     return [replace(best, covariance=best.covariance + doubt), *fits[1:]]
 
 

@@ -12,7 +12,8 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.estimate import as_row
 from tailbeat.identify.glitch_report import as_rows
-from tailbeat.identify.search import Fit, Parameter, trade_offs, values
+from tailbeat.identify.intervals import trade_offs
+from tailbeat.identify.search import Fit, Parameter, values
 from tailbeat.identify.servo import BLOCK, load_doubt
 from tailbeat.identify.servo_job import (
     LeftOut,

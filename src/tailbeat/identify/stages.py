@@ -9,17 +9,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tailbeat.files import refuse_existing, write_json
+from tailbeat.fish.description import Fish
 from tailbeat.fish.store import (
     check_fish_name,
+    digest,
     fish_path,
     load_fish,
     with_values,
     write_identified,
 )
 from tailbeat.fish.water import whole
-from tailbeat.identify import job, servo_job, servo_report, tail_report
+from tailbeat.identify import fluid_report, job, posterior, servo_job, servo_report, tail_report
 from tailbeat.identify.clean import clean_pull, clean_tail
 from tailbeat.identify.decay import ring_down, static_loop
+from tailbeat.identify.posterior import Posterior
 from tailbeat.identify.predict import Prediction
 from tailbeat.identify.runs import as_runs
 from tailbeat.identify.servo import as_benches
@@ -38,13 +41,14 @@ DrawFluid = Callable[[list[tuple[str, Prediction]], Path], None]
 class Paths:
     """What an identification reads and writes: the `fish` by its shipped name or file, recordings
     to `fit`, held-out ones to `validate`, the fish to write, `out`, and its report, `json` (None:
-    beside `out`)."""
+    beside `out`). `check` are swims unlike the fitted ones, for the twin's discrepancy."""
 
     fish: str
     fit: Sequence[Path]
     out: Path
     validate: Sequence[Path] = ()
     json: Path | None = None
+    check: Sequence[Path] = ()
 
     @property
     def written(self) -> tuple[Path, Path, Path]:
@@ -106,16 +110,17 @@ def fluid(
     """Fit the fluid coefficients, write fish, report and figure. Raises BadInput as `tail` does."""
     job.check(config)
     _refuse_taken(paths)
+    refuse_existing(posterior.beside(paths.out))
     described = load_fish(paths.fish)
     if config.added_inertia is not None:
         described = with_values(described, {"added_inertia": config.added_inertia})
     if config.whole:
         described = whole(described)
-    fit, validate = (
+    fit, validate, check = (
         [run for path in group for run in as_runs(read_recording(path), described)]
-        for group in (paths.fit, paths.validate)
+        for group in (paths.fit, paths.validate, paths.check)
     )
-    found = job.identify_fluid(described, fit, validate, config, paths.scratch, progress)
+    found = job.identify_fluid(described, fit, validate, config, paths.scratch, progress, check)
     _write_fluid(paths, found, config, draw)
     job.clear(paths.scratch)
     return found
@@ -128,9 +133,27 @@ def _write_fluid(
     fish, report, figure = paths.written
     shown = [("fitted", found.fitted[0])] + [("held out", p) for p in found.validated[:1]]
     draw(shown, figure)
-    write_json(report, {**_source(paths), **job.as_report(found, config)})
-    values = job.toml_values(found, [p.run.name for p in found.fitted])
-    write_identified(paths.fish, fish, {"name": fish.stem, **values}, job.heading(found, config))
+    write_json(report, {**_source(paths), **fluid_report.as_report(found, config)})
+    values = fluid_report.toml_values(found, [p.run.name for p in found.fitted])
+    note = fluid_report.heading(found, config)
+    first = paths.scratch / fish.name  # the posterior needs its digest; the fish is written last
+    write_identified(paths.fish, first, {"name": fish.stem, **values}, note, overwrite=True)
+    posterior.write(posterior.beside(fish), _posterior(found, load_fish(first)))
+    write_identified(paths.fish, fish, {"name": fish.stem, **values}, note)
+
+
+def _posterior(found: job.Identified, fish: Fish) -> Posterior:
+    """The posterior of an identified fish as it was written."""
+    return Posterior(
+        fish.name,
+        digest(fish),
+        tuple(p.path for p in found.space),
+        tuple(p.unit for p in found.space),
+        found.draws,
+        tuple(p.run.name for p in found.fitted),
+        tuple(one.run.name for one in found.drawn),
+        found.discrepancy,
+    )
 
 
 def _refuse_taken(paths: Paths) -> None:

@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
+from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.launch import KEY as LAUNCH
 from tailbeat.identify.launch import launch_of
 from tailbeat.identify.manoeuvres import BEGIN, manoeuvres
@@ -125,6 +126,19 @@ def record_fluid(
         columns = {"motor_angle_rad": angle, **columns}
         stated = {} if launch is None else {LAUNCH: command.meta[LAUNCH]}
         yield Recording(command.name, seen, columns, {**_meta(water), **stated})
+
+
+def record_check(
+    fish: Fish,
+    seed: int = 0,
+    sensors: Sensors = SENSORS,
+    water: Water = WATER,
+    commands: Sequence[Recording] = (),
+) -> Iterator[Recording]:
+    """Record free swims unlike the protocol's (`identify.check_swims`), as `record_fluid` does;
+    another seed plays other commands."""
+    played = commands or tuple(check_swims(fish, limits(fish), seed=seed).values())
+    return record_fluid(fish, seed, sensors, water, played)
 
 
 def _swims(fish: Fish) -> list[Recording]:

@@ -6,13 +6,14 @@ from pathlib import Path
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.protocol import present_name
-from tailbeat.pool.protocols import record_fluid, record_servo, record_tail
+from tailbeat.pool.protocols import record_check, record_fluid, record_servo, record_tail
 from tailbeat.recording import Recording, read_recording, write_recording
 
 RECORDERS: dict[str, Callable[..., Iterator[Recording]]] = {
     "tail": record_tail,
     "servo": record_servo,
     "fluid": record_fluid,
+    "check": record_check,
 }
 
 

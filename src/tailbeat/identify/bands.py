@@ -1,0 +1,242 @@
+"""95 % bands of what a twin predicts: speed, distance, heading and turn rate of a swim.
+
+Two things make a band wide. The draws of a posterior say what the recordings leave open. The
+discrepancy says how far the twin is from real water in its own way, whatever its numbers: it is
+measured on swims that were not fitted, best on swims unlike the fitted ones.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.optimize import brentq
+
+from tailbeat.fish.description import Fish
+from tailbeat.fish.rollout import Swim
+from tailbeat.identify.gait import Track, way
+from tailbeat.identify.predict import JUDGED, LONG
+from tailbeat.identify.runs import Run, camera_track, repeat, twin_gait
+
+Array = NDArray[np.float64]
+UNITS = {"speed": "m/s", "distance": "m", "heading": "deg", "turn_rate": "deg/s"}
+# The size of a swim, to which a discrepancy is in proportion: of speed and distance their own, but
+# at least this; of heading and turn rate their own plus this. All chosen: a fish that should swim
+# straight turns a little, whichever way. In proportion to all turns, to and fro, was tried: fewer
+# of a policy's headings lay in their bands (34 of 50 instead of 40).
+LEAST = {"speed": 0.02, "distance": 0.1, "heading": 10.0, "turn_rate": 1.0}
+AROUND = 0.1  # s before and after, over which a heading is averaged
+MOST = 3.0  # largest discrepancy that is looked for, as a fraction of a swim's size
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """How far the twin is from `swims` held-out swims beyond its posterior: a standard deviation
+    for each quantity, as a fraction of the swim's size (`Drawn.size`). NaN where no swim tells."""
+
+    speed: float
+    distance: float
+    heading: float
+    turn_rate: float
+    swims: int
+
+
+@dataclass(frozen=True)
+class Band:
+    """One quantity of one swim, in `unit`: `measured`, the draws' median `predicted`, and the 95 %
+    band from `low` to `high`."""
+
+    recording: str
+    quantity: str
+    unit: str
+    measured: float
+    predicted: float
+    low: float
+    high: float
+
+    @property
+    def inside(self) -> bool:
+        """Whether the measured value is in the band."""
+        return self.low <= self.measured <= self.high
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """One swim: `measured` (4,) and each draw's prediction (n, 4), in the order of `UNITS`; NaN
+    where the recording does not tell."""
+
+    run: Run
+    measured: Array
+    predicted: Array
+
+    @property
+    def swum(self) -> Array:
+        """The predictions (m, 4) of the draws that did not diverge."""
+        return np.asarray(self.predicted[~np.isinf(self.predicted).any(axis=1)])
+
+    @property
+    def centre(self) -> Array:
+        """Median prediction (4,), NaN if every draw diverged."""
+        swum = self.swum
+        return np.median(swum, axis=0) if len(swum) else np.full(len(UNITS), np.nan)
+
+    @property
+    def spread(self) -> Array:
+        """Standard deviation (4,) of the predictions, from their middle 68 %; infinite if over half
+        of the draws diverged."""
+        swum = self.swum
+        if 2 * len(swum) < len(self.predicted):
+            return np.full(len(UNITS), np.inf)
+        low, high = np.quantile(swum, [0.16, 0.84], axis=0)
+        return np.asarray((high - low) / 2)
+
+    @property
+    def size(self) -> Array:
+        """The size of the swim in each quantity (4,), to which its discrepancy is in proportion."""
+        least = np.array(list(LEAST.values()))
+        own = np.abs(self.centre)
+        return np.where(np.arange(len(least)) < 2, np.maximum(own, least), own + least)
+
+
+def swim_all(fishes: Sequence[Fish], runs: Sequence[Run]) -> list[Drawn]:
+    """Swim every run with every fish in one batched call. All fish must be of one build."""
+    done = repeat(fishes, runs, LONG)
+    return [
+        Drawn(
+            run,
+            measure(run.track, run, run.gait.speed),
+            np.array([_predicted(f, run, s[i]) for f, s in zip(fishes, done, strict=True)]),
+        )
+        for i, run in enumerate(runs)
+    ]
+
+
+def _predicted(fish: Fish, run: Run, done: Swim) -> Array:
+    if done.diverged:
+        return np.full(len(UNITS), np.inf)
+    return measure(camera_track(fish, run, done), run, twin_gait(fish, run, done, LONG).speed)
+
+
+def measure(track: Track, run: Run, speed: float) -> Array:
+    """Speed, distance, heading and turn rate (4,) of a track over the time of `run`; of a cruise
+    only the speed, without a heading only speed and distance."""
+    found = np.full(len(UNITS), np.nan)
+    found[0] = speed
+    if run.motor is None:
+        return found
+    end = float(run.track.time[-1] - run.track.time[0])
+    time = track.time - track.time[0]
+    whole = track.cut(0, int(np.searchsorted(time, end, side="right")))
+    found[1] = way(whole)
+    if run.track.has_heading:
+        at = min(JUDGED, end - AROUND)
+        turned = _yaw(whole, at) - whole.pose[0, 2]
+        later = _yaw(whole, end - AROUND) - _yaw(whole, end / 2)
+        found[2:] = np.degrees([turned, later / (end / 2 - AROUND)])
+    return found
+
+
+def _yaw(track: Track, at: float) -> float:
+    """Mean heading [rad] around a time since the start."""
+    near = np.abs(track.time - track.time[0] - at) <= AROUND
+    return float(track.pose[near, 2].mean())
+
+
+def discrepancy(swims: Sequence[Drawn]) -> Discrepancy:
+    """The discrepancy with which errors and draws agree: the mean square of the errors, each over
+    its variance, is 1. It is 0 where the draws alone explain the errors."""
+    error = np.array([one.measured - one.centre for one in swims])
+    spread = np.array([one.spread for one in swims])
+    size = np.array([one.size for one in swims])
+    speed, distance, heading, turn_rate = (
+        _extra(*columns) for columns in zip(error.T, spread.T, size.T, strict=True)
+    )
+    return Discrepancy(speed, distance, heading, turn_rate, len(swims))
+
+
+def _extra(error: Array, spread: Array, size: Array) -> float:
+    known = np.isfinite(error) & np.isfinite(spread)
+    if not known.any():
+        return float("nan")
+    error, spread, size = error[known], spread[known], size[known]
+
+    def surplus(share: float) -> float:
+        return float(np.mean(error**2 / (spread**2 + (share * size) ** 2 + 1e-18)) - 1)
+
+    if surplus(0.0) <= 0:
+        return 0.0
+    return MOST if surplus(MOST) > 0 else float(brentq(surplus, 0.0, MOST))
+
+
+def bands(swim: Drawn, known: Discrepancy | None, share: float = 0.95) -> list[Band]:
+    """The bands of one swim: Student's t, with as many degrees of freedom as swims gave the
+    discrepancy. Quantities that the recording does not tell are left out."""
+    centre, spread = swim.centre, swim.spread
+    extra = np.zeros(len(UNITS)) if known is None else _as_array(known)
+    freedom = np.inf if known is None else max(known.swims, 1)
+    reach = stats.t.ppf(0.5 + share / 2, freedom) * np.hypot(spread, extra * swim.size)
+    return [
+        Band(swim.run.name, name, unit, measured, middle, middle - half, middle + half)
+        for (name, unit), measured, middle, half in zip(
+            UNITS.items(),
+            swim.measured.tolist(),
+            centre.tolist(),
+            reach.tolist(),
+            strict=True,
+        )
+        if np.isfinite(measured)
+    ]
+
+
+def left_out(swims: Sequence[Drawn]) -> list[Band]:
+    """The bands of held-out swims, each with the discrepancy of the others."""
+    return [
+        band
+        for i, one in enumerate(swims)
+        if len(swims) > 1
+        for band in bands(one, discrepancy([*swims[:i], *swims[i + 1 :]]))
+    ]
+
+
+def _as_array(known: Discrepancy) -> Array:
+    return np.nan_to_num(np.array([getattr(known, name) for name in UNITS]))
+
+
+@dataclass(frozen=True)
+class Count:
+    """Of one quantity in `unit`: how many of `swims` are `inside` their bands, and the median half
+    width of the bands and size of the errors."""
+
+    quantity: str
+    unit: str
+    inside: int
+    swims: int
+    half_width: float
+    error: float
+
+
+def count(found: Sequence[Band]) -> list[Count]:
+    """Count the bands that hold, quantity by quantity."""
+    return [
+        _counted(name, unit, own)
+        for name, unit in UNITS.items()
+        if (own := [one for one in found if one.quantity == name])
+    ]
+
+
+def _counted(name: str, unit: str, own: Sequence[Band]) -> Count:
+    half = np.median([(one.high - one.low) / 2 for one in own])
+    error = np.median([abs(one.measured - one.predicted) for one in own])
+    return Count(name, unit, sum(b.inside for b in own), len(own), float(half), float(error))
+
+
+def as_rows(found: Sequence[Band]) -> list[dict[str, Any]]:
+    """The JSON of bands."""
+    return [{**asdict(one), "inside": one.inside} for one in found]
+
+
+def as_json(found: Sequence[Band]) -> Mapping[str, Any]:
+    """The JSON of bands and of how many hold."""
+    return {"bands": as_rows(found), "held": [asdict(one) for one in count(found)]}

@@ -1,0 +1,154 @@
+"""The posterior: draws of the identified numbers, kept beside the fish as `NAME-posterior.parquet`.
+
+One row is one draw, one column per free number, in its unit; the first row is the fish itself. The
+metadata say which fish it belongs to, what it was fitted to, by which versions, and how far the
+twin is from held-out swims beyond the draws (`Discrepancy`).
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput, new_file
+from tailbeat.fish.description import Fish
+from tailbeat.fish.store import digest, fish_path, load_fish
+from tailbeat.identify.bands import Discrepancy
+from tailbeat.identify.estimate import Estimate, as_row
+from tailbeat.identify.fluid import apply
+
+Array = NDArray[np.float64]
+SUFFIX = "-posterior.parquet"
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """`draws` (n, p) of the numbers at the dotted `paths`, in `units`; the first is the fish.
+
+    `fish` and `fish_digest` name the identified fish. `fitted` and `held_out` are the recordings'
+    names. `discrepancy` is measured on `held_out`, None without any.
+    """
+
+    fish: str
+    fish_digest: str
+    paths: tuple[str, ...]
+    units: tuple[str, ...]
+    draws: Array
+    fitted: tuple[str, ...]
+    held_out: tuple[str, ...]
+    discrepancy: Discrepancy | None
+    versions: str = ""
+
+
+def beside(fish: Path) -> Path:
+    """Where the posterior of the fish file `fish` lies."""
+    return fish.with_name(fish.stem + SUFFIX)
+
+
+def of(fish: str, path: Path | None = None) -> Posterior | None:
+    """The posterior at `path` (None: beside the fish, if there is one) of a shipped fish's name or
+    file. Raises BadInput if it is another fish's or cannot be read."""
+    chosen = path or beside(fish_path(fish))
+    if path is None and not chosen.is_file():
+        return None
+    known = read(chosen)
+    check_own(load_fish(fish), known)
+    return known
+
+
+def fishes(fish: Fish, posterior: Posterior, most: int | None = None) -> list[Fish]:
+    """The fish with each draw's numbers, the first `most` draws (None: all). Raises BadInput if the
+    posterior is another fish's."""
+    check_own(fish, posterior)
+    chosen = posterior.draws[:most]
+    return [apply(fish, dict(zip(posterior.paths, map(float, row), strict=True))) for row in chosen]
+
+
+def estimates(posterior: Posterior) -> dict[str, Estimate]:
+    """Field -> the fish's value with the 95 % interval of the draws."""
+    spans = np.quantile(posterior.draws, [0.025, 0.975], axis=0).T.tolist()
+    rows = zip(posterior.paths, posterior.draws[0].tolist(), spans, posterior.units, strict=True)
+    return {path: Estimate(value, (low, high), unit) for path, value, (low, high), unit in rows}
+
+
+def as_rows(posterior: Posterior) -> dict[str, Any]:
+    """The JSON of `estimates`, by field."""
+    return {path: as_row(one) for path, one in estimates(posterior).items()}
+
+
+def check_own(fish: Fish, posterior: Posterior) -> None:
+    """Raises BadInput if the posterior was not drawn for exactly this fish."""
+    if posterior.fish_digest != digest(fish):
+        raise BadInput(
+            f"the posterior is of {posterior.fish} ({posterior.fish_digest}), not of {fish.name}"
+            f" ({digest(fish)}); give the fish that was identified with it, or identify it again."
+        )
+
+
+def write(path: Path, posterior: Posterior) -> None:
+    """Write a posterior. Raises BadInput if `path` exists."""
+    frame = pl.DataFrame(dict(zip(posterior.paths, posterior.draws.T, strict=True)))
+    with new_file(path) as to:
+        frame.write_parquet(to, metadata={"tailbeat_posterior": json.dumps(_facts(posterior))})
+
+
+def _facts(posterior: Posterior) -> dict[str, Any]:
+    known = posterior.discrepancy
+    return {
+        "fish": posterior.fish,
+        "fish_digest": posterior.fish_digest,
+        "units": posterior.units,
+        "fitted": posterior.fitted,
+        "held_out": posterior.held_out,
+        "discrepancy": None if known is None else vars(known),
+        "versions": f"mujoco {mujoco.__version__}, tailbeat {version('tailbeat')}",
+    }
+
+
+def read(path: Path) -> Posterior:
+    """Read a posterior. Raises BadInput for a file that is none, or that has a number that is not
+    finite."""
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file; `tailbeat identify fluid` writes it.")
+    try:
+        frame = pl.read_parquet(path)
+        facts = json.loads(pl.read_parquet_metadata(path)["tailbeat_posterior"])
+        found = _from(frame, facts)
+    except (pl.exceptions.PolarsError, KeyError, TypeError, ValueError):
+        raise BadInput(
+            f"{path}: not a posterior of `tailbeat identify`; identify the fish again."
+        ) from None
+    bad = [name for name, column in zip(found.paths, found.draws.T, strict=True) if _wrong(column)]
+    if bad or not len(found.draws):
+        where = f"column {bad[0]} has a value that is not finite" if bad else "it has no draw"
+        raise BadInput(f"{path}: {where}; identify the fish again.")
+    return found
+
+
+def _wrong(column: Array) -> bool:
+    return not bool(np.isfinite(column).all())
+
+
+def _from(frame: pl.DataFrame, facts: Mapping[str, Any]) -> Posterior:
+    known = facts["discrepancy"]
+    units: Sequence[str] = facts["units"]
+    if len(units) != frame.width:
+        raise ValueError
+    return Posterior(
+        facts["fish"],
+        facts["fish_digest"],
+        tuple(frame.columns),
+        tuple(units),
+        frame.to_numpy().astype(np.float64),
+        tuple(facts["fitted"]),
+        tuple(facts["held_out"]),
+        None if known is None else Discrepancy(**known),
+        facts["versions"],
+    )

@@ -1,0 +1,72 @@
+"""`tailbeat identify posterior`: the posterior of a fish that was identified before."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tailbeat.files import BadInput, refuse_existing
+from tailbeat.fish.description import Fish
+from tailbeat.fish.store import digest, fish_path, load_fish, value_at
+from tailbeat.identify import posterior
+from tailbeat.identify.bands import discrepancy, swim_all
+from tailbeat.identify.doubt import by_swims, draw
+from tailbeat.identify.fluid import fluid_space, owners, residual_function
+from tailbeat.identify.job import BANDED, FluidConfig, check, with_row
+from tailbeat.identify.posterior import Posterior
+from tailbeat.identify.runs import Run, as_runs
+from tailbeat.identify.search import WIDE_STEP, Fit, Parameter, cost, covariance, sensitivity
+from tailbeat.identify.search import values as values_at
+from tailbeat.recording import read_recording
+
+
+def write_posterior(
+    fish: str, fit: Sequence[Path], check_swims: Sequence[Path], out: Path | None, seed: int
+) -> Path:
+    """Write the posterior of an identified fish, from the recordings that it was fitted to and
+    swims that it was not; `out` None: beside the fish. Returns its path. Raises BadInput."""
+    described, path = load_fish(fish), out or posterior.beside(fish_path(fish))
+    refuse_existing(path)
+    runs, judged = (
+        [run for name in group for run in as_runs(read_recording(name), described)]
+        for group in (fit, check_swims)
+    )
+    if not runs:
+        raise BadInput("--fit is empty; give the recordings that the fish was fitted to.")
+    posterior.write(path, posterior_of(described, runs, judged, FluidConfig(first_seed=seed)))
+    return path
+
+
+def posterior_of(
+    fish: Fish, fit: Sequence[Run], judged: Sequence[Run], config: FluidConfig
+) -> Posterior:
+    """The posterior about the fish's own numbers; nothing is fitted. `judged` are swims that were
+    not fitted, for the discrepancy."""
+    check(config)
+    space = fluid_space(fish, config.zones)
+    residuals = residual_function(fish, fit, space, config.start_weight)
+    z = np.array([p.to_z(value_at(fish, _one(fish, p))) for p in space])
+    found, slope = sensitivity(residuals, z, step=WIDE_STEP)
+    own = Fit(0, z, float(cost(found, z)), found, slope, covariance(slope))
+    drawn = draw(
+        space, [by_swims(own, owners(fish, fit))], residuals, config.draws, config.first_seed
+    )
+    rows = np.array([list(values_at(space, one).values()) for one in drawn])
+    swims = (
+        swim_all([with_row(fish, space, row) for row in rows[:BANDED]], judged) if judged else ()
+    )
+    return Posterior(
+        fish.name,
+        digest(fish),
+        tuple(p.path for p in space),
+        tuple(p.unit for p in space),
+        rows,
+        tuple(run.name for run in fit),
+        tuple(run.name for run in judged),
+        discrepancy(swims) if swims else None,
+    )
+
+
+def _one(fish: Fish, parameter: Parameter) -> str:
+    """The field of a parameter, of any one zone if it is all zones'."""
+    return parameter.path.replace("*", next(iter(fish.zones)))

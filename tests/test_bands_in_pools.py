@@ -1,0 +1,81 @@
+"""Bands of the shipped fish hold in its water, and after ten check swims in eight others. Slow."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tailbeat.fish.store import load_fish
+from tailbeat.identify import posterior as store
+from tailbeat.identify.bands import Band, Drawn, bands, count, discrepancy, swim_all
+from tailbeat.identify.manoeuvres import manoeuvres
+from tailbeat.identify.protocol import fluid_runs, limits
+from tailbeat.identify.runs import as_runs
+from tailbeat.pool.protocols import record_check, record_fluid
+from tailbeat.pool.water import Water, ensemble
+
+TWIN, POOL = load_fish("pulley-fish-pool"), load_fish("pulley-fish")
+WATERS = ensemble(9, seed=4)[1:]
+AT_ONCE = 10
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    known = store.of("pulley-fish-pool")
+    assert known is not None
+    return known, store.fishes(TWIN, known, 32)
+
+
+def swum(fishes, recordings) -> list[Drawn]:
+    runs = [run for one in recordings for run in as_runs(one, TWIN)]
+    parts = [runs[i : i + AT_ONCE] for i in range(0, len(runs), AT_ONCE)]
+    return [one for part in parts for one in swim_all(fishes, part)]
+
+
+def protocol(seed: int, water: Water, first: int):
+    """Every third swim of the protocol."""
+    limit = limits(POOL)
+    commands = list({**fluid_runs(POOL, limit), **manoeuvres(POOL, limit)}.values())
+    return record_fluid(POOL, seed, water=water, commands=commands[first::3])
+
+
+def judge(name: str, found: list[Band], least: float) -> None:
+    """Print and check how many hold, and that no band is wider than it need be."""
+    for row in count(found):
+        wide = row.half_width / row.error
+        print(f"{name}: {row.quantity} {row.inside} of {row.swims}, {wide:.1f} times the error")
+        assert row.inside >= least * row.swims, row
+    assert np.median([row.half_width / row.error for row in count(found)]) <= 4.0
+
+
+@pytest.mark.slow
+def test_bands_hold_fresh_swims_in_the_fish_s_own_water(drawn):
+    known, fishes = drawn
+    for name, recordings in (
+        ("protocol", protocol(7, Water(), 1)),
+        ("unlike it", record_check(POOL, 11)),
+    ):
+        found = [b for one in swum(fishes, recordings) for b in bands(one, known.discrepancy)]
+        judge(name, found, least=0.75)
+    assert known.discrepancy is not None and known.discrepancy.swims == 10
+
+
+@pytest.mark.slow
+def test_in_other_waters_ten_check_swims_make_the_bands_hold_again(drawn):
+    """Without them the bands of a fish from another water hold less often than they say."""
+    known, fishes = drawn
+    stale: list[Band] = []
+    renewed: list[Band] = []
+    protocols: list[Band] = []
+    for number, water in enumerate(WATERS):
+        seen = discrepancy(swum(fishes, record_check(POOL, 40 + number, water=water)))
+        fresh = swum(fishes, record_check(POOL, 60 + number, water=water))
+        stale += [band for one in fresh for band in bands(one, known.discrepancy)]
+        renewed += [band for one in fresh for band in bands(one, seen)]
+        others = swum(fishes, protocol(80 + number, water, number % 3))
+        protocols += [band for one in others for band in bands(one, seen)]
+    held = np.mean([band.inside for band in stale])
+    print(f"without check swims {100 * held:.0f} % hold")
+    assert held < 0.8
+    judge("renewed, unlike the protocol", renewed, least=0.88)
+    judge("renewed, protocol", [replace(one) for one in protocols], least=0.8)

@@ -1,0 +1,208 @@
+"""A posterior lies beside its fish and no other; its bands hold as often as they say."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from support import tailbeat
+from synthetic import record
+from tailbeat.files import BadInput
+from tailbeat.fish.store import digest, load_fish, value_at
+from tailbeat.identify import bands as banded
+from tailbeat.identify import posterior as store
+from tailbeat.identify.bands import Discrepancy, Drawn, bands, count, discrepancy
+from tailbeat.identify.posterior import Posterior
+from tailbeat.identify.runs import as_run
+from tailbeat.recording import write_recording
+
+FISH = load_fish("pulley-fish")
+RUN = as_run(record(FISH, "a", 1.5, 0.5, seconds=3.0), FISH)
+KNOWN = Discrepancy(0.05, 0.05, 0.1, 0.1, 12)
+
+
+def posterior(fish=FISH, **changes) -> Posterior:
+    blunt = np.linspace(0.9, 1.1, 5) * fish.zones["fin"].blunt
+    found = Posterior(
+        fish.name, digest(fish), ("zones.fin.blunt",), ("1",), blunt[:, None], ("a", "b"), ("c",),
+        KNOWN,
+    )  # fmt: skip
+    return replace(found, **changes)
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    path = store.beside(tmp_path / "my-fish.toml")
+    assert path.name == "my-fish-posterior.parquet"
+    store.write(path, posterior())
+    found = store.read(path)
+    for name in ("fish", "fish_digest", "paths", "units", "fitted", "held_out", "discrepancy"):
+        assert getattr(found, name) == getattr(posterior(), name), name
+    assert np.array_equal(found.draws, posterior().draws)
+    assert "mujoco" in found.versions and "tailbeat" in found.versions
+    with pytest.raises(BadInput, match="exists already"):
+        store.write(path, posterior())
+
+
+def test_each_draw_is_a_fish_with_its_numbers():
+    drawn = store.fishes(FISH, posterior(), most=3)
+    assert [f.zones["fin"].blunt for f in drawn] == pytest.approx(posterior().draws[:3, 0])
+    other = next(name for name in FISH.zones if name != "fin")
+    assert drawn[0].zones[other] == FISH.zones[other]
+
+
+def test_another_fish_s_posterior_is_refused():
+    other = FISH.model_copy(update={"added_inertia": 0.5})
+    with pytest.raises(BadInput, match=r"the posterior is of pulley-fish .*identify it again"):
+        store.fishes(other, posterior())
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda path: path.write_text("time_s,angle\n0,1\n"), "not a posterior"),
+        (lambda path: path.unlink(), "no such file"),
+        (lambda path: write_recording(*plain_table(path)), "not a posterior"),
+        (lambda path: rewrite(path, draws=np.full((2, 1), np.nan)), "not finite"),
+        (lambda path: rewrite(path, draws=np.empty((0, 1))), "no draw"),
+        (lambda path: rewrite(path, units=("1", "m")), "not a posterior"),
+    ],
+)
+def test_a_file_that_is_no_posterior_is_refused(tmp_path, spoil, said):
+    path = tmp_path / "f-posterior.parquet"
+    store.write(path, posterior())
+    spoil(path)
+    with pytest.raises(BadInput, match=said):
+        store.read(path)
+
+
+def plain_table(path):
+    path.unlink()
+    return record(FISH, "a", 1.5, 0.5, seconds=1.0), path
+
+
+def rewrite(path, **changes):
+    path.unlink()
+    store.write(path, posterior(**changes))
+
+
+# ---- bands --------------------------------------------------------------------------------------
+
+
+def swims(number: int, seed: int, true: float, spread: float = 0.01) -> list[Drawn]:
+    """Swims of a twin whose predictions are off by the fraction `true` of each swim's size, beyond
+    draws of relative deviation `spread`."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for _ in range(number):
+        predicted = np.array([0.3, 4.0, rng.uniform(-90, 90), rng.uniform(-20, 20)])
+        size = Drawn(RUN, predicted, predicted[None]).size
+        draws = predicted + spread * size * rng.normal(size=(64, 4))
+        measured = predicted + np.hypot(true, spread) * size * rng.normal(size=4)
+        made.append(Drawn(RUN, measured, draws))
+    return made
+
+
+def test_the_discrepancy_is_what_the_draws_do_not_explain():
+    found = discrepancy(swims(400, 0, true=0.05))
+    for name in banded.UNITS:
+        assert getattr(found, name) == pytest.approx(0.05, rel=0.15), name
+    exact = discrepancy([replace(one, measured=one.centre) for one in swims(20, 1, true=0.0)])
+    assert max(getattr(exact, name) for name in banded.UNITS) == 0.0
+
+
+@pytest.mark.parametrize("held_out", [4, 8, 13])
+def test_bands_hold_95_percent_of_fresh_swims(held_out):
+    """However few swims told the discrepancy. Draws alone hold a third."""
+    inside, alone = [], []
+    for seed in range(150):
+        known = discrepancy(swims(held_out, seed, true=0.05))
+        for fresh in swims(4, 1000 + seed, true=0.05):
+            inside += [band.inside for band in bands(fresh, known)]
+            alone += [band.inside for band in bands(fresh, None)]
+    assert 0.92 <= np.mean(inside) <= 0.98
+    assert np.mean(alone) < 0.5
+
+
+def test_a_draw_that_diverged_does_not_widen_a_band_and_many_make_it_endless():
+    (swum,) = swims(1, 0, true=0.05)
+    one, most = swum.predicted.copy(), swum.predicted.copy()
+    one[5], most[:40] = np.inf, np.inf
+    was, with_one, with_most = (
+        bands(replace(swum, predicted=p), None)[0] for p in (swum.predicted, one, most)
+    )
+    assert with_one.high - with_one.low == pytest.approx(was.high - was.low, rel=0.1)
+    assert np.isinf(with_most.high - with_most.low)
+
+
+def test_bands_are_counted_by_quantity():
+    found = [band for one in swims(50, 3, true=0.05) for band in bands(one, KNOWN)]
+    rows = {row.quantity: row for row in count(found)}
+    assert list(rows) == list(banded.UNITS)
+    for row in rows.values():
+        own = [band for band in found if band.quantity == row.quantity]
+        assert row.swims == 50 and row.inside == sum(b.low <= b.measured <= b.high for b in own)
+
+
+def test_the_twin_s_own_swim_lies_in_its_bands_and_a_faster_one_does_not():
+    """The recording is the fish's own, so the first draw predicts it but for the camera."""
+    fishes = store.fishes(FISH, posterior())
+    (swum,) = banded.swim_all(fishes, [RUN])
+    assert swum.predicted[2] == pytest.approx(swum.measured, rel=0.02, abs=1.5)
+    assert all(band.inside for band in bands(swum, KNOWN) if band.quantity != "turn_rate")
+    fast = replace(swum, measured=2 * swum.measured)
+    assert not any(
+        band.inside for band in bands(fast, KNOWN) if band.quantity in ("speed", "distance")
+    )
+
+
+def test_a_swim_without_heading_has_bands_of_speed_and_distance_alone():
+    blind = replace(RUN, track=replace(RUN.track, pose=RUN.track.pose * [1, 1, np.nan]))
+    (swum,) = banded.swim_all(store.fishes(FISH, posterior()), [blind])
+    assert [band.quantity for band in bands(swum, None)] == ["speed", "distance"]
+
+
+def test_predict_gives_bands_from_the_posterior_beside_the_fish(tmp_path):
+    fish, out = tmp_path / "my.toml", tmp_path / "out.json"
+    fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))
+    own = load_fish(fish)
+    store.write(store.beside(fish), posterior(own))
+    write_recording(record(own, "swim", 1.5, 0.5, seconds=3.0), tmp_path / "swim.csv")
+    done = tailbeat("predict", "--fish", fish, tmp_path / "swim.csv", "--json", out)
+    assert done.returncode == 0, done.stderr
+    assert "speed: 1 of 1 swims inside" in done.stdout
+    said = json.loads(out.read_text())
+    assert [row["quantity"] for row in said["bands"]] == list(banded.UNITS)
+    assert {row["quantity"]: row["inside"] for row in said["held"]}["speed"] == 1
+
+
+def test_predict_refuses_the_posterior_of_another_fish(tmp_path):
+    store.write(tmp_path / "p.parquet", posterior())
+    write_recording(record(FISH, "swim", 1.5, 0.5, seconds=3.0), tmp_path / "swim.csv")
+    done = tailbeat(
+        "predict", "--fish", "pulley-fish-pool", tmp_path / "swim.csv",
+        "--posterior", tmp_path / "p.parquet", "--json", tmp_path / "out.json",
+    )  # fmt: skip
+    assert done.returncode == 2 and "the posterior is of pulley-fish" in done.stderr
+    assert not (tmp_path / "out.json").exists()
+
+
+def text_of(name: str) -> str:
+    from tailbeat.fish.store import fish_path
+
+    return fish_path(name).read_text(encoding="utf-8")
+
+
+def test_the_shipped_posterior_belongs_to_the_shipped_fish():
+    known, fish = store.of("pulley-fish-pool"), load_fish("pulley-fish-pool")
+    assert known is not None and known.draws.shape == (100, len(known.paths))
+    for path, value in zip(known.paths, known.draws[0], strict=True):
+        assert value == pytest.approx(value_at(fish, path), rel=1e-6), path
+    assert known.discrepancy is not None and known.discrepancy.swims == 10
+    assert not {*known.fitted} & {*known.held_out}
+
+
+def test_show_prints_what_the_recordings_decide(tmp_path):
+    done = tailbeat("show", "pulley-fish-pool", "--picture", tmp_path / "fish.png")
+    assert done.returncode == 0, done.stderr
+    assert "identified numbers" in done.stdout and "zones.fin.kutta" in done.stdout
