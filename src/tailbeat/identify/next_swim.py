@@ -1,0 +1,151 @@
+"""Which swim to record next: the one from which a chosen prediction would gain most.
+
+The draws of a posterior swim every candidate and every goal. Draws that differ in a goal, such as
+the speed of a turn, and in what a candidate would show tell how much the candidate would tell. To
+first order this is a linear regression of the goals on what is seen, with the camera's error and
+the twin's discrepancy as noise (the linear Bayes estimate). Nothing is recorded or fitted.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
+from tailbeat.fish.store import load_fish
+from tailbeat.identify.bands import UNITS, Discrepancy, Drawn, swim_all
+from tailbeat.identify.check_swims import check_swims
+from tailbeat.identify.gait import Gait, Track
+from tailbeat.identify.launch import launch_of
+from tailbeat.identify.manoeuvres import manoeuvres
+from tailbeat.identify.posterior import Posterior, fishes
+from tailbeat.identify.posterior import of as posterior_of
+from tailbeat.identify.protocol import fluid_runs, limits
+from tailbeat.identify.runs import Run
+from tailbeat.recording import Recording
+
+Array = NDArray[np.float64]
+CALM = 120.0  # s of waiting for still water before each swim, chosen
+SEEN = np.array([0.002, 0.01, 1.0, 0.5])  # error of one recording: m/s, m, deg, deg/s; chosen
+# Goals: swims by the end of their names, and quantities of `UNITS` that count.
+GOALS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "speed": ("", ("speed",)),
+    "turning": ("turn", ("heading", "turn_rate")),
+    "reach": ("wander", ("distance", "heading")),
+}
+
+
+@dataclass(frozen=True)
+class Advice:
+    """A swim to record: `gain` is the fraction by which the goal's band shrinks on top of those
+    before it in the list, `minutes` the lab time with the wait for calm water."""
+
+    swim: str
+    gain: float
+    minutes: float
+
+    @property
+    def gain_per_minute(self) -> float:
+        """Gain over lab time [1/min]."""
+        return self.gain / self.minutes
+
+
+def advise_on(fish: str, goal: str, count: int = 3) -> list[Advice]:
+    """`advise` for a fish's file with its posterior beside it. Raises BadInput without one."""
+    known = posterior_of(fish)
+    if known is None:
+        raise BadInput(
+            f"{fish}: no posterior beside the fish; write it with `tailbeat identify posterior`."
+        )
+    return advise(load_fish(fish), known, goal, count)
+
+
+def advise(
+    fish: Fish, posterior: Posterior, goal: str, count: int = 3, draws: int = 100
+) -> list[Advice]:
+    """The `count` protocol swims not yet fitted that shrink the goal's band most per minute, each
+    given those before it. Raises BadInput for an unknown goal, or another fish's posterior."""
+    if goal not in GOALS:
+        raise BadInput(f"--goal {goal}: allowed are {', '.join(GOALS)}.")
+    drawn = fishes(fish, posterior, draws)
+    made = candidates(fish)
+    swum = {name: swim_all(drawn, [run])[0] for name, run in made.items()}
+    wanted = _goals(swum, fish, goal)
+    open_to = {name: one for name, one in swum.items() if name not in posterior.fitted}
+    return choose(wanted, open_to, posterior.discrepancy, count)
+
+
+def candidates(fish: Fish) -> dict[str, Run]:
+    """Every swim of the protocol as a run, played exactly. Raises BadInput for a crank."""
+    limit = limits(fish)
+    commands = {**fluid_runs(fish, limit), **manoeuvres(fish, limit), **check_swims(fish, limit)}
+    return {name: as_played(command, fish) for name, command in commands.items()}
+
+
+def as_played(command: Recording, fish: Fish) -> Run:
+    """A command as a run whose motor follows it exactly; its track is only a clock."""
+    nan = float("nan")
+    track = Track(command.time, np.zeros((command.time.size, 3)))
+    gait = Gait(nan, nan, nan, complex(nan), None, nan)
+    launch = launch_of(command, fish)
+    return Run(command.name, track, gait, command.columns["command_rad"], launch is None, launch)
+
+
+def _goals(swum: Mapping[str, Drawn], fish: Fish, goal: str) -> Array:
+    """What each draw predicts for the goal (n, g), in units of the goal's own size."""
+    kind, names = GOALS[goal]
+    steady = set(fluid_runs(fish, limits(fish)))
+    chosen = [one for name, one in swum.items() if name.endswith(kind) and (kind or name in steady)]
+    columns = [list(UNITS).index(name) for name in names]
+    return np.concatenate([(one.predicted / one.size)[:, columns] for one in chosen], axis=1)
+
+
+def choose(
+    goals: Array, swims: Mapping[str, Drawn], known: Discrepancy | None, count: int
+) -> list[Advice]:
+    """The best swims one after the other, from the goals (n, g) and candidates of n draws."""
+    seen: list[Array] = []
+    found: list[Advice] = []
+    left = dict(swims)
+    for _ in range(min(count, len(left))):
+        before = spread_after(goals, seen)
+        rated = [
+            Advice(
+                name, 1 - spread_after(goals, [*seen, _seen(one, known)]) / before, _minutes(one)
+            )
+            for name, one in left.items()
+        ]
+        best = max(rated, key=lambda one: one.gain_per_minute)
+        found.append(best)
+        seen.append(_seen(left.pop(best.swim), known))
+    return found
+
+
+def _minutes(swim: Drawn) -> float:
+    return float((swim.run.track.time[-1] + CALM) / 60)
+
+
+def _seen(swim: Drawn, known: Discrepancy | None) -> Array:
+    """What a recording of the swim would show of each draw (n, 4), in units of its error."""
+    extra = np.zeros(len(UNITS))
+    if known is not None:
+        extra = np.nan_to_num([getattr(known, name) for name in UNITS])
+    return np.asarray(swim.predicted / np.hypot(SEEN, extra * swim.size))
+
+
+def spread_after(goals: Array, seen: Sequence[Array]) -> float:
+    """Root mean square deviation of the goals (n, g) over the draws that would be left after seeing
+    `seen`, arrays (n, s) in units of their errors."""
+    good = np.isfinite(goals).all(axis=1)
+    for one in seen:
+        good &= np.isfinite(one).all(axis=1)
+    away = goals[good] - goals[good].mean(axis=0)
+    own = np.asarray(away.T @ away) / len(away)
+    if seen:
+        shown = np.concatenate([one[good] - one[good].mean(axis=0) for one in seen], axis=1)
+        across = shown.T @ away / len(away)
+        noisy = shown.T @ shown / len(away) + np.eye(shown.shape[1])
+        own = own - across.T @ np.linalg.solve(noisy, across)
+    return float(np.sqrt(max(np.trace(own), 0.0) / len(own)))
