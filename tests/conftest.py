@@ -10,6 +10,10 @@ import pytest
 from xdist.scheduler import LoadScopeScheduling
 
 import tailbeat  # noqa: F401  first: it chooses the engine's GL library
+from tailbeat.processes import ALONE
+
+if "PYTEST_XDIST_WORKER" in os.environ:  # its threads would wait for those of other processes
+    os.environ.update(ALONE)
 
 ROOT = Path(__file__).parents[1]
 

@@ -4,10 +4,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from tailbeat.files import BadInput
 from tailbeat.fish.rollout import Start, replay_command, swim
 from tailbeat.fish.show import moment_arms, read_back, shaft_stiffness, tables
 from tailbeat.fish.store import load_fish, shipped, with_values
 from tailbeat.fish.twin import Options, Twin, compile_twin, inertial
+from tailbeat.processes import threads
 
 REPLAYED = Options(replayed=True)
 
@@ -170,6 +172,16 @@ def test_batch_equals_single_at_any_number_of_threads(name):
         alone = swim([twin], [start], [command], 5, threads=1)[0]
         assert np.array_equal(alone.qpos, done.qpos)
         assert np.array_equal(alone.markers, done.markers)
+
+
+def test_the_environment_says_how_many_threads_step_a_batch(monkeypatch):
+    monkeypatch.setenv("TAILBEAT_THREADS", "1")
+    assert threads() == 1
+    monkeypatch.delenv("TAILBEAT_THREADS")
+    assert threads() == 0
+    monkeypatch.setenv("TAILBEAT_THREADS", "two")
+    with pytest.raises(BadInput, match="TAILBEAT_THREADS=two: give a whole number"):
+        threads()
 
 
 def test_replay_follows_the_recorded_angle():

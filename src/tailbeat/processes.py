@@ -10,13 +10,28 @@ import tempfile
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from tailbeat.files import BadInput
+
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
     from multiprocessing.context import ForkServerContext
     from multiprocessing.process import BaseProcess
 
 LINGER = 10.0  # s that a process may take to end
-ALONE = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # one fish needs one thread
+# One fish needs one thread.
+ALONE = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "TAILBEAT_THREADS": "1"}
+
+
+def threads() -> int:
+    """How many threads step a batch of fish: TAILBEAT_THREADS, else 0, every core.
+
+    Threads of one batch wait for each other at every step. Where several processes share the cores
+    one thread each is fastest. Raises BadInput for a value that is no whole number from 0 on.
+    """
+    told = os.environ.get("TAILBEAT_THREADS", "0")
+    if not told.isdecimal():
+        raise BadInput(f"TAILBEAT_THREADS={told}: give a whole number of threads; 0: every core.")
+    return int(told)
 
 
 def start(words: Sequence[str], **more: Any) -> "subprocess.Popen[Any]":

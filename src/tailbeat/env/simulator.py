@@ -20,6 +20,7 @@ from tailbeat.fish.edge import KUTTA
 from tailbeat.fish.rollout import quiet_engine
 from tailbeat.fish.twin import compile_twin
 from tailbeat.fish.water import correct, water
+from tailbeat.processes import threads as default_threads
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -59,7 +60,8 @@ class TwinSimulator:
                 f"{fish.name}: step {1e3 * step:g} ms does not divide 20 ms; choose one that does."
             )
         self.count, self.motor = count, twin.motor
-        self.batch = batch.Batch(twin.model, count, nthread=threads, persistent=True)
+        together = threads or default_threads()
+        self.batch = batch.Batch(twin.model, count, nthread=together, persistent=True)
         self.physics = randomize.expand(twin, self.batch)
         self.qpos, self.qvel, self.ctrl, self.force = (
             self.batch.bind(name) for name in ("qpos", "qvel", "ctrl", "xfrc_applied")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tailbeat.fish.twin import HEAVY, HEAVY_ROTOR, Twin
 from tailbeat.fish.water import Water, correct, water
+from tailbeat.processes import threads as default_threads
 
 Array = NDArray[np.float64]
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
@@ -68,8 +69,8 @@ def swim(
     """Step n twins of one layout, each through its own commands (steps,) [rad].
 
     Sample j is the state after j * every steps, the start included. A twin stops when its
-    commands end. `threads` 0 means every core. Results are bit-identical alone or in a batch, at
-    any number of threads. That the twins have one layout is not checked.
+    commands end. `threads` 0 means `processes.threads`. Results are bit-identical alone or in a
+    batch, at any number of threads. That the twins have one layout is not checked.
     """
     pool = _batch_of(twins, threads)
     _place(pool, twins, starts)
@@ -110,7 +111,7 @@ def _place(pool: batch.Batch, twins: Sequence[Twin], starts: Sequence[Start]) ->
 def _batch_of(twins: Sequence[Twin], threads: int) -> batch.Batch:
     """A batch in which every fish has its own values of each field that differs among them."""
     models = list({id(twin): twin.model for twin in twins}.values())
-    pool = batch.Batch(models[0], len(twins), nthread=threads)
+    pool = batch.Batch(models[0], len(twins), nthread=threads or default_threads())
     for name in batch.MODEL_FIELDS:
         values = [_field(model, name) for model in models]
         if any(not np.array_equal(values[0], other) for other in values[1:]):
