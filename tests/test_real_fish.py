@@ -27,7 +27,7 @@ def test_fitted_on_two_swims_the_others_are_within_12_mm_per_second(data, tmp_pa
     def runs(*names: str):
         return [as_run(import_fishsim(data / "fishsim" / f"markers_{n}.csv"), fish) for n in names]
 
-    config = FluidConfig(zones=zones, seeds=1, effort=effort, draws=20)
+    config = FluidConfig(zones=zones, seeds=1, effort=effort, draws=4)
     found = identify_fluid(fish, runs("f1_00", "f1_75"), runs(*HELD_OUT), config, tmp_path)
     assert speed_mae(found.fitted) < 0.004
     assert speed_mae(found.validated) < 0.012
