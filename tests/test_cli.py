@@ -57,7 +57,7 @@ def test_identify_writes_fish_report_and_figure_and_its_fish_predicts(tmp_path, 
     out = tmp_path / "id.toml"
     done = tailbeat_process(
         "identify", "fluid", "--fish", "pulley-fish", "--fit", swim, "--validate", swim,
-        "--out", out, "--zones", 1, "--seeds", 1, "--generations", 2,
+        "--out", out, "--zones", 1, "--seeds", 1, "--generations", 2, "--draws", 4,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert {p.name for p in tmp_path.iterdir()} == {

@@ -18,7 +18,7 @@ from tailbeat.identify.fluid import (
     residual_function,
 )
 from tailbeat.identify.fluid_report import as_report, toml_values
-from tailbeat.identify.job import FluidConfig, identify_fluid
+from tailbeat.identify.job import FluidConfig, check, identify_fluid
 from tailbeat.identify.predict import as_json, predict
 from tailbeat.identify.runs import as_run
 from tailbeat.identify.search import Effort
@@ -156,3 +156,16 @@ def test_recordings_that_do_not_fit_the_fish_are_refused():
         as_run(replace(recording, columns=degrees), PULLEY)
     with pytest.raises(BadInput, match=r"marker8_x_m \(the fin tip\) is missing"):
         as_run(replace(recording, columns=without), load_fish("crank-fish"))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"draws": 0}, "--draws 0: give 1 or more"),
+        ({"seeds": 0}, "--seeds 0"),
+        ({"zones": 2}, "--zones 2"),
+    ],
+)
+def test_a_config_that_is_not_allowed_is_refused(wrong, said):
+    with pytest.raises(BadInput, match=said):
+        check(FluidConfig(**wrong))

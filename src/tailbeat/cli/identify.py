@@ -26,6 +26,7 @@ LawOption = Annotated[
         " lift with a trailing edge.",
     ),
 ]
+DrawsOption = Annotated[int, typer.Option(help="Number of draws of the posterior.")]
 
 
 def _exit_untrusted(report: Mapping[str, Any]) -> None:
@@ -58,6 +59,7 @@ def identify_fluid(
     ] = None,
     added_inertia: AddedOption = None,
     law: LawOption = "described",
+    draws: DrawsOption = 100,
     json: JsonOption = None,
 ) -> None:
     """Fit the fluid coefficients to recorded swims. Writes the fish and, beside it, a report
@@ -68,7 +70,7 @@ def identify_fluid(
     from tailbeat.report.figures import measured_against_twin
 
     effort, whole = Effort(generations=generations), law == "whole"
-    config = job.FluidConfig(zones, seeds, seed, effort, start_weight, added_inertia, whole)
+    config = job.FluidConfig(zones, seeds, seed, effort, start_weight, added_inertia, whole, draws)
     paths = stages.Paths(fish, fit, out, validate or [], json, check or [])
     with progress.search_progress() as report:
         found = stages.fluid(paths, config, report, measured_against_twin)
@@ -199,6 +201,7 @@ def identify_all(
     generations: Annotated[int, typer.Option(help="CMA-ES generations of the fluid.")] = 15,
     added_inertia: AddedOption = None,
     law: LawOption = "described",
+    draws: DrawsOption = 100,
     json: JsonOption = None,
 ) -> None:
     """Fit tail, servo and fluid to the recordings of one folder. Writes fish, report, page and
@@ -208,7 +211,7 @@ def identify_all(
     from tailbeat.report.identified import DRAWINGS
 
     effort, whole = Effort(generations=generations), law == "whole"
-    config = job.FluidConfig(zones, seeds, seed, effort, None, added_inertia, whole)
+    config = job.FluidConfig(zones, seeds, seed, effort, None, added_inertia, whole, draws)
     paths = chain.ChainPaths(fish, folder, out, json)
     with progress.search_progress() as report:
         found = chain.identify_all(paths, config, report, DRAWINGS)

@@ -61,6 +61,8 @@ def check(config: FluidConfig) -> None:
         raise BadInput(f"--zones {config.zones}: give 1 (one coefficient set) or 3 (one per zone).")
     if seeds < 1 or generations < 1:
         raise BadInput(f"--seeds {seeds} --generations {generations}: both must be 1 or more.")
+    if config.draws < 1:
+        raise BadInput(f"--draws {config.draws}: give 1 or more; with 1 there are no bands.")
     if share is not None and not 0 <= share <= 2:
         raise BadInput(f"--added-inertia {share:g}: give a fraction from 0 to 2.")
     if share is not None and config.whole:
