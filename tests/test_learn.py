@@ -232,6 +232,24 @@ def test_zones_of_equal_values_are_drawn_apart_and_parts_of_a_zone_together():
     assert all(np.array_equal(rows, np.tile(rows[0], (len(rows), 1))) for rows in drawn)
 
 
+def test_a_posterior_s_draws_are_drawn_whole_and_reach_as_far_as_the_stage_allows():
+    """Zones of one draw belong together: the recordings tie them to each other."""
+    twin = compile_twin(FISH)
+    draws = np.random.default_rng(1).lognormal(0, 0.5, (4, len(FISH.zones), 5))
+    wet = twin.zones >= 0
+    for share in (0.0, 0.5, 1.0):
+        physics = randomize.expand(twin, batch.Batch(twin.model, 40), draws)
+        ranges = replace(Randomisation(), fluid=share * Randomisation.fluid)
+        for fish in range(40):
+            randomize.randomize(physics, ranges, fish, np.random.default_rng(fish))
+        nominal = physics.nominal["geom_fluid"][wet, 1:6]
+        ratio = physics.fields["geom_fluid"][:, wet, 1:6] / np.where(nominal > 0, nominal, 1.0)
+        allowed = np.where(nominal > 0, 1 + share * (draws[:, twin.zones[wet]] - 1), 0.0)
+        own = np.abs(ratio[:, None] - allowed).max(axis=(2, 3)).argmin(axis=1)
+        assert ratio == pytest.approx(allowed[own], abs=1e-12)
+        assert len(set(own.tolist())) == (1 if share == 0 else len(draws))
+
+
 @pytest.mark.parametrize("name", list(Randomisation.__annotations__))
 def test_every_draw_changes_the_motion(name):
     if name == "push_share":

@@ -9,11 +9,12 @@ import pytest
 from support import tailbeat
 from synthetic import record
 from tailbeat.files import BadInput
+from tailbeat.fish.description import COEFFICIENTS
 from tailbeat.fish.store import digest, load_fish, value_at
 from tailbeat.identify import bands as banded
 from tailbeat.identify import posterior as store
 from tailbeat.identify.bands import Discrepancy, Drawn, bands, count, discrepancy
-from tailbeat.identify.posterior import Posterior
+from tailbeat.identify.posterior import Posterior, coefficient_factors
 from tailbeat.identify.runs import as_run
 from tailbeat.recording import write_recording
 
@@ -200,6 +201,25 @@ def test_the_shipped_posterior_belongs_to_the_shipped_fish():
         assert value == pytest.approx(value_at(fish, path), rel=1e-6), path
     assert known.discrepancy is not None and known.discrepancy.swims == 10
     assert not {*known.fitted} & {*known.held_out}
+
+
+def test_draws_become_factors_of_each_zone_s_own_coefficients():
+    blunt = coefficient_factors(FISH, posterior())
+    fin, kind = list(FISH.zones).index("fin"), COEFFICIENTS.index("blunt")
+    assert blunt[:, fin, kind] == pytest.approx(posterior().draws[:, 0] / posterior().draws[0, 0])
+    blunt[:, fin, kind] = 1.0
+    assert (blunt == 1.0).all()
+    every = coefficient_factors(FISH, posterior(paths=("zones.*.blunt",)))
+    assert (every[:, :, kind] == every[:, :1, kind]).all() and np.ptp(every[:, 0, kind]) > 0
+
+
+def test_training_on_a_posterior_needs_one(tmp_path):
+    fish = tmp_path / "my.toml"
+    fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))
+    words = ("train", "--fish", fish, "--out", tmp_path / "run", "--physics", "posterior")
+    done = tailbeat(*words)
+    assert done.returncode == 2 and "tailbeat identify posterior" in done.stderr
+    assert not (tmp_path / "run").exists()
 
 
 def test_show_prints_what_the_recordings_decide(tmp_path):

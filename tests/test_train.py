@@ -429,6 +429,16 @@ def test_a_run_begun_before_the_floor_is_the_same_run_without_one(tmp_path):
         check(floored, resume=True)
 
 
+def test_a_run_on_ranges_is_not_continued_on_a_posterior(tmp_path):
+    held = asdict(planned_for(tmp_path).record())
+    del held["physics"]  # a run begun before there was a choice
+    write_json(tmp_path / "run.json", held)
+    check(planned_for(tmp_path), resume=True)
+    drawn = replace(planned_for(tmp_path), draws=np.ones((2, len(FISH.zones), 5)))
+    with pytest.raises(BadInput, match=r"physics was ranges, now posterior \w{12}"):
+        check(drawn, resume=True)
+
+
 def test_a_floor_above_the_ceiling_is_refused_at_the_command_line(tmp_path):
     args = ("--fish", FISH.name, "--recipe", "smoke", "--floor", "9", "--out", tmp_path / "run")
     assert "floor = 9 Hz" in complaint("train", *args)

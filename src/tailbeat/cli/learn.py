@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -11,6 +11,14 @@ from tailbeat.cli.extras import need_training
 from tailbeat.cli.options import FishOption, JsonOption, PolicyFile, SeedOption
 from tailbeat.files import refuse_existing, write_json
 from tailbeat.report.tables import as_rows
+
+PhysicsOption = Annotated[
+    Literal["ranges", "posterior"],
+    typer.Option(
+        help="Coefficients of the water. ranges: within 20 % of the fish's; posterior: from the"
+        " draws beside the fish."
+    ),
+]
 
 
 def train(
@@ -38,6 +46,7 @@ def train(
     floor: Annotated[
         float, typer.Option(help="Lowest fundamental of the generator [Hz]; with 0 it can stop.")
     ] = 0.0,
+    physics: PhysicsOption = "ranges",
     stage: Annotated[
         str | None, typer.Option(help="Stage to continue in; default: the checkpoint's.")
     ] = None,
@@ -57,7 +66,8 @@ def train(
     with progress.training() as report:
         described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe)
         space = action_space(actions, described, binds or chosen.binds, floor)
-        run = RunConfig(described, out, chosen, space, seed, hours, device)
+        draws = _draws(fish) if physics == "posterior" else None
+        run = RunConfig(described, out, chosen, space, seed, hours, device, draws=draws)
         room = run.recipe.buffer_bytes / 1e6
         output.say(f"replay buffer: {room:.0f} MB in memory and in every checkpoint")
         course = learn(run, resume, report, stage)
@@ -68,6 +78,12 @@ def train(
         write_json(json, asdict(done) | {"folder": str(done.folder), "policy": str(done.policy)})
     if not done.finished:
         raise typer.Exit(1)
+
+
+def _draws(fish: str) -> Any:
+    from tailbeat.identify.posterior import factors_of
+
+    return factors_of(fish)
 
 
 def show(file: PolicyFile, json: JsonOption = None) -> None:

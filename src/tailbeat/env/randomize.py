@@ -71,19 +71,21 @@ FIELDS = (
 
 @dataclass(frozen=True, eq=False)
 class Physics:
-    """The batch's own fields (n, …), which the engine uses, and their nominal values."""
+    """The batch's own fields (n, …), which the engine uses, and their nominal values. `draws`
+    (d, zones, 5) are a posterior's coefficients over the nominal ones, None without one."""
 
     twin: Twin
     pool: batch.Batch
     fields: dict[str, Array]
     nominal: dict[str, Array]
+    draws: Array | None = None
 
 
-def expand(twin: Twin, pool: batch.Batch) -> Physics:
+def expand(twin: Twin, pool: batch.Batch, draws: Array | None = None) -> Physics:
     """Give every fish its own copy of the fields that are drawn."""
     fields = {name: pool.expand(name) for name in FIELDS}
     nominal = {name: np.array(values[0]) for name, values in fields.items()}
-    return Physics(twin, pool, fields, nominal)
+    return Physics(twin, pool, fields, nominal, draws)
 
 
 def randomize(physics: Physics, ranges: Randomisation, fish: int, rng: np.random.Generator) -> None:
@@ -123,8 +125,15 @@ def _scale(physics: Physics, name: str, fish: int, part: Any, factor: float) -> 
 
 def _fluid(physics: Physics, width: float, fish: int, rng: np.random.Generator) -> None:
     """Scale every zone's five coefficients independently; parts of one zone keep the same
-    factors."""
+    factors. With draws of a posterior, take one of them instead, as far from the nominal fish as
+    `width` is of its default."""
     coefficients = physics.nominal["geom_fluid"][:, 1:6]
+    if physics.draws is not None:
+        row = physics.draws[rng.integers(len(physics.draws))] - 1
+        drawn = np.where(physics.twin.zones[:, None] < 0, 0.0, row[physics.twin.zones])
+        share = width / Randomisation.fluid
+        physics.fields["geom_fluid"][fish, :, 1:6] = coefficients * (1 + share * drawn)
+        return
     labelled = np.column_stack([coefficients, physics.twin.zones])
     kinds, zone = np.unique(labelled, axis=0, return_inverse=True)
     factors = 1 + width * rng.uniform(-1, 1, (len(kinds), 5))

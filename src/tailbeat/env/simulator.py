@@ -51,7 +51,9 @@ class TwinSimulator:
     """The twin's batch: model fields per fish, all cores, interpreter lock released while it
     steps."""
 
-    def __init__(self, fish: Fish, count: int, threads: int = 0) -> None:
+    def __init__(
+        self, fish: Fish, count: int, threads: int = 0, draws: Array | None = None
+    ) -> None:
         twin = compile_twin(fish)
         step = twin.model.opt.timestep
         self.substeps = round(PERIOD / step)
@@ -62,7 +64,7 @@ class TwinSimulator:
         self.count, self.motor = count, twin.motor
         together = threads or default_threads()
         self.batch = batch.Batch(twin.model, count, nthread=together, persistent=True)
-        self.physics = randomize.expand(twin, self.batch)
+        self.physics = randomize.expand(twin, self.batch, draws)
         self.qpos, self.qvel, self.ctrl, self.force = (
             self.batch.bind(name) for name in ("qpos", "qvel", "ctrl", "xfrc_applied")
         )

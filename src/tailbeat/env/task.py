@@ -63,13 +63,15 @@ class Scene:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of an environment, except the fish."""
+    """Settings of an environment, except the fish. `draws` (d, zones, 5): coefficients of a
+    posterior over the fish's own, drawn instead of `physics.fluid` (None: without)."""
 
     actions: ActionSpace | None = None  # None: the generator over the motor's range
     task: Task = field(default_factory=Task)
     reward: Reward = field(default_factory=Reward)
     sensors: SensorModel = field(default_factory=SensorModel)
     physics: Randomisation = field(default_factory=Randomisation)
+    draws: Array | None = field(default=None, compare=False)
 
 
 def check_settings(fish: Fish, settings: Settings) -> ActionSpace:

@@ -63,7 +63,7 @@ class World:
         self.space = check_settings(fish, settings)
         self.count, self.task = len(seeds), settings.task
         self.steps_per_episode = round(settings.task.seconds / PERIOD)
-        self.simulator: Any = simulator or TwinSimulator(fish, self.count, threads)
+        self.simulator: Any = simulator or TwinSimulator(fish, self.count, threads, settings.draws)
         self.rngs = [np.random.default_rng(seed) for seed in seeds]
         self.seen = sensors.empty(self.count, self.steps_per_episode)
         self.pushes = np.zeros((self.count, self.steps_per_episode, 2), dtype=np.float32)

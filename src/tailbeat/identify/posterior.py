@@ -18,7 +18,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput, new_file
-from tailbeat.fish.description import Fish
+from tailbeat.fish.description import COEFFICIENTS, Fish
 from tailbeat.fish.store import digest, fish_path, load_fish
 from tailbeat.identify.bands import Discrepancy
 from tailbeat.identify.estimate import Estimate, as_row
@@ -69,6 +69,31 @@ def fishes(fish: Fish, posterior: Posterior, most: int | None = None) -> list[Fi
     check_own(fish, posterior)
     chosen = posterior.draws[:most]
     return [apply(fish, dict(zip(posterior.paths, map(float, row), strict=True))) for row in chosen]
+
+
+def factors_of(fish: str) -> Array:
+    """`coefficient_factors` of a shipped fish's name or a file with its posterior beside it. Raises
+    BadInput without one."""
+    known = of(fish)
+    if known is None:
+        raise BadInput(
+            f"{fish}: no posterior beside the fish; write it with `tailbeat identify posterior`."
+        )
+    return coefficient_factors(load_fish(fish), known)
+
+
+def coefficient_factors(fish: Fish, posterior: Posterior) -> Array:
+    """The draws' coefficients over the fish's own (n, zones, 5), in the order of `fish.zones` and
+    `COEFFICIENTS`; numbers of the trailing edge are left out. Raises BadInput as `check_own`."""
+    check_own(fish, posterior)
+    drawn = np.ones((len(posterior.draws), len(fish.zones), len(COEFFICIENTS)))
+    for path, column in zip(posterior.paths, posterior.draws.T, strict=True):
+        kind, _, rest = path.partition(".")
+        zone, _, name = rest.partition(".")
+        if kind == "zones":
+            own = [i for i, one in enumerate(fish.zones) if zone in ("*", one)]
+            drawn[:, own, COEFFICIENTS.index(name)] = (column / column[0])[:, None]
+    return drawn
 
 
 def estimates(posterior: Posterior) -> dict[str, Estimate]:

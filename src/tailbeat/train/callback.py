@@ -172,6 +172,7 @@ class TrainingCallback(BaseCallback):
             "stages_passed": self.progress.passed(),
             "seed": self.run.seed,
             "recipe": self.run.recipe.name,
+            "physics": self.run.record().physics,
             "updates": self.model._n_updates,
             "control_steps": self.progress.control_steps,
             "hours": round(self.progress.seconds / 3600, 3),

@@ -1,10 +1,13 @@
 """Configuration of a training run, and its checks before anything is built."""
 
+import hashlib
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 import psutil
+from numpy.typing import NDArray
 from torch import cuda
 
 from tailbeat.control.actions import ActionSpace, Direct, Filtered, Generator
@@ -15,19 +18,22 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest
 from tailbeat.train.recipes import Recipe, quick
 
+Array = NDArray[np.float64]
 ACTIONS = ("generator", "direct", "filtered")
 WORKING_SET = 1.5e9  # bytes for torch, engine and 64 fish without the buffer (measured: 1.1e9)
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """Contents of `run.json`: the fish's name and digest, action space, recipe, seed."""
+    """Contents of `run.json`: the fish's name and digest, action space, recipe, seed, and what the
+    physics are drawn from, `ranges` or `posterior` with its digest."""
 
     fish: str
     fish_digest: str
     actions: ActionSpace
     recipe: Recipe
     seed: int
+    physics: str = "ranges"
 
 
 @dataclass(frozen=True)
@@ -35,8 +41,9 @@ class RunConfig:
     """One training run.
 
     `out` is its folder. `actions` None is the generator up to the fish's band, bound as the recipe
-    says. `hours` is the most time of this session, `checkpoint_minutes` the time between two
-    checkpoints. `device` is cpu or cuda.
+    says. `draws` are a posterior's coefficients (`Settings.draws`), None for ranges. `hours` is the
+    most time of this session, `checkpoint_minutes` the time between two checkpoints. `device` is
+    cpu or cuda.
     """
 
     fish: Fish
@@ -47,6 +54,7 @@ class RunConfig:
     hours: float = 12.0
     device: str = "cpu"
     checkpoint_minutes: float = 5.0
+    draws: Array | None = field(default=None, compare=False)
 
     def space(self) -> ActionSpace:
         """The action space."""
@@ -54,12 +62,22 @@ class RunConfig:
 
     def settings(self, stage: int) -> Settings:
         """The environment's settings in a stage."""
-        return settings_of(self.recipe.stages[stage], self.space(), self.recipe.task)
+        found = settings_of(self.recipe.stages[stage], self.space(), self.recipe.task)
+        return replace(found, draws=self.draws)
 
     def record(self) -> RunRecord:
         """What must be equal when the run is resumed."""
         fish = self.fish
-        return RunRecord(fish.name, digest(fish), self.space(), self.recipe, self.seed)
+        return RunRecord(
+            fish.name, digest(fish), self.space(), self.recipe, self.seed, _physics(self.draws)
+        )
+
+
+def _physics(draws: Array | None) -> str:
+    """Name of what the physics are drawn from."""
+    if draws is None:
+        return "ranges"
+    return f"posterior {hashlib.sha256(draws.tobytes()).hexdigest()[:12]}"
 
 
 def action_space(
@@ -131,6 +149,7 @@ def _check_same(run: RunConfig) -> None:
         raise BadInput(f"{path}: not readable JSON; the run cannot be resumed.") from None
     if held.get("actions.kind") == "generator":
         held.setdefault("actions.floor", 0.0)  # older runs have no floor
+    held.setdefault("physics", "ranges")  # and no posterior
     asked = leaves("", json.loads(json.dumps(asdict(run.record()))))
     wrong = [
         f"{name} was {held.get(name)}, now {asked.get(name)}"
