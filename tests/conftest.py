@@ -15,6 +15,7 @@ from tailbeat.processes import ALONE
 if "PYTEST_XDIST_WORKER" in os.environ:  # its threads would wait for those of other processes
     os.environ.update(ALONE)
 
+NICE = 5  # weight 335 for 1024
 ROOT = Path(__file__).parents[1]
 
 
@@ -60,12 +61,13 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """A loop that ran in this process leaves it a real-time process, which would starve the rest.
 
-    Beside tests that measure time, the others get what processor time is left (`pytest -n`).
+    Tests that measure time get three times as much processor time as the others (`pytest -n`). Not
+    more: beside another program the others would starve.
     """
     if hasattr(os, "sched_setscheduler"):  # Linux
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     if "PYTEST_XDIST_WORKER" in os.environ and item.get_closest_marker("realtime") is None:
-        os.nice(19 - os.nice(0))  # for good: the tests that measure time were handed out first
+        os.nice(NICE - os.nice(0))  # for good: the tests that measure time were handed out first
 
 
 class TogetherOrApart(LoadScopeScheduling):
