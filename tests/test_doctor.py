@@ -47,6 +47,14 @@ def bench() -> Iterator[Bench]:
 
 
 def of_servo(bench: Bench) -> dict[str, Finding]:
+    """What is found; asked again if the emulator, a thread of this process, answered too late."""
+    for _ in range(3):
+        if "servo" not in (found := _asked(bench)):
+            break
+    return found
+
+
+def _asked(bench: Bench) -> dict[str, Finding]:
     servo, answer = doctor_devices.find_servo(bench.servo, deadline=PATIENT)
     if servo is None:
         return {answer.name: answer}
