@@ -188,6 +188,15 @@ def test_predict_refuses_the_posterior_of_another_fish(tmp_path):
     assert not (tmp_path / "out.json").exists()
 
 
+def test_show_warns_of_the_posterior_of_numbers_that_were_changed(tmp_path):
+    fish = tmp_path / "my.toml"
+    fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))
+    store.write(store.beside(fish), posterior())
+    done = tailbeat("show", fish, "--picture", tmp_path / "fish.png")
+    assert done.returncode == 0 and "warning: the posterior is of pulley-fish" in done.stdout
+    assert "identified numbers" not in done.stdout
+
+
 def text_of(name: str) -> str:
     from tailbeat.fish.store import fish_path
 

@@ -7,6 +7,7 @@ import typer
 
 from tailbeat.cli import identified, output
 from tailbeat.cli.options import JsonOption
+from tailbeat.files import BadInput
 
 
 def new_fish(path: Annotated[Path, typer.Argument(help="TOML file to write.")]) -> None:
@@ -28,9 +29,11 @@ def show(
     from tailbeat.fish import show as compiled
     from tailbeat.identify import posterior
 
-    known = posterior.of(fish)
     shown = compiled.show(fish, picture, viewer, json)
     output.tables(shown.tables)
-    if known is not None:
-        output.tables({"identified numbers": identified.parameters(posterior.as_rows(known))})
+    try:
+        if (known := posterior.of(fish)) is not None:
+            output.tables({"identified numbers": identified.parameters(posterior.as_rows(known))})
+    except BadInput as error:  # the numbers of the file were changed since
+        output.say(f"warning: {error}")
     output.say(f"picture ({shown.how}): {shown.picture}")
