@@ -174,9 +174,8 @@ def bands(swim: Drawn, known: Discrepancy | None, share: float = 0.95) -> list[B
     """The bands of one swim: Student's t, with as many degrees of freedom as swims gave the
     discrepancy. Quantities that the recording does not tell are left out."""
     centre, spread = swim.centre, swim.spread
-    extra = np.zeros(len(UNITS)) if known is None else _as_array(known)
     freedom = np.inf if known is None else max(known.swims, 1)
-    reach = stats.t.ppf(0.5 + share / 2, freedom) * np.hypot(spread, extra * swim.size)
+    reach = stats.t.ppf(0.5 + share / 2, freedom) * np.hypot(spread, shares(known) * swim.size)
     return [
         Band(swim.run.name, name, unit, measured, middle, middle - half, middle + half)
         for (name, unit), measured, middle, half in zip(
@@ -200,7 +199,10 @@ def left_out(swims: Sequence[Drawn]) -> list[Band]:
     ]
 
 
-def _as_array(known: Discrepancy) -> Array:
+def shares(known: Discrepancy | None) -> Array:
+    """The discrepancy's fractions (4,) in the order of `UNITS`, 0 where nothing is known."""
+    if known is None:
+        return np.zeros(len(UNITS))
     return np.nan_to_num(np.array([getattr(known, name) for name in UNITS]))
 
 

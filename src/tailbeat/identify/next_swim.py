@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import load_fish
-from tailbeat.identify.bands import UNITS, Discrepancy, Drawn, swim_all
+from tailbeat.identify.bands import UNITS, Discrepancy, Drawn, shares, swim_all
 from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.gait import Gait, Track
 from tailbeat.identify.launch import launch_of
 from tailbeat.identify.manoeuvres import manoeuvres
-from tailbeat.identify.posterior import Posterior, fishes
-from tailbeat.identify.posterior import of as posterior_of
+from tailbeat.identify.posterior import Posterior, fishes, needed
 from tailbeat.identify.protocol import fluid_runs, limits
 from tailbeat.identify.runs import Run
 from tailbeat.recording import Recording
@@ -54,12 +53,7 @@ class Advice:
 
 def advise_on(fish: str, goal: str, count: int = 3) -> list[Advice]:
     """`advise` for a fish's file with its posterior beside it. Raises BadInput without one."""
-    known = posterior_of(fish)
-    if known is None:
-        raise BadInput(
-            f"{fish}: no posterior beside the fish; write it with `tailbeat identify posterior`."
-        )
-    return advise(load_fish(fish), known, goal, count)
+    return advise(load_fish(fish), needed(fish), goal, count)
 
 
 def advise(
@@ -129,10 +123,7 @@ def _minutes(swim: Drawn) -> float:
 
 def _seen(swim: Drawn, known: Discrepancy | None) -> Array:
     """What a recording of the swim would show of each draw (n, 4), in units of its error."""
-    extra = np.zeros(len(UNITS))
-    if known is not None:
-        extra = np.nan_to_num([getattr(known, name) for name in UNITS])
-    return np.asarray(swim.predicted / np.hypot(SEEN, extra * swim.size))
+    return np.asarray(swim.predicted / np.hypot(SEEN, shares(known) * swim.size))
 
 
 def spread_after(goals: Array, seen: Sequence[Array]) -> float:

@@ -63,6 +63,16 @@ def of(fish: str, path: Path | None = None) -> Posterior | None:
     return known
 
 
+def needed(fish: str) -> Posterior:
+    """The posterior beside a fish. Raises BadInput as `of`, and if there is none."""
+    known = of(fish)
+    if known is None:
+        raise BadInput(
+            f"{fish}: no posterior beside the fish; write it with `tailbeat identify posterior`."
+        )
+    return known
+
+
 def fishes(fish: Fish, posterior: Posterior, most: int | None = None) -> list[Fish]:
     """The fish with each draw's numbers, the first `most` draws (None: all). Raises BadInput if the
     posterior is another fish's."""
@@ -74,12 +84,7 @@ def fishes(fish: Fish, posterior: Posterior, most: int | None = None) -> list[Fi
 def factors_of(fish: str) -> Array:
     """`coefficient_factors` of a shipped fish's name or a file with its posterior beside it. Raises
     BadInput without one."""
-    known = of(fish)
-    if known is None:
-        raise BadInput(
-            f"{fish}: no posterior beside the fish; write it with `tailbeat identify posterior`."
-        )
-    return coefficient_factors(load_fish(fish), known)
+    return coefficient_factors(load_fish(fish), needed(fish))
 
 
 def coefficient_factors(fish: Fish, posterior: Posterior) -> Array:
