@@ -16,7 +16,6 @@ from tailbeat.pool.water import Water, ensemble
 
 TWIN, POOL = load_fish("pulley-fish-pool"), load_fish("pulley-fish")
 WATERS = ensemble(9, seed=4)[1:]
-AT_ONCE = 10
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +27,7 @@ def drawn():
 
 def swum(fishes, recordings) -> list[Drawn]:
     runs = [run for one in recordings for run in as_runs(one, TWIN)]
-    parts = [runs[i : i + AT_ONCE] for i in range(0, len(runs), AT_ONCE)]
-    return [one for part in parts for one in swim_all(fishes, part)]
+    return swim_all(fishes, runs)
 
 
 def protocol(seed: int, water: Water, first: int):

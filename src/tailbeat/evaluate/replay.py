@@ -23,7 +23,6 @@ from tailbeat.identify.runs import Run, as_runs
 from tailbeat.recording import Recording, read_recording
 
 DRAWS = 32  # of a posterior, for bands
-AT_ONCE = 16  # swims of all draws, about 0.2 GB of samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +62,8 @@ def predict_swims(
 
 
 def _bands(fish: Fish, known: Posterior, runs: Sequence[Run]) -> tuple[Band, ...]:
-    """Bands of every swim, a few swims at a time: together they would not fit in memory."""
-    drawn = store.fishes(fish, known, DRAWS)
-    parts = [runs[i : i + AT_ONCE] for i in range(0, len(runs), AT_ONCE)]
-    swims = [one for part in parts for one in swim_all(drawn, part)]
+    """Bands of every swim."""
+    swims = swim_all(store.fishes(fish, known, DRAWS), runs)
     return tuple(band for one in swims for band in bands(one, known.discrepancy))
 
 

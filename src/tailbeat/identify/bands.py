@@ -28,6 +28,7 @@ UNITS = {"speed": "m/s", "distance": "m", "heading": "deg", "turn_rate": "deg/s"
 # of a policy's headings lay in their bands (34 of 50 instead of 40).
 LEAST = {"speed": 0.02, "distance": 0.1, "heading": 10.0, "turn_rate": 1.0}
 AROUND = 0.1  # s before and after, over which a heading is averaged
+AT_ONCE = 512  # swims in one batch, of all fish: about 0.2 GB of samples
 MOST = 3.0  # largest discrepancy that is looked for, as a fraction of a swim's size
 
 
@@ -101,7 +102,14 @@ class Drawn:
 
 
 def swim_all(fishes: Sequence[Fish], runs: Sequence[Run]) -> list[Drawn]:
-    """Swim every run with every fish in one batched call. All fish must be of one build."""
+    """Swim every run with every fish, in batches that fit in memory. All fish must be of one
+    build."""
+    size = max(AT_ONCE // len(fishes), 1)
+    parts = [runs[i : i + size] for i in range(0, len(runs), size)]
+    return [one for part in parts for one in _swim_together(fishes, part)]
+
+
+def _swim_together(fishes: Sequence[Fish], runs: Sequence[Run]) -> list[Drawn]:
     done = repeat(fishes, runs, LONG)
     return [
         Drawn(

@@ -5,7 +5,7 @@ units of their standard deviations. These are chosen once for every fish (`SIGMA
 a result.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -109,6 +109,11 @@ def apply(fish: Fish, found: dict[str, float]) -> Fish:
         names = fish.zones if "*" in path else [""]
         single.update({path.replace("*", zone): value for zone in names})
     return with_values(fish, single)
+
+
+def with_row(fish: Fish, paths: Iterable[str], row: Array) -> Fish:
+    """The fish with the values `row` (p,) at `paths`, as in `apply`."""
+    return apply(fish, dict(zip(paths, map(float, row), strict=True)))
 
 
 def residual_function(

@@ -17,7 +17,14 @@ from tailbeat.fish.description import Fish
 from tailbeat.identify.bands import Discrepancy, Drawn, discrepancy, swim_all
 from tailbeat.identify.doubt import Doubt, by_swims, draw
 from tailbeat.identify.estimate import Estimate
-from tailbeat.identify.fluid import apply, fluid_space, insensitive, owners, residual_function
+from tailbeat.identify.fluid import (
+    apply,
+    fluid_space,
+    insensitive,
+    owners,
+    residual_function,
+    with_row,
+)
 from tailbeat.identify.intervals import estimates
 from tailbeat.identify.kinematic import fit_kinematic, predict_kinematic, replayable
 from tailbeat.identify.launch import Launched, check_launches
@@ -191,14 +198,15 @@ def _conclude(
     predicted = [predict(apply(found.fish, values(space, f.z)), everything) for f in fits]
     seeds = [_seed_result(f, p, len(fit), space) for f, p in zip(fits, predicted, strict=True)]
     best = apply(found.fish, values(space, fits[0].z))
-    drawn = [with_row(found.fish, space, row) for row in found.draws[:BANDED]]
+    paths = [p.path for p in space]
+    drawn = [with_row(found.fish, paths, row) for row in found.draws[:BANDED]]
     return Identified(
         space,
         found.idle,
         found.doubts,
         best,
         found.draws,
-        tuple(swim_all(drawn, judged) if judged else ()),
+        tuple(swim_all(drawn, judged)),
         tuple(predicted[0][: len(fit)]),
         tuple(predicted[0][len(fit) :]),
         tuple(check_launches(best, gaits(best, everything))),
@@ -206,11 +214,6 @@ def _conclude(
         tuple(seeds),
         time.monotonic() - began,
     )
-
-
-def with_row(fish: Fish, space: Sequence[Parameter], row: Array) -> Fish:
-    """The fish with one draw's values (p,)."""
-    return apply(fish, {p.path: float(value) for p, value in zip(space, row, strict=True)})
 
 
 def gaits(fish: Fish, runs: Sequence[Run]) -> list[tuple[float, float | None]]:

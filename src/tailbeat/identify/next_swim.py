@@ -65,7 +65,7 @@ def advise(
         raise BadInput(f"--goal {goal}: allowed are {', '.join(GOALS)}.")
     drawn = fishes(fish, posterior, draws)
     made = candidates(fish)
-    swum = {name: swim_all(drawn, [run])[0] for name, run in made.items()}
+    swum = dict(zip(made, swim_all(drawn, list(made.values())), strict=True))
     wanted = _goals(swum, fish, goal)
     open_to = {name: one for name, one in swum.items() if name not in posterior.fitted}
     return choose(wanted, open_to, posterior.discrepancy, count)

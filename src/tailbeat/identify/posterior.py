@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 from tailbeat.files import BadInput, new_file
 from tailbeat.fish.description import COEFFICIENTS, Fish
 from tailbeat.fish.store import digest, fish_path, load_fish
-from tailbeat.identify.bands import Discrepancy
+from tailbeat.identify.bands import Discrepancy, Drawn, discrepancy
 from tailbeat.identify.estimate import Estimate, as_row
-from tailbeat.identify.fluid import apply
+from tailbeat.identify.fluid import with_row
+from tailbeat.identify.runs import Run
+from tailbeat.identify.search import Parameter
 
 Array = NDArray[np.float64]
 SUFFIX = "-posterior.parquet"
@@ -45,6 +47,27 @@ class Posterior:
     held_out: tuple[str, ...]
     discrepancy: Discrepancy | None
     versions: str = ""
+
+
+def drawn_for(
+    fish: Fish,
+    space: Sequence[Parameter],
+    draws: Array,
+    fitted: Sequence[Run],
+    held_out: Sequence[Drawn],
+) -> Posterior:
+    """The posterior of an identified fish: `draws` (n, p) of the numbers in `space`, and the
+    discrepancy on the swims `held_out` as the draws swim them."""
+    return Posterior(
+        fish.name,
+        digest(fish),
+        tuple(p.path for p in space),
+        tuple(p.unit for p in space),
+        draws,
+        tuple(run.name for run in fitted),
+        tuple(one.run.name for one in held_out),
+        discrepancy(held_out) if held_out else None,
+    )
 
 
 def beside(fish: Path) -> Path:
@@ -77,8 +100,7 @@ def fishes(fish: Fish, posterior: Posterior, most: int | None = None) -> list[Fi
     """The fish with each draw's numbers, the first `most` draws (None: all). Raises BadInput if the
     posterior is another fish's."""
     check_own(fish, posterior)
-    chosen = posterior.draws[:most]
-    return [apply(fish, dict(zip(posterior.paths, map(float, row), strict=True))) for row in chosen]
+    return [with_row(fish, posterior.paths, row) for row in posterior.draws[:most]]
 
 
 def factors_of(fish: str) -> Array:

@@ -7,12 +7,12 @@ import numpy as np
 
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.fish.description import Fish
-from tailbeat.fish.store import digest, fish_path, load_fish, value_at
+from tailbeat.fish.store import fish_path, load_fish, value_at
 from tailbeat.identify import posterior
-from tailbeat.identify.bands import discrepancy, swim_all
+from tailbeat.identify.bands import swim_all
 from tailbeat.identify.doubt import by_swims, draw
-from tailbeat.identify.fluid import fluid_space, owners, residual_function
-from tailbeat.identify.job import BANDED, FluidConfig, check, with_row
+from tailbeat.identify.fluid import fluid_space, owners, residual_function, with_row
+from tailbeat.identify.job import BANDED, FluidConfig, check
 from tailbeat.identify.posterior import Posterior
 from tailbeat.identify.runs import Run, as_runs
 from tailbeat.identify.search import WIDE_STEP, Fit, Parameter, cost, covariance, sensitivity
@@ -52,19 +52,9 @@ def posterior_of(
         space, [by_swims(own, owners(fish, fit))], residuals, config.draws, config.first_seed
     )
     rows = np.array([list(values_at(space, one).values()) for one in drawn])
-    swims = (
-        swim_all([with_row(fish, space, row) for row in rows[:BANDED]], judged) if judged else ()
-    )
-    return Posterior(
-        fish.name,
-        digest(fish),
-        tuple(p.path for p in space),
-        tuple(p.unit for p in space),
-        rows,
-        tuple(run.name for run in fit),
-        tuple(run.name for run in judged),
-        discrepancy(swims) if swims else None,
-    )
+    paths = [p.path for p in space]
+    swims = swim_all([with_row(fish, paths, row) for row in rows[:BANDED]], judged)
+    return posterior.drawn_for(fish, space, rows, fit, swims)
 
 
 def _one(fish: Fish, parameter: Parameter) -> str:

@@ -9,10 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tailbeat.files import refuse_existing, write_json
-from tailbeat.fish.description import Fish
 from tailbeat.fish.store import (
     check_fish_name,
-    digest,
     fish_path,
     load_fish,
     with_values,
@@ -22,7 +20,6 @@ from tailbeat.fish.water import whole
 from tailbeat.identify import fluid_report, job, posterior, servo_job, servo_report, tail_report
 from tailbeat.identify.clean import clean_pull, clean_tail
 from tailbeat.identify.decay import ring_down, static_loop
-from tailbeat.identify.posterior import Posterior
 from tailbeat.identify.predict import Prediction
 from tailbeat.identify.runs import as_runs
 from tailbeat.identify.servo import as_benches
@@ -138,22 +135,11 @@ def _write_fluid(
     note = fluid_report.heading(found, config)
     first = paths.scratch / fish.name  # the posterior needs its digest; the fish is written last
     write_identified(paths.fish, first, {"name": fish.stem, **values}, note, overwrite=True)
-    posterior.write(posterior.beside(fish), _posterior(found, load_fish(first)))
-    write_identified(paths.fish, fish, {"name": fish.stem, **values}, note)
-
-
-def _posterior(found: job.Identified, fish: Fish) -> Posterior:
-    """The posterior of an identified fish as it was written."""
-    return Posterior(
-        fish.name,
-        digest(fish),
-        tuple(p.path for p in found.space),
-        tuple(p.unit for p in found.space),
-        found.draws,
-        tuple(p.run.name for p in found.fitted),
-        tuple(one.run.name for one in found.drawn),
-        found.discrepancy,
+    known = posterior.drawn_for(
+        load_fish(first), found.space, found.draws, [p.run for p in found.fitted], found.drawn
     )
+    posterior.write(posterior.beside(fish), known)
+    write_identified(paths.fish, fish, {"name": fish.stem, **values}, note)
 
 
 def _refuse_taken(paths: Paths) -> None:
