@@ -191,6 +191,17 @@ def test_an_interrupted_result_goes_on_with_its_next_step(bare):
     assert (bare / "first").read_text() == "x\n"
 
 
+def test_pictures_are_copied_and_a_missing_one_is_said(bare):
+    steps = ('echo drawn > $OUT/a.png; echo "{}" > $OUT/json/part.json',)
+    entry = results.Entry(about="", steps=steps, minutes=1, pictures={"shown": "a.png"})
+    results.make("one", entry, again=False)
+    shown = results.ROOT / "docs" / "results" / "pictures" / "shown.png"
+    assert shown.read_text() == "drawn\n"
+    wrong = entry.model_copy(update={"pictures": {"shown": "b.png"}})
+    with pytest.raises(BadInput, match="b.png: no step of one drew it"):
+        results.make("one", wrong, again=False)
+
+
 def test_steps_call_this_package(bare):
     step = "tailbeat show nothing-such --json $OUT/json/fish.json"
     with pytest.raises(BadInput, match="exit code 2 from: tailbeat show"):

@@ -44,6 +44,7 @@ class Entry(BaseModel):
     data: bool = False
     quiet: bool = False
     given: Mapping[str, Any] = {}
+    pictures: Mapping[str, str] = {}
 
 
 def read_entries(path: Path) -> dict[str, Entry]:
@@ -190,11 +191,23 @@ def check(entry: Entry, name: str, busy: bool) -> None:
         )
 
 
+def copy_pictures(name: str, entry: Entry) -> None:
+    """Copy what the pages show. Raises BadInput where a step did not draw it."""
+    for shown, drawn in entry.pictures.items():
+        source = folder(name) / drawn
+        if not source.is_file():
+            raise BadInput(f"{source}: no step of {name} drew it; correct `pictures`.")
+        target = ROOT / "docs" / "results" / "pictures" / f"{shown}{source.suffix}"
+        target.parent.mkdir(exist_ok=True)
+        shutil.copyfile(source, target)
+
+
 def make(name: str, entry: Entry, again: bool) -> None:
-    """Run what is left of a result and write its data."""
+    """Run what is left of a result, copy its pictures and write its data."""
     if again:
         shutil.rmtree(folder(name), ignore_errors=True)
     run(name, entry)
+    copy_pictures(name, entry)
     write_json(result_pages.data_path(ROOT, name), collect(name, entry), overwrite=True)
 
 
