@@ -9,6 +9,8 @@ import pytest
 
 from support import tailbeat
 from tailbeat.files import BadInput
+from tailbeat.fish.store import load_fish
+from tailbeat.identify.servo import as_bench, as_benches
 from tailbeat.importers.table import TableConfig, import_table
 from tailbeat.importers.xl330 import import_xl330
 from tailbeat.recording import read_recording
@@ -125,3 +127,38 @@ def test_a_bad_map_exits_with_2_and_writes_nothing(tmp_path):
     out = tmp_path / "o.csv"
     bad = tailbeat("import", "table", file, "--out", out, "--map", "time=when,angle=a")
     assert bad.returncode == 2 and "there are t, a" in bad.stderr and not out.exists()
+
+
+def test_one_table_of_several_gains_loads_and_arms_is_what_its_logs_are(data, tmp_path):
+    """Time starts anew with each log, and no log states a condition."""
+    paths = sorted((data / "xl330").glob("*.json"))
+    settings = {path: json.loads(path.read_text()) for path in paths}
+    logs = list({(s["kp"], s["mass"], s["length"]): path for path, s in settings.items()}.values())
+    rows = []
+    for log in (settings[path] for path in logs):
+        own = {"p": log["kp"], "kg": log["mass"], "m": log["length"]}
+        rows += [{**own, **entry} for entry in log["entries"]]
+    file = written(tmp_path, "all.json", json.dumps(rows))
+    out = tmp_path / "all.parquet"
+    done = tailbeat(
+        "import", "table", file, "--out", out, "--map",
+        "time=timestamp,angle=position,command=goal_position,enabled=torque_enable,"
+        "gain=p,load_mass=kg,load_arm=m",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    fish = load_fish("pulley-fish")
+    found = as_benches(read_recording(out), fish)
+    known = [as_bench(import_xl330(log), fish) for log in logs]
+    assert len(found) == len(known) > 2
+    for one, true in zip(found, known, strict=True):
+        assert (one.gain, one.load) == (true.gain, true.load)
+        assert one.time == pytest.approx(true.time, abs=1e-9)
+        assert np.array_equal(one.angle, true.angle, equal_nan=True)
+    assert found[0].name.startswith("all, gain ") and len({one.name for one in found}) == len(logs)
+
+
+def test_time_that_falls_while_no_setting_changes_is_refused(tmp_path):
+    file = written(tmp_path, "a.csv", "t,a,p\n0,1,8\n1,2,8\n0,1,8\n1,2,9\n")
+    config = TableConfig({"time": "t", "angle": "a", "gain": "p"})
+    with pytest.raises(BadInput, match=r"row 3: 0 s does not come after 1 s"):
+        import_table(file, config)

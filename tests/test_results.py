@@ -198,7 +198,7 @@ def test_pictures_are_copied_and_a_missing_one_is_said(bare):
     shown = results.ROOT / "docs" / "results" / "pictures" / "shown.png"
     assert shown.read_text() == "drawn\n"
     wrong = entry.model_copy(update={"pictures": {"shown": "b.png"}})
-    with pytest.raises(BadInput, match="b.png: no step of one drew it"):
+    with pytest.raises(BadInput, match=r"b\.png: no step of one drew it"):
         results.make("one", wrong, again=False)
 
 

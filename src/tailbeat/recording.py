@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 SUFFIXES = (
     "_s _rad _deg _m _nm _n _m_s _m_s2 _rad_s _rad_s2 _v _a _k _hz _ms _px _counts _ratio".split()
 )
+# Columns of text. The last four are settings, which one file may change: as metadata they hold for
+# all of it.
+TEXTS = ("condition", "gain", "load", "load_mass_kg", "load_arm_m")
 COMMENT = re.compile(r"# *(.+?):(?: (.*))?")  # `# key: value`; a value may be empty or hold colons
 
 
@@ -30,8 +33,8 @@ class Recording:
     """A named time series: `time` (n,) [s], rising; `columns` name -> (n,), in the suffix's unit.
 
     NaN is allowed only in marker columns, for a frame in which the marker was not seen. `labels`
-    holds the text column `condition`, if there is one. `meta` is text by key. Time may start again
-    where the condition changes; within a condition it rises. Only reader and writer check this.
+    holds the text columns (`TEXTS`). `meta` is text by key. Time may start again where a text
+    changes; otherwise it rises. Only reader and writer check this.
     """
 
     name: str
@@ -61,10 +64,10 @@ def _checked(file: Path, frame: pl.DataFrame, meta: Mapping[str, str]) -> Record
         raise BadInput(f"{file}: column time_s is missing; there are {names}. Add the times [s].")
     if frame.height < 2:
         raise BadInput(f"{file}: {frame.height} rows; a recording needs at least 2.")
-    numbers = {name: _numbers(file, frame, name) for name in frame.columns if name != "condition"}
-    labels = {name: _words(file, frame[name]) for name in frame.columns if name == "condition"}
+    numbers = {name: _numbers(file, frame, name) for name in frame.columns if name not in TEXTS}
+    labels = {name: _words(file, frame[name]) for name in frame.columns if name in TEXTS}
     time = numbers.pop("time_s")
-    _check_time(file, time, labels.get("condition"))
+    _check_time(file, time, labels)
     return Recording(file.stem, time, numbers, meta, labels)
 
 
@@ -157,15 +160,13 @@ def is_marker(name: str) -> bool:
     return re.match(r"marker\d+_", name) is not None
 
 
-def _check_time(file: Path, time: Array, condition: NDArray[np.str_] | None) -> None:
-    """Refuse time that does not rise, within each condition where there are conditions."""
-    back = np.diff(time) <= 0
-    within = ""
-    if condition is not None:
-        back &= condition[1:] == condition[:-1]
-        within = f" within condition {str(condition[np.argmax(back)])!r}"
+def _check_time(file: Path, time: Array, labels: Mapping[str, NDArray[np.str_]]) -> None:
+    """Refuse time that does not rise, but for rows at which a text changes."""
+    back = (np.diff(time) <= 0) & ~changes(labels, time.size)
     if back.any():
         row = int(np.argmax(back)) + 1
+        words = [f"{name} {str(column[row])!r}" for name, column in labels.items()]
+        within = f" within {', '.join(words)}" if words else ""
         raise BadInput(
             f"{file}: column time_s, row {row + 1}: {time[row]} does not come after"
             f" {time[row - 1]}{within}; time must rise. Sort the rows or remove the repeated one."
@@ -233,13 +234,31 @@ def check_continuous(recording: Recording) -> None:
 
 
 def stretches(recording: Recording) -> list[Recording]:
-    """Split a recording where time starts again. With several parts, each is named by its
-    condition; they need the label `condition`."""
-    edges = [0, *(np.flatnonzero(np.diff(recording.time) <= 0) + 1), recording.time.size]
+    """Split a recording where time starts again or a setting changes. Settings become the parts'
+    metadata. Of several parts, each is named by its first texts."""
+    settings = {name: column for name, column in recording.labels.items() if name != "condition"}
+    new = (np.diff(recording.time) <= 0) | changes(settings, recording.time.size)
+    edges = [0, *(np.flatnonzero(new) + 1), recording.time.size]
     parts = [rows(recording, slice(*pair)) for pair in pairwise(edges)]
-    if len(parts) == 1:
-        return parts
-    return [replace(p, name=f"{p.name}, {p.labels['condition'][0]}") for p in parts]
+    return [_with_settings(part, len(parts) > 1) for part in parts]
+
+
+def _with_settings(part: Recording, several: bool) -> Recording:
+    """The part with its settings as metadata instead of columns, named by its texts."""
+    first = {name: str(column[0]) for name, column in part.labels.items()}
+    told = [text if name == "condition" else f"{name} {text}" for name, text in first.items()]
+    kept = {name: column for name, column in part.labels.items() if name == "condition"}
+    meta = {**part.meta, **{name: text for name, text in first.items() if name != "condition"}}
+    name = ", ".join([part.name, *told]) if several else part.name
+    return replace(part, name=name, labels=kept, meta=meta)
+
+
+def changes(labels: Mapping[str, NDArray[np.str_]], rows: int) -> NDArray[np.bool_]:
+    """Whether any text changes from a row to the next (rows - 1,)."""
+    changed = np.zeros(rows - 1, dtype=bool)
+    for column in labels.values():
+        changed |= column[1:] != column[:-1]
+    return changed
 
 
 def rows(recording: Recording, which: slice | NDArray[np.bool_]) -> Recording:

@@ -36,6 +36,7 @@ from tailbeat.identify.servo import (
     step_doubt,
     with_honest_intervals,
 )
+from tailbeat.identify.servo_gains import contradictions
 from tailbeat.identify.shaft import Bench, free_run
 
 Array = NDArray[np.float64]
@@ -120,7 +121,8 @@ class ServoFit:
 
     `servo` has the seven numbers that the twin compiles [SI], at the `gain` register. `seconds` [s]
     is the duration of the search. `left_out` is empty without cross-validation. `naive` has the
-    naive predictors, fitted on the same recordings.
+    naive predictors, fitted on the same recordings. `contradictions` are recordings that cannot be
+    of one servo.
     """
 
     space: tuple[Parameter, ...]
@@ -132,6 +134,7 @@ class ServoFit:
     seconds: float
     left_out: tuple[LeftOut, ...] = ()
     naive: tuple[Naive, ...] = ()
+    contradictions: tuple[str, ...] = ()
 
     @property
     def to_naive(self) -> float:
@@ -179,10 +182,16 @@ def identify_servo(
     found = values(space, fits[0].z)
     servo = _compiled_servo(found, gain, fit, overlays)
     warnings = tuple(_warnings(space, fits[0], fit))
-    naive = naive_servos(fit, validate)
-    elapsed = time.monotonic() - began
     return ServoFit(
-        space, tuple(fits), tuple(overlays), servo, gain, warnings, elapsed, naive=naive
+        space,
+        tuple(fits),
+        tuple(overlays),
+        servo,
+        gain,
+        warnings,
+        seconds=time.monotonic() - began,
+        naive=naive_servos(fit, validate),
+        contradictions=tuple(contradictions(space, fits[0].z, fit)),
     )
 
 

@@ -84,7 +84,8 @@ def as_report(found: ServoFit) -> dict[str, Any]:
 
 
 def found_verdict(found: ServoFit) -> Verdict:
-    """The verdict: does the fit lose to a naive predictor, or are there too many glitches?"""
+    """The verdict: does the fit lose to a naive predictor, are there too many glitches, or do
+    recordings contradict each other?"""
     spoilt = [
         (one.bench.name, share_left_out(one.bench.glitches, one.bench.time.size))
         for one in found.overlays
@@ -92,7 +93,7 @@ def found_verdict(found: ServoFit) -> Verdict:
     ]
     best = min(found.naive, key=lambda one: one.judged_mae_deg)
     name = f"{best.name} model ({best.judged_mae_deg:.2f} deg)"
-    return verdict([Contest("angle", found.to_naive, name)], spoilt)
+    return verdict([Contest("angle", found.to_naive, name)], spoilt, found.contradictions)
 
 
 def _left(found: ServoFit) -> list[Errors]:

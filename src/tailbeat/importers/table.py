@@ -17,7 +17,8 @@ import polars as pl
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput, refuse_existing
-from tailbeat.recording import Recording, write_recording
+from tailbeat.recording import TEXTS as LABELS
+from tailbeat.recording import Recording, changes, write_recording
 
 Array = NDArray[np.float64]
 UNITS: dict[str, tuple[str, float]] = {  # unit -> quantity and its size in SI
@@ -45,6 +46,10 @@ COLUMNS: dict[str, tuple[str, str]] = {  # what --map names -> column and quanti
     "y": ("y_m", "length"),
     "enabled": ("enabled_ratio", ""),
     "condition": ("condition", ""),
+    "gain": ("gain", ""),
+    "load": ("load", ""),
+    "load_mass": ("load_mass_kg", ""),
+    "load_arm": ("load_arm_m", ""),
 }
 MARKER = re.compile(r"marker\d+_[xy]")
 WORDS = {"true": 1.0, "false": 0.0}
@@ -104,13 +109,13 @@ def import_table(path: str | Path, config: TableConfig) -> Recording:
     for name, source in config.columns.items():
         column, quantity = _target(name)
         values = _column(table, name, source)
-        if name == "condition":
-            labels[name] = np.array([str(value) for value in values])
+        if column in LABELS:
+            labels[column] = np.array([str(value) for value in values])
         else:
             gaps = MARKER.fullmatch(name) is not None
             columns[column] = _numbers(table, source, values, gaps) * scales.get(quantity, 1.0)
     time = columns.pop("time_s")
-    _check_rises(table, config.columns["time"], time, labels.get("condition"))
+    _check_rises(table, config.columns["time"], time, labels)
     return Recording(table.file.stem, time, columns, _meta(table, config), labels)
 
 
@@ -265,16 +270,16 @@ def _number(value: Any) -> float:
         return float("nan")
 
 
-def _check_rises(table: Table, name: str, time: Array, condition: NDArray[np.str_] | None) -> None:
-    back = np.diff(time) <= 0
-    if condition is not None:
-        back &= condition[1:] == condition[:-1]
+def _check_rises(
+    table: Table, name: str, time: Array, labels: Mapping[str, NDArray[np.str_]]
+) -> None:
+    back = (np.diff(time) <= 0) & ~changes(labels, time.size)
     if back.any():
         row = int(np.argmax(back)) + 1
         raise BadInput(
             f"{table.file}: column {name}, row {row + 1}: {time[row]:.9g} s does not come after"
             f" {time[row - 1]:.9g} s; time must rise. Sort the rows, remove the repeated one, or"
-            f" map condition to a column that changes where time starts again."
+            f" map condition, gain or load to a column that changes where time starts again."
         )
 
 

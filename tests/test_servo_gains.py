@@ -1,0 +1,59 @@
+"""Recordings that ask for two gains are said to contradict each other; honest ones are not."""
+
+from dataclasses import replace
+
+import pytest
+
+from tailbeat.fish.store import load_fish
+from tailbeat.identify.servo import as_bench
+from tailbeat.identify.servo_gains import scan
+from tailbeat.identify.servo_job import ServoConfig, ServoFit, identify_servo
+from tailbeat.identify.servo_report import as_report
+from tailbeat.identify.shaft import Bench
+from tailbeat.importers.xl330 import import_xl330
+from test_servo_fit import SHORT, own_runs
+
+FISH = load_fish("pulley-fish")
+
+
+def fitted(benches: list[Bench], scratch, gears: bool = False) -> ServoFit:
+    config = ServoConfig(seeds=1, first_seed=1, effort=SHORT, gears=gears)
+    return identify_servo(FISH, benches, [], config, scratch)
+
+
+def test_honest_recordings_agree(tmp_path):
+    for seed in range(2):
+        benches = own_runs(seed)
+        found = fitted(benches, tmp_path / str(seed))
+        assert found.contradictions == ()
+        said = scan(found.space, found.fits[0].z, benches)
+        assert [one.gain for one in said] == [1.0, 3.0]
+        assert [one.best for one in said] == pytest.approx([1, 1], rel=0.06)
+
+
+@pytest.mark.parametrize("stated", [1.5, 2.0, 4.5, 6.0])
+def test_a_wrong_gain_is_the_first_thing_said(tmp_path, stated):
+    """The second recording was made at gain 3."""
+    first, second = own_runs(0)
+    report = as_report(fitted([first, replace(second, gain=stated)], tmp_path))
+    assert not report["trusted"]
+    assert report["verdict"][0].startswith("do not trust this fit: recordings at gain")
+    more, less = (stated, 1.0) if stated < 3 else (1.0, stated)
+    assert f"recordings at gain {more:g} ask for" in report["verdict"][0]
+    assert f"those at gain {less:g} ask for" in report["verdict"][0]
+
+
+def test_without_stated_gains_there_is_nothing_to_contradict(tmp_path):
+    found = fitted([replace(one, gain=None) for one in own_runs(1)], tmp_path)
+    assert found.contradictions == ()
+
+
+@pytest.mark.long
+def test_real_logs_at_three_gains_agree_until_one_is_stated_wrongly(data, tmp_path):
+    logs = sorted((data / "xl330").glob("*.json"))
+    runs = [as_bench(import_xl330(log), FISH) for log in logs]
+    assert fitted(runs, tmp_path / "true", gears=True).contradictions == ()
+    assert len({run.gain for run in runs}) == 3
+    wrong = [replace(run, gain=1600.0) if run.gain == 800 else run for run in runs]
+    found = fitted(wrong, tmp_path / "wrong", gears=True).contradictions
+    assert len(found) == 1 and "those at gain 1600" in found[0]
