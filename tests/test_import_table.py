@@ -112,7 +112,7 @@ def test_bad_tables_are_one_sentence(tmp_path, text, config, complaint):
         ('{"a": [{"t": 1}], "b": [{"t": 1}]}', None, "several lists of entries .a, b."),
         ('{"t": [1, 2], "a": [1]}', None, "lists of unequal length"),
         ('{"e": [{"t": 1}, {"t": 2}]}', "entries", "--rows 'entries' is not a list"),
-        ("[1, 2]", None, "no list of at least two objects"),
+        ("[1, 2]", None, "no list of two or more objects"),
         ('[{"t": 0, "a": 1}, {"t": 1}]', None, "column a, row 2: None is not a finite number"),
     ],
 )

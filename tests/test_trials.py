@@ -142,6 +142,23 @@ def test_a_fish_released_backward_goes_backward_first():
     assert (moved[:, 5] < -0.05).all() and (still[:, 5] > -0.05).all()
 
 
+def test_draws_of_a_posterior_reach_the_twin_and_are_evaluated():
+    """Draws that are the fish change nothing; draws without any water let it drift."""
+    scene = scenes.grid(FISH, 2, 0, 0.5, 2.5, 1.0)
+    plain = replace(pool(2).in_twin("t", scene), seconds=2.0, sensors=quiet())
+    bare = replace(plain, physics=randomize.none())
+    fluid = replace(randomize.none(), fluid=randomize.Randomisation().fluid)
+    own = np.ones((3, len(TWIN.zones), 5))
+    same = swim(beat, replace(plain, physics=fluid, draws=own), [1, 2])
+    assert np.array_equal(same.pose, swim(beat, bare, [1, 2]).pose, equal_nan=True)
+    none = swim(beat, replace(plain, physics=fluid, draws=0 * own), [1, 2])
+    assert np.nanmax(np.abs(none.pose - same.pose)) > 0.05
+    chosen = evaluation.pool_of(load_policy(POLICY), EvaluationConfig(episodes=4))
+    assert chosen.draws is not None and chosen.draws.shape[1:] == (len(TWIN.zones), 5)
+    assert "reach posterior" in [made.name for made in reach.conditions(chosen)]
+    assert "reach posterior" not in [made.name for made in reach.conditions(pool())]
+
+
 def test_in_the_twin_a_swim_has_no_pool_s_energy_and_ends_when_told():
     scene = scenes.grid(FISH, 2, 0, 0.5, 2.5, 1.0)
     near = replace(scene, target=tracked_pose(FISH, scene.start)[:, None, :2] + 0.01)

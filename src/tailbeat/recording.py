@@ -9,7 +9,6 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -160,6 +159,14 @@ def is_marker(name: str) -> bool:
     return re.match(r"marker\d+_", name) is not None
 
 
+def changes(labels: Mapping[str, NDArray[np.str_]], rows: int) -> NDArray[np.bool_]:
+    """Whether any text changes from a row to the next (rows - 1,)."""
+    changed = np.zeros(rows - 1, dtype=bool)
+    for column in labels.values():
+        changed |= column[1:] != column[:-1]
+    return changed
+
+
 def _check_time(file: Path, time: Array, labels: Mapping[str, NDArray[np.str_]]) -> None:
     """Refuse time that does not rise, but for rows at which a text changes."""
     back = (np.diff(time) <= 0) & ~changes(labels, time.size)
@@ -231,34 +238,6 @@ def check_continuous(recording: Recording) -> None:
             f"{recording.name}: column time_s, row {row + 1}: time starts again, which is allowed"
             f" only in tail sweeps; give one file per condition."
         )
-
-
-def stretches(recording: Recording) -> list[Recording]:
-    """Split a recording where time starts again or a setting changes. Settings become the parts'
-    metadata. Of several parts, each is named by its first texts."""
-    settings = {name: column for name, column in recording.labels.items() if name != "condition"}
-    new = (np.diff(recording.time) <= 0) | changes(settings, recording.time.size)
-    edges = [0, *(np.flatnonzero(new) + 1), recording.time.size]
-    parts = [rows(recording, slice(*pair)) for pair in pairwise(edges)]
-    return [_with_settings(part, len(parts) > 1) for part in parts]
-
-
-def _with_settings(part: Recording, several: bool) -> Recording:
-    """The part with its settings as metadata instead of columns, named by its texts."""
-    first = {name: str(column[0]) for name, column in part.labels.items()}
-    told = [text if name == "condition" else f"{name} {text}" for name, text in first.items()]
-    kept = {name: column for name, column in part.labels.items() if name == "condition"}
-    meta = {**part.meta, **{name: text for name, text in first.items() if name != "condition"}}
-    name = ", ".join([part.name, *told]) if several else part.name
-    return replace(part, name=name, labels=kept, meta=meta)
-
-
-def changes(labels: Mapping[str, NDArray[np.str_]], rows: int) -> NDArray[np.bool_]:
-    """Whether any text changes from a row to the next (rows - 1,)."""
-    changed = np.zeros(rows - 1, dtype=bool)
-    for column in labels.values():
-        changed |= column[1:] != column[:-1]
-    return changed
 
 
 def rows(recording: Recording, which: slice | NDArray[np.bool_]) -> Recording:

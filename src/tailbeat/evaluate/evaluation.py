@@ -22,6 +22,7 @@ from tailbeat.evaluate.track import TrackResult
 from tailbeat.evaluate.trial import CHUNK, Condition, Pool, Progress, swim_all
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import digest, load_fish
+from tailbeat.identify import posterior
 from tailbeat.link.places import POOL
 from tailbeat.pool.water import Water, ablations, ensemble, fingerprint
 from tailbeat.robot.fits import check_swims
@@ -88,7 +89,10 @@ def pool_of(policy: Policy, config: EvaluationConfig) -> Pool:
     own = load_fish(config.fish)
     trained = check_swims(policy, config.twin, own)
     waters, actions = waters_of(config.pool), policy.contract.actions
-    return Pool(own, trained, actions, waters, config.episodes, config.seed, config.walls)
+    name = config.twin or policy.contract.fish
+    known = posterior.of(name)
+    draws = None if known is None else posterior.coefficient_factors(load_fish(name), known)
+    return Pool(own, trained, actions, waters, config.episodes, config.seed, config.walls, draws)
 
 
 def conditions_of(pool: Pool, tasks: Sequence[str]) -> list[Condition]:

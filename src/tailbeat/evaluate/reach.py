@@ -142,16 +142,19 @@ def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:
 
 
 def conditions(pool: Pool) -> list[Condition]:
-    """The conditions: bearings +-180 deg, 0.5-3 m, in open water, inside the paper's walls, and in
-    the twin."""
+    """The conditions: bearings +-180 deg, 0.5-3 m, in open water, inside the paper's walls, in the
+    twin, and in the twin over its posterior if it has one."""
     around = (Surroundings(walls=pool.walls),)
     scene = grid(pool.fish, pool.count, pool.seed, NEAREST, FARTHEST, np.pi)
     inside = walled(pool.fish, pool.count, pool.seed, NEAREST, FARTHEST, pool.walls)
-    return [
+    found = [
         pool.condition("reach open", scene),
         pool.condition("reach walled", inside, around=around),
         pool.in_twin("reach twin", scene),
     ]
+    if pool.draws is not None:
+        found.append(pool.in_twin("reach posterior", scene, pool.draws))
+    return found
 
 
 def numbers(runs: Runs) -> ReachResult:

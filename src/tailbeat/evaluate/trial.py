@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, ActionSpace
@@ -26,6 +27,7 @@ from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water
 
+Array = NDArray[np.float64]
 CHUNK = 125  # swims in one batch, and in one file
 LIMIT = 9.0  # m from the start at which a fish is lost
 Progress = Callable[[str, int, int], None]  # condition, swims done, all swims
@@ -34,7 +36,7 @@ Progress = Callable[[str, int, int], None]  # condition, swims done, all swims
 @dataclass(frozen=True, eq=False)
 class Condition:
     """n swims under one condition. Without `water` they are swum in the fish's own twin, with its
-    `physics` randomised. `stop` ends a swim at its arrival."""
+    `physics` randomised; `draws` as in `Settings`. `stop` ends a swim at its arrival."""
 
     name: str
     fish: Fish
@@ -45,6 +47,7 @@ class Condition:
     servo: Servo | None = None
     sensors: SensorModel = field(default_factory=SensorModel)
     physics: Randomisation = field(default_factory=Randomisation)
+    draws: Array | None = None
     seconds: float = 30.0
     stop: bool = True
 
@@ -65,7 +68,8 @@ class Pool:
 
     The pool's `fish` and `waters`; the `twin` that the policy was trained in; the `actions` of its
     contract; `count` swims per condition, drawn from `seed`; `walls` (length, width) [m] of the
-    walled trials, the paper's pool by default.
+    walled trials, the paper's pool by default; `draws` of the twin's posterior as in `Settings`
+    (None: it has none).
     """
 
     fish: Fish
@@ -75,15 +79,17 @@ class Pool:
     count: int
     seed: int
     walls: tuple[float, float] = POOL
+    draws: Array | None = None
 
     def condition(self, name: str, scene: Scene, **changed: Any) -> Condition:
         """A condition in the pool's waters, used in turn."""
         water = changed.pop("water", pools(self.waters, len(scene.start)))
         return replace(Condition(name, self.fish, scene, self.actions, water), **changed)
 
-    def in_twin(self, name: str, scene: Scene) -> Condition:
-        """The same swims in the twin, with all noise and randomisation."""
-        return Condition(name, self.twin, scene, self.actions, None)
+    def in_twin(self, name: str, scene: Scene, draws: Array | None = None) -> Condition:
+        """The same swims in the twin, with all noise and randomisation; with `draws`, the water's
+        coefficients are drawn from these."""
+        return Condition(name, self.twin, scene, self.actions, None, draws=draws)
 
 
 def part(condition: Condition, chunk: int) -> Condition:
@@ -138,7 +144,9 @@ def _world(one: Condition, seeds: list[int]) -> World:
     if one.water is not None:
         simulator = PoolSimulator(one.fish, one.water, one.around, one.servo)
     task = Task(seconds=one.seconds, limit=LIMIT)
-    settings = Settings(one.actions, task, sensors=one.sensors, physics=one.physics)
+    settings = Settings(
+        one.actions, task, sensors=one.sensors, physics=one.physics, draws=one.draws
+    )
     return World(one.fish, settings, seeds, simulator=simulator, scene=one.scene)
 
 

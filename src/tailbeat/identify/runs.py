@@ -6,9 +6,9 @@ at the beat frequency of the tracks, from the recorded speed. The steady gait is
 crank's unknown phase has no effect.
 
 A replayed run needs no beat: without a steady one, the numbers of its gait are NaN. It needs no
-`yaw_rad` either: still water is the same in every direction. The twin then starts along the path's
-first direction, and its path is turned about the first position onto the recorded one
-(`camera_track`). A run that starts while moving is assumed to start nose first.
+`yaw_rad` either: still water has no direction. The twin then starts along the path's first
+direction, and its path is turned onto the recorded one (`camera_track`). A run that starts while
+moving is assumed to start nose first.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,8 @@ from tailbeat.identify.gait import (
 )
 from tailbeat.identify.glitches import Glitch
 from tailbeat.identify.launch import launch_of
-from tailbeat.recording import Recording, markers, require, stretches
+from tailbeat.identify.stretches import stretches
+from tailbeat.recording import Recording, markers, require
 
 Array = NDArray[np.float64]
 SAMPLE = 0.02  # s between samples of a twin's run
@@ -55,8 +56,7 @@ class Run:
     """A checked recording: its track and gait; `motor` (k,) [rad], None for a cruise; `launch` (3,)
     surge, sway [m/s] and yaw rate [rad/s] at the start, if stated; `glitches` that were left out.
 
-    A cruise has a heading and a beat; a replayed run may lack either (`Track`, `Gait`).
-    """
+    A cruise has a heading and a beat; a replayed run may lack either (`Track`, `Gait`)."""
 
     name: str
     track: Track

@@ -20,7 +20,8 @@ from tailbeat.identify.response import STILL
 from tailbeat.identify.search import Fit, Parameter, sensitivity
 from tailbeat.identify.shaft import STEP as SHAFT_STEP
 from tailbeat.identify.shaft import Bench, Load, free_run
-from tailbeat.recording import Recording, require, stretches
+from tailbeat.identify.stretches import stretches
+from tailbeat.recording import Recording, require
 
 Array = NDArray[np.float64]
 GRAVITY = 9.80665  # m/s^2

@@ -1,7 +1,7 @@
 """Read any CSV, JSON or Parquet table as a recording; the user names its columns and units.
 
-A JSON file is a list of objects, or an object of lists, or an object with a header: one field holds
-the list of objects, and the other fields are the header.
+A JSON file is a list of objects, an object of lists, or an object with a header: one field holds
+the list of objects, the others are the header.
 """
 
 import csv
@@ -17,10 +17,11 @@ import polars as pl
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput, refuse_existing
-from tailbeat.recording import TEXTS as LABELS
+from tailbeat.recording import TEXTS as TEXT_COLUMNS
 from tailbeat.recording import Recording, changes, write_recording
 
 Array = NDArray[np.float64]
+Labels = Mapping[str, NDArray[np.str_]]
 UNITS: dict[str, tuple[str, float]] = {  # unit -> quantity and its size in SI
     "rad": ("angle", 1.0),
     "deg": ("angle", np.pi / 180),
@@ -61,7 +62,7 @@ class TableConfig:
     """How to read the file: `columns` maps a name in `COLUMNS`, or `marker0_x` and so on, to a
     column of the file. `units` are the file's (SI where none is given), and `counts_per_turn` the
     encoder's. `meta` maps a key to a header field, a number, or a word. `rows` is the JSON field
-    with the entries (None: the only list). `source` says who recorded it, in the user's words."""
+    with the entries (None: the only list). `source`: who recorded it, in the user's words."""
 
     columns: Mapping[str, str]
     units: Sequence[str] = ()
@@ -83,9 +84,8 @@ class Table:
 def parse_pairs(option: str, text: str) -> dict[str, str]:
     """`a=b,c=d` as a mapping. Raises BadInput naming the option."""
     pairs = [part.partition("=") for part in text.split(",") if part.strip()]
-    for name, equals, value in pairs:
-        if not (name.strip() and equals and value.strip()):
-            raise BadInput(f"{option} {text!r}: give pairs like time=timestamp,angle=position.")
+    if not all(name.strip() and equals and value.strip() for name, equals, value in pairs):
+        raise BadInput(f"{option} {text!r}: give pairs like time=timestamp,angle=position.")
     return {name.strip(): value.strip() for name, _, value in pairs}
 
 
@@ -100,8 +100,7 @@ def convert(path: Path, out: Path, config: TableConfig) -> Recording:
 def import_table(path: str | Path, config: TableConfig) -> Recording:
     """The mapped columns of a table in SI units. An empty cell of a marker column becomes NaN.
     Raises BadInput that names file, column and row, or the option that is wrong."""
-    table = read_table(Path(path), config.rows)
-    scales = _scales(config)
+    table, scales = read_table(Path(path), config.rows), _scales(config)
     if "time" not in config.columns:
         raise BadInput("--map has no time; name the column of times, as time=NAME.")
     columns: dict[str, Array] = {}
@@ -109,7 +108,7 @@ def import_table(path: str | Path, config: TableConfig) -> Recording:
     for name, source in config.columns.items():
         column, quantity = _target(name)
         values = _column(table, name, source)
-        if column in LABELS:
+        if column in TEXT_COLUMNS:
             labels[column] = np.array([str(value) for value in values])
         else:
             gaps = MARKER.fullmatch(name) is not None
@@ -182,9 +181,9 @@ def _read_json(file: Path, rows: str | None) -> Table:
 def _entries(file: Path, data: dict[str, Any], rows: str | None) -> Any:
     """The list of objects of a file with a header, or its lists."""
     lists = {name: value for name, value in data.items() if isinstance(value, list)}
+    if rows is not None and rows not in lists:
+        raise BadInput(f"{file}: --rows {rows!r} is not a list; {_there(lists)}.")
     if rows is not None:
-        if rows not in lists:
-            raise BadInput(f"{file}: --rows {rows!r} is not a list; {_there(lists)}.")
         return lists[rows]
     nested = [name for name, value in lists.items() if value and isinstance(value[0], dict)]
     if len(nested) > 1:
@@ -197,9 +196,7 @@ def _entries(file: Path, data: dict[str, Any], rows: str | None) -> Any:
 def _from_objects(file: Path, data: Any) -> dict[str, Sequence[Any]]:
     objects = isinstance(data, list) and all(isinstance(entry, dict) for entry in data)
     if not objects or len(data) < 2:
-        raise BadInput(
-            f"{file}: has no list of at least two objects; give one, or an object of lists."
-        )
+        raise BadInput(f"{file}: has no list of two or more objects; give one, or lists.")
     names = {name: None for entry in data for name in entry}  # a dict keeps their order
     return {name: [entry.get(name) for entry in data] for name in names}
 
@@ -270,9 +267,7 @@ def _number(value: Any) -> float:
         return float("nan")
 
 
-def _check_rises(
-    table: Table, name: str, time: Array, labels: Mapping[str, NDArray[np.str_]]
-) -> None:
+def _check_rises(table: Table, name: str, time: Array, labels: Labels) -> None:
     back = (np.diff(time) <= 0) & ~changes(labels, time.size)
     if back.any():
         row = int(np.argmax(back)) + 1
