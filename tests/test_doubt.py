@@ -117,3 +117,13 @@ def test_draws_stay_where_the_twin_still_swims_as_recorded():
     allowed = best + doubt.excess * stats.chi2.ppf(0.99, FREE)
     found = np.square(bent(z)).sum(axis=1) + np.square(z).sum(axis=1)
     assert (found <= allowed).mean() > 0.95
+
+
+def test_a_single_draw_is_the_fit_and_swims_nothing():
+    fit, _ = fitted(0, together=1.0)
+
+    def refuse(z: np.ndarray) -> np.ndarray:
+        raise AssertionError(f"asked for {len(z)} candidates")
+
+    found = draw(SPACE, [by_swims(fit, OWNER)], refuse, 1, 0)
+    assert np.array_equal(found, fit.z[None])

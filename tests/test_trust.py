@@ -8,8 +8,10 @@ import pytest
 from support import tailbeat
 from synthetic_recordings import Noise, TailTruth, tail_sweep
 from tailbeat.fish.store import load_fish
+from tailbeat.identify.fluid_report import misfit
 from tailbeat.identify.naive_servo import naive_servos
 from tailbeat.identify.naive_swim import Compared, speed_laws
+from tailbeat.identify.search import Fit
 from tailbeat.identify.servo import as_bench, described_servo
 from tailbeat.identify.shaft import Bench, Load, free_run
 from tailbeat.identify.tail import identify_tail
@@ -32,6 +34,16 @@ def test_a_fit_that_loses_says_by_how_much_and_to_whom():
         in (said.sentences[0])
     )
     assert verdict([Contest("path", 0.4, "five numbers")], [("a", 0.02)]).sentences == ()
+
+
+def test_a_fluid_fit_that_misses_its_own_swims_is_not_trusted():
+    def left(deviations: float) -> Fit:
+        found = np.array([-1.0, 1.0]) * deviations
+        return Fit(0, np.zeros(1), 0.0, found, np.zeros((2, 1)), np.eye(1))
+
+    assert misfit(left(2.6)) == []
+    said = verdict([], [], misfit(left(7.5)))
+    assert not said.trusted and "misses its own fitted swims by 7.5" in said.sentences[0]
 
 
 def test_a_recording_full_of_glitches_is_not_trusted():

@@ -108,10 +108,10 @@ def draw(
     limit = _limit(doubts[0], noise)
     left = np.arange(1, count)
     for _ in range(RETREATS):
-        z = np.clip(centre[left] + away[left], low, high)
-        left = left[cost(residuals(z) / noise, z) > limit]
         if not left.size:
             break
+        z = np.clip(centre[left] + away[left], low, high)
+        left = left[cost(residuals(z) / noise, z) > limit]
         away[left] /= 2
     return np.asarray(np.clip(centre + away, low, high))
 

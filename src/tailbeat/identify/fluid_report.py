@@ -6,6 +6,7 @@ from importlib.metadata import version
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from tailbeat.fish.description import Fish
 from tailbeat.identify import bands
@@ -17,8 +18,13 @@ from tailbeat.identify.kinematic import errors_row
 from tailbeat.identify.launch import stuck
 from tailbeat.identify.naive_swim import Compared, compare
 from tailbeat.identify.predict import row, speed_mae
+from tailbeat.identify.search import Fit
 from tailbeat.identify.trust import Contest, Verdict, share_left_out, verdict
 
+# Root mean square residual of a fit, in assumed deviations, above which it is not trusted. Chosen:
+# the shipped fish has 2.6, and a fish described at a third of its mass 7.5. One described at three
+# times its mass has 1.9: all forces grow with it, and no swim tells.
+MISSES = 5.0
 NAMED = 8  # most swims that every identified number names; if there are more, the heading does
 
 
@@ -71,7 +77,20 @@ def _doubt(found: Identified) -> dict[str, Any]:
 def _verdict(found: Identified, naive: Sequence[Compared]) -> Verdict:
     contests = [Contest(one.quantity, one.ratio, one.best) for one in naive]
     samples = [(p.run, p.run.track.time.size) for p in found.fitted]
-    return verdict(contests, [(r.name, share_left_out(r.glitches, n)) for r, n in samples])
+    spoilt = [(run.name, share_left_out(run.glitches, n)) for run, n in samples]
+    return verdict(contests, spoilt, misfit(found.fits[0]))
+
+
+def misfit(best: Fit) -> list[str]:
+    """A sentence if the twin misses the swims that it was fitted to by too much."""
+    missed = float(np.sqrt(np.square(best.residuals).mean()))
+    if missed <= MISSES:
+        return []
+    return [
+        f"the twin misses its own fitted swims by {missed:.1f} assumed deviations (2 to 3 are"
+        f" usual): the described fish is not the one that swam, or the search was too short; check"
+        f" masses, sizes and units, then raise --generations"
+    ]
 
 
 def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[str, Any]]:
