@@ -4,6 +4,7 @@ import hashlib
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from json import loads as from_json
 from pathlib import Path
 from typing import Any
@@ -144,6 +145,7 @@ def _targets(paths: ChainPaths) -> dict[str, Path]:
 def _key(fish: str, data: Folder, config: job.FluidConfig) -> str:
     """Name of the folder of finished stages, a digest of the inputs: only the same work resumes."""
     digest = hashlib.sha256(fish_path(fish).read_bytes() + repr(config).encode())
+    digest.update(version("tailbeat").encode())  # another version may find other numbers
     singles = [path for path in (data.static, data.release) if path is not None]
     for path in [*data.sweeps, *singles, *data.servo_fit, *data.servo_validate, *data.fluid_fit]:
         digest.update(path.read_bytes())
