@@ -48,8 +48,8 @@ class SpeedMap:
 def speed_map(
     fish: Fish, servos: Sequence[str] = ("identified",), twin: Fish | None = None
 ) -> SpeedMap:
-    """Compute speeds of `twin` (by default the fish's own) and of the pool's plant at every
-    beat."""
+    """Compute speeds of `twin` (by default the fish's own) and of the pool's plant at every beat.
+    `servos` are the twin's; a servo that the fish does not have is its own in the plant."""
     cases = [
         (servo, rate, frequency, min(rate / (2 * np.pi * frequency), 1.0))
         for servo in servos
@@ -85,7 +85,7 @@ def _speed(time: Array, pose: Array) -> float:
 
 def _plant_speeds(fish: Fish, cases: Sequence[tuple[str, float, float, float]]) -> list[float]:
     dt = 0.001
-    servos = [fish.servos[servo] for servo, *_ in cases]
+    servos = [fish.servos.get(servo, fish.servos[fish.servo]) for servo, *_ in cases]
     plant = build_plant(fish, [Water()], servos, dt=dt)
     commands = np.stack([_command(frequency, stroke, dt) for *_, frequency, stroke in cases])
     swum = step_plant(plant, at_rest(plant), commands, 20)
