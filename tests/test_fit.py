@@ -222,3 +222,90 @@ def test_a_seed_that_is_done_is_read_and_not_searched_again(tmp_path: Path):
     assert len(calls) == asked and np.array_equal(first.z, again.z) and again.seed == 3
     assert {seed for seed, *_ in said} == {3} and said[0][1:3] == ("search", 0.5)
     assert {one.name for one in tmp_path.iterdir()} == {"seed3.fit", "seed3.search"}
+
+
+def test_a_start_is_a_draw_of_half_a_spread_about_the_prior():
+    """A start far from the prior, or always the same, would find other valleys."""
+    wide = tuple(Parameter(str(i), "1", -9.0, 9.0, 0.0, 1.0, log=False) for i in range(40))
+    made = [whole._strategy(line, wide, seed, Effort()) for seed in range(10)]
+    starts = np.array([one.x0 for one in made])
+    assert abs(starts.mean()) < 0.1 and starts.std() == pytest.approx(0.5, rel=0.1)
+    assert made[0].sigma0 == 0.4 and made[0].popsize == Effort().population
+    assert [one.opts["seed"] for one in made[:3]] == [1, 2, 3]
+
+
+def test_scouts_are_drawn_from_the_prior_and_stay_off_the_range_s_edges():
+    seen: list[np.ndarray] = []
+
+    def noted(z: np.ndarray) -> np.ndarray:
+        seen.append(z)
+        return z
+
+    tight = (Parameter("a", "1", -1.0, 1.0, 0.0, 1.0, log=False),) * 3
+    whole._strategy(noted, tight, 0, Effort(scouts=500))
+    (drawn,) = seen
+    assert drawn.min() == -0.99 and drawn.max() == 0.99
+    wide = (Parameter("a", "1", -9.0, 9.0, 0.0, 1.0, log=False),) * 3
+    whole._strategy(noted, wide, 0, Effort(scouts=500))
+    assert abs(seen[1].mean()) < 0.1 and seen[1].std() == pytest.approx(1.0, rel=0.1)
+    narrow = (Parameter("a", "1", 0.5, 0.6, 0.0, 1.0, log=False),) * 3
+    start = whole._strategy(noted, narrow, 3, Effort()).x0
+    assert (start.min(), start.max()) == pytest.approx((0.51, 0.59))
+
+
+def test_each_round_of_the_polish_tries_five_dampings():
+    tried: list[np.ndarray] = []
+
+    def noted(z: np.ndarray) -> np.ndarray:
+        tried.append(z)
+        return line(z)
+
+    start = np.array([0.3, -0.4])
+    polish(noted, SPACE, start, 1)
+    found, slope = line(start[None])[0], SLOPE
+    normal, pull = slope.T @ slope + np.eye(2), slope.T @ found + start
+    for z, damping in zip(tried[1], [1e-3, 1e-2, 1e-1, 1.0, 10.0], strict=True):
+        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -pull)
+        assert z == pytest.approx(start + step, abs=1e-9)
+
+
+def test_a_search_ends_with_two_rounds_on_both_sides_and_one_with_wide_steps(capfd):
+    tried: list[np.ndarray] = []
+
+    def noted(z: np.ndarray) -> np.ndarray:
+        tried.append(z)
+        return line(z)
+
+    found = search(noted, SPACE, 0, Effort(2, 4, 6))
+    widths = [len(one) for one in tried]
+    assert widths.count(5) > 2  # 2 numbers on both sides, and 5 dampings
+    probes = tried[-1]
+    assert len(probes) == 5 and probes[1] - probes[0] == pytest.approx([0.2, 0.0])
+    assert np.array_equal(probes[0], found.z)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_exact_data_count_more_against_the_prior_after_the_rounds():
+    """Residuals without noise: the last rounds take the floor of the noise, 0.3, for it."""
+    exact = search(lambda z: np.repeat(0.05 * (z - 2.0), 40, axis=1), SPACE, 0, Effort(4, 6, 8))
+    weight = 40 * 0.05**2 / whole.NOISE_FLOOR**2
+    assert exact.z == pytest.approx(2 * weight / (1 + weight) * np.ones(2), abs=1e-3)
+
+
+def test_one_candidate_has_a_cost_as_many_have():
+    left, z = np.array([1.0, 2.0]), np.array([3.0])
+    assert float(cost(left, z)) == 14.0
+    assert cost(left[None], z[None]).tolist() == [14.0]
+
+
+def test_the_usual_effort_is_that_of_the_shipped_fish():
+    assert Effort() == Effort(generations=15, population=14, polish=15, scouts=0)
+
+
+def test_intervals_widen_only_by_as_much_as_is_asked():
+    fits = [fit([0.0, 0.5], 10.0, np.diag([0.04, 0.01])), fit([0.0, 0.9], 15.0)]
+    alone = intervals(SPACE, fits[:1])[1]
+    assert intervals(SPACE, fits)[1] == alone  # 5 beyond the best, and 3.84 are allowed
+    assert estimates(SPACE, fits)["offset"].interval == alone
+    assert intervals(SPACE, fits, excess=2.0)[1] == pytest.approx((alone[0], 2.8))
+    assert estimates(SPACE, fits, excess=2.0)["offset"].interval[1] == pytest.approx(2.8)
