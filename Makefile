@@ -36,7 +36,7 @@ docs: $(READY)  ## build the documentation site into build/site; a wrong link is
 test: check browser  ## check, then every test that is neither slow nor needs a GPU
 	$(VENV)/bin/pytest -n auto --no-loadscope-reorder $(ARGS)
 
-mutation: $(READY)  ## change the code in one place at a time; which changes does no test notice? (hours)
+mutation: $(READY)  ## change the code in one place at a time; which changes does no test notice? (half an hour)
 	$(VENV)/bin/python tests/mutation.py $(ARGS)
 
 check: $(READY)  ## lint, format, types, spelling and prose, changing nothing
