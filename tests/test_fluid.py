@@ -56,7 +56,9 @@ def test_known_coefficients_of_one_zone_come_back(tmp_path):
         as_run(record(fish, "a", 1.5, 0.5, offset=0.1, noise=1e-3), PULLEY),
         as_run(record(fish, "b", 2.2, 0.4, offset=-0.25, noise=1e-3, seed=1), PULLEY),
     ]
-    config = FluidConfig(zones=1, seeds=1, effort=Effort(generations=4), draws=4)
+    config = FluidConfig(
+        zones=1, seeds=1, effort=Effort(generations=1, population=8, polish=6), draws=4
+    )
     found = identify_fluid(PULLEY, runs, [], config, tmp_path)
     rows = found.estimates()
     decided = {path: row for path, row in rows.items() if row.decided}

@@ -27,7 +27,7 @@ from tailbeat.recording import Recording, read_recording, write_recording
 from tailbeat.report.identified import DRAWINGS
 
 FISH = load_fish("pulley-fish")
-LITTLE = FluidConfig(zones=1, seeds=1, effort=Effort(generations=1), draws=6)
+LITTLE = FluidConfig(1, 1, effort=Effort(generations=1, population=8, polish=3), draws=4)
 
 
 @pytest.fixture(scope="module")

@@ -48,7 +48,7 @@ def test_without_stated_gains_there_is_nothing_to_contradict(tmp_path):
     assert found.contradictions == ()
 
 
-@pytest.mark.long
+@pytest.mark.slow  # twelve logs, fitted twice
 def test_real_logs_at_three_gains_agree_until_one_is_stated_wrongly(data, tmp_path):
     logs = sorted((data / "xl330").glob("*.json"))
     runs = [as_bench(import_xl330(log), FISH) for log in logs]

@@ -29,17 +29,17 @@ def bench_42(seed: int) -> list[Recording]:
     return [slow, fast]
 
 
-@pytest.mark.long
-def test_four_numbers_come_back_and_intervals_hold_them():
+@pytest.mark.parametrize("benches", [25, pytest.param(100, marks=pytest.mark.slow)])
+def test_four_numbers_come_back_and_intervals_hold_them(benches):
     inside = dict.fromkeys(NAMES, 0)
-    for seed in range(100):
+    for seed in range(benches):
         fit = identify_tail(bench_42(seed))
         assert len(fit.conditions) == 42
         for name, within in NAMES.items():
             found, true = getattr(fit, name), getattr(TRUTH, name)
             assert found.value == pytest.approx(true, rel=within), (name, seed)
             inside[name] += found.interval[0] <= true <= found.interval[1]
-    assert min(inside.values()) >= 90, inside
+    assert min(inside.values()) >= 0.88 * benches, inside
 
 
 def test_a_static_test_is_far_off_where_the_sweep_is_not():

@@ -44,6 +44,8 @@ from tailbeat.report.style import (
 
 def save(figure: Figure, stem: Path) -> list[Path]:
     """Write `stem`.svg and `stem`.png; existing files are replaced."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine(None)  # laid out once, not once more for each drawing of each file
     paths = [stem.with_suffix(end) for end in (".svg", ".png")]
     for path in paths:
         with new_file(path, overwrite=True) as beside:
