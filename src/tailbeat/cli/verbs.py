@@ -19,8 +19,8 @@ PANELS = {
         Verb(
             "new-fish",
             "describe:new_fish",
-            "Write a commented fish to start from.",
-            "my-fish.toml",
+            "Write a fish to start from, from a few measured numbers.",
+            "my-fish.toml --length 280mm --mass 350g --hinges 4 --servo xl330",
         ),
         Verb(
             "show",

@@ -84,6 +84,8 @@ class Part(_Model):
     added_mass: u.Mass = Field(default=0.0, ge=0)
     """Water that the part carries sideways. It counts only if the fish's `added_inertia` is above
     0."""
+    flooded: bool = False
+    """Whether water fills the part. `show` then takes it as neutral. No effect on the twin."""
 
     @model_validator(mode="after")
     def _sizes(self) -> "Part":

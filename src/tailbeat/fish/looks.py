@@ -34,7 +34,7 @@ COLOURS = Colours([0.16, 0.33, 0.42, 1.0], [0.88, 0.52, 0.22, 1.0], [0.95, 0.62,
 
 def add_looks(spec: mujoco.MjSpec, fish: Fish) -> None:
     """Add the pool floor, lights, cameras and one visible mesh or more per body."""
-    _add_scene(spec)
+    _add_scene(spec, _scale(fish))
     add_hulls(spec, fish)
 
 
@@ -219,7 +219,15 @@ def _add_dry_box(body: mujoco.MjsBody, part: Part, x0: float) -> None:
     )
 
 
-def _add_scene(spec: mujoco.MjSpec) -> None:
+def _scale(fish: Fish) -> float:
+    """Length of the fish over the pulley fish's, whose picture the cameras' places suit."""
+    parts = [part for body in (fish.head, *fish.tail.links) for part in body.parts]
+    front = max(part.position[0] + part.size[0] / 2 for part in parts)
+    return (front - min(part.position[0] - part.size[0] / 2 for part in parts)) / 0.54
+
+
+def _add_scene(spec: mujoco.MjSpec, scale: float) -> None:
+    """Floor, light and cameras, as far from the fish as its length asks."""
     world = spec.worldbody
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
     spec.visual.headlight.ambient = [0.3, 0.3, 0.3]
@@ -228,12 +236,12 @@ def _add_scene(spec: mujoco.MjSpec) -> None:
     texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
     texture.rgb1, texture.rgb2 = [0.25, 0.52, 0.62], [0.31, 0.58, 0.68]
     texture.width = texture.height = 256
-    material = spec.add_material(name="tiles", texrepeat=[200, 200])
+    material = spec.add_material(name="tiles", texrepeat=[200 / scale, 200 / scale])
     material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "tiles"
     world.add_geom(
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[50, 50, 0.1],
-        pos=[0, 0, -0.25],
+        pos=[0, 0, -0.25 * scale],
         material="tiles",
         contype=0,
         conaffinity=0,
@@ -243,7 +251,6 @@ def _add_scene(spec: mujoco.MjSpec) -> None:
     sun.diffuse = [0.6, 0.6, 0.6]
     head = spec.body("head")
     track = mujoco.mjtCamLight.mjCAMLIGHT_TRACK
-    head.add_camera(name="above", mode=track, pos=[-0.15, 0, 1.1], fovy=45)
-    head.add_camera(
-        name="beside", mode=track, pos=[-0.17, -0.62, 0.42], xyaxes=[1, 0, 0, 0, 0.56, 0.83]
-    )
+    head.add_camera(name="above", mode=track, pos=[-0.15 * scale, 0, 1.1 * scale], fovy=45)
+    place = [-0.17 * scale, -0.62 * scale, 0.42 * scale]
+    head.add_camera(name="beside", mode=track, pos=place, xyaxes=[1, 0, 0, 0, 0.56, 0.83])

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from tailbeat.files import refuse_existing, write_json
 from tailbeat.fish import surge
+from tailbeat.fish.check import check, moment_arms
+from tailbeat.fish.check_rows import check_tables
 from tailbeat.fish.description import Fish, Part
 from tailbeat.fish.render import save_picture
 from tailbeat.fish.store import load_fish
@@ -65,21 +67,6 @@ def read_back(fish: Fish) -> Compiled:
     )
 
 
-def moment_arms(twin: Twin, data: mujoco.MjData) -> tuple[Array, float]:
-    """Arms dL/dq of the left tendon at the hinges (n,), and at the motor, signs included [m]."""
-    jacobian = np.zeros((twin.model.ntendon, twin.model.nv))
-    mujoco.mju_sparse2dense(
-        jacobian,
-        data.ten_J.ravel(),
-        twin.model.ten_J_rownnz,
-        twin.model.ten_J_rowadr,
-        twin.model.ten_J_colind.ravel(),
-    )
-    motor = int(twin.model.joint("motor").dofadr[0])
-    row = jacobian[twin.model.tendon("left").id]
-    return -row[motor + 1 :], float(row[motor])
-
-
 def yaw_inertia(twin: Twin, data: mujoco.MjData) -> float:
     """Inertia of the straight fish about the vertical axis through its centre of mass [kg m^2]."""
     full = np.zeros((twin.model.nv, twin.model.nv))
@@ -105,10 +92,13 @@ def shaft_stiffness(fish: Fish, angle: float = 0.02) -> float:
 
 def _settle(model: mujoco.MjModel, angle: float) -> float:
     """Torque over angle [N m/rad] when the tail has come to rest on a stiff, undelayed servo."""
+    soft = float(model.jnt_stiffness[1:].min())  # a servo that is stiff for this tail
     model.opt.timestep = 5e-4
-    model.dof_damping[1:] += 0.02 * model.jnt_stiffness[1:].clip(0.1)
+    model.dof_damping[1:] += 0.02 * model.jnt_stiffness[1:]
+    model.dof_armature[0] = max(model.dof_armature[0], 1e-3 * soft)
     model.dof_frictionloss[:] = 0.0
-    model.actuator_gainprm[0, 0], model.actuator_biasprm[0, 1:3] = 500.0, (-500.0, -20.0)
+    model.actuator_gainprm[0, 0] = 400 * soft
+    model.actuator_biasprm[0, 1:3] = -400 * soft, -16 * soft
     model.actuator_forcerange[0] = (-1e6, 1e6)
     model.actuator_delay[0] = 0.0
     data = mujoco.MjData(model)
@@ -155,16 +145,19 @@ def _warnings(fish: Fish, k_read: float) -> list[str]:
 
 
 def tables(fish: Fish) -> dict[str, list[dict[str, Any]]]:
-    """Everything `tailbeat show` prints, as rows: whole fish, bodies, hinges, zones, servo."""
+    """Everything `tailbeat show` prints, as rows: whole fish, first check, bodies, hinges, zones,
+    servo, warnings."""
     compiled = read_back(fish)
+    checked = check(fish, compiled.length)
     return {
         "fish": [_whole(fish, compiled)],
+        **check_tables(checked),
         "bodies": _bodies(fish),
         "hinges": _hinges(fish, compiled),
         "zones": [{"zone": name, **zone.model_dump()} for name, zone in fish.zones.items()],
         "fluid law": [_law(fish)],
         "servo": [{"servo": fish.servo, **fish.servos[fish.servo].model_dump()}],
-        "warnings": [{"warning": text} for text in compiled.warnings],
+        "warnings": [{"warning": text} for text in (*compiled.warnings, *checked.warnings)],
     }
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import tomlkit
 from pydantic import ValidationError
 
-from tailbeat.files import BadInput, new_file
+from tailbeat.files import BadInput, new_file, refuse_existing
 from tailbeat.fish.description import Fish
 
 
@@ -103,6 +103,12 @@ def new_fish(path: Path) -> None:
         beside.write_text(text.replace("my-fish", path.stem), encoding="utf-8")
 
 
+def check_new_fish(path: Path) -> None:
+    """Raises BadInput for a path that exists or does not end in .toml."""
+    check_fish_name(path)
+    refuse_existing(path)
+
+
 def check_fish_name(path: Path) -> None:
     """Raises BadInput for a path that does not end in .toml."""
     if path.suffix != ".toml":
@@ -150,7 +156,14 @@ def _inline(entry: Mapping[str, Any]) -> tomlkit.items.InlineTable:
 
 
 def digest(fish: Fish) -> str:
-    """Digest of all numbers and names of a fish, without its summary. A policy's contract has it,
-    to recognise the fish."""
-    content = fish.model_dump(mode="json", exclude={"summary"})
+    """Digest of all numbers and names of a fish that its twin depends on: without its summary, and
+    without which parts are flooded. A policy's contract has it, to recognise the fish."""
+    content = _without(fish.model_dump(mode="json", exclude={"summary"}), "flooded")
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _without(node: Any, name: str) -> Any:
+    """Nested tables and lists without every key `name`."""
+    if isinstance(node, dict):
+        return {key: _without(value, name) for key, value in node.items() if key != name}
+    return [_without(value, name) for value in node] if isinstance(node, list) else node

@@ -1,5 +1,7 @@
 """Read quantities of a description: a number in SI, text with a unit, or a table with a source."""
 
+import math
+import re
 from functools import partial
 from typing import Annotated, Any
 
@@ -23,6 +25,18 @@ UNITS: dict[str, dict[str, float]] = {
     "linear damping": {"N s/m": 1.0},
     "ratio": {"1": 1.0},
 }
+
+
+def typed(text: str, dimension: str) -> float:
+    """A quantity as typed on a command line, in SI: "280mm", "280 mm", or "0.28" for the SI unit.
+    Raises ValueError that says what is allowed."""
+    usual = next(iter(UNITS[dimension]))
+    found = re.fullmatch(r"\s*([-+0-9.eE]+?)\s*([a-zA-Z].*)?", text)
+    number = None if found is None else _number(found[1])
+    if found is None or number is None or not math.isfinite(number):
+        raise ValueError(f"{text!r} is not a number with a unit such as {usual}")
+    unit = (found[2] or usual).strip()
+    return number * _factor(unit, dimension)
 
 
 def _to_si(raw: Any, dimension: str) -> Any:

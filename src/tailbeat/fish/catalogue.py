@@ -1,0 +1,72 @@
+"""Servos by their makers' numbers, and the servo of a description that those numbers suggest.
+
+A geared DC motor at a fixed voltage gives `stall (1 - speed / no_load)` at full duty. So its back
+EMF acts as the damping stall / no_load outside the torque limit. A ROBOTIS X-series position loop
+sets the duty to gain / 128 counts of PWM per count of error, out of 885 (its e-Manual). That its
+fitted gain differs was observed on an XL330 (0.87 N m/rad for 1.2): identify it.
+"""
+
+import math
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Servo
+
+COUNTS_PER_RAD = 4096 / (2 * math.pi)
+FULL_PWM = 885
+TIME_CONSTANT = 0.030  # s, armature over damping; two identified servos have 0.023 and 0.043
+DELAY = 0.015  # s: a bus cycle and the firmware, chosen
+USUAL_GAIN = 800.0  # for makers whose loop is not published
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A servo in a catalogue: `model` as its maker writes it, `voltage_v` [V], `stall_nm` [N m] and
+    `no_load_rpm` [rev/min] at that voltage, `mass_g` [g], `gain` of its position loop as shipped.
+    """
+
+    name: str
+    model: str
+    voltage_v: float
+    stall_nm: float
+    no_load_rpm: float
+    mass_g: float
+    gain: float = USUAL_GAIN
+
+    @property
+    def no_load(self) -> float:
+        """No-load speed of the shaft [rad/s]."""
+        return self.no_load_rpm * 2 * math.pi / 60
+
+    def servo(self) -> Servo:
+        """Numbers to start from, before a bench has measured this servo."""
+        damping = self.stall_nm / self.no_load
+        return Servo(
+            kp=self.stall_nm * self.gain / 128 * COUNTS_PER_RAD / FULL_PWM,
+            kv=0.0,
+            armature=TIME_CONSTANT * damping,
+            damping=damping,
+            force_limit=self.stall_nm,
+            delay=DELAY,
+        )
+
+
+@cache
+def profiles() -> dict[str, Profile]:
+    """Every servo of the catalogue, by name."""
+    text = (resources.files("tailbeat.fish") / "servos.toml").read_text("utf-8")
+    return {name: Profile(name, **numbers) for name, numbers in tomllib.loads(text).items()}
+
+
+def profile(name: str) -> Profile:
+    """A servo by its name, in any case. Raises BadInput for one that the catalogue lacks."""
+    known = profiles()
+    if name.lower() not in known:
+        raise BadInput(
+            f"--servo {name!r}: not in the catalogue ({', '.join(known)}); take one of similar"
+            f" torque and speed, and put your servo's numbers into its [servos] table."
+        )
+    return known[name.lower()]

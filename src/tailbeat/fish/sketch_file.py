@@ -1,0 +1,264 @@
+"""Write a sketched fish as a TOML file in which every number that nobody measured says so."""
+
+import math
+from pathlib import Path
+
+from tailbeat.files import new_file
+from tailbeat.fish.description import Simulation
+from tailbeat.fish.proportions import Box, Segment, Sketch
+from tailbeat.fish.store import check_fish_name
+
+COLUMN = 29  # where comments begin
+FRONT = """\
+# {name}: sketched from {given}.
+#
+# Every number marked "assumed" has the pulley fish's proportions; nobody measured it. Measure it,
+# write it here with its source, and look again with `tailbeat show {name}.toml`.
+# Frame: x towards the nose, y left, z up, at the straight pose. A tag of {tag} mm fits:
+# print it with `tailbeat tags --side {side}`.
+
+name = "{name}"
+summary = "{hinges} hinges, {length} mm, {mass} g, {model}; sketched, not measured"
+servo = "{servo}"
+band = "{low} {high} Hz"      # assumed: falls with the square root of the length; what servo allows
+tracked = "{tracked} mm"      # assumed: the tag's centre, on top of the shell
+added_inertia = 1.0
+added_along = 0.0
+
+[simulation]                  # the longest step within {error} of one of 0.25 ms
+step = "{step} ms"
+integrator = "{integrator}"
+
+[trailing_edge]               # assumed; identified from launched swims
+speed = "0.03 m/s"
+reverse = -1.0
+
+[medium]
+density = "1000 kg/m^3"
+viscosity = "1 mPa s"
+
+# Five coefficients per zone, in the middle of the search: identify yours.
+"""
+ZONE = """\
+[zones.{name}]
+blunt = 0.4
+slender = 0.15
+angular = 1.5
+kutta = 1.5
+magnus = 1.0
+
+"""
+MACHINE = """\
+[motor]
+kind = "pulley"
+position = "{motor} 0 0 mm"   # assumed
+radius = "{radius} mm"        # assumed
+mass = "{motor_mass} g"       # assumed
+range = "-80 80 deg"          # assumed: the tendons stay on the pulley
+
+[servos.{servo}]              # from the maker's numbers: {model}, {volts} V, {stall} N m, {rpm} rpm
+kp = "{kp} N m/rad"           # assumed: gain register {gain}
+kv = "0 N m s/rad"            # assumed
+armature = "{armature} kg m^2"  # assumed: {tau} ms of damping
+damping = "{damping} N m s/rad" # assumed: stall torque over no-load speed
+force_limit = "{stall} N m"   # printed stall torque
+delay = "{delay} ms"          # assumed
+
+[tendons]                     # without stiffness the pair is inextensible
+head_guides = ["{guide} mm"]  # assumed
+
+[head]
+"""
+PART = """\
+[[head.parts]]
+name = "{name}"               # {note}
+position = "{x} 0 0 mm"       # assumed
+size = "{size} mm"            # assumed
+mass = "{mass} g"             # assumed
+added_mass = "{added} g"      # slender body: density pi/4 height^2 length
+zone = "head"
+flooded = {flooded}
+
+"""
+TAIL = """\
+[tail]
+k_eff = "{k_eff} N m/rad"     # {source}
+damping_time = "10 ms"        # assumed
+
+"""
+LINK = """\
+[[tail.links]]
+hinge = "{hinge} mm"          # assumed
+stiffness = "{stiffness} N m/rad" # assumed; together they give k_eff
+strip_height = "{height} mm"  # assumed
+strip_length = "{long} mm"    # assumed
+guides = [{guides}]           # assumed: arm {arm} mm
+parts = [
+{parts}
+]
+
+"""
+BOX = '  {{ name = "{name}", position = "{x} 0 0 mm", size = "{size} mm", mass = "{mass} g", zone = "{zone}", added_mass = "{added} g", flooded = true }},'  # noqa: E501
+MARKER = """\
+[[markers]]
+name = "{name}"
+body = {body}
+position = "{place} mm"       # assumed
+
+"""
+
+
+def write_sketch(path: Path, sketch: Sketch, simulation: Simulation, error: float) -> None:
+    """Write a sketch with the step and integrator that its convergence run chose, and the `error`
+    of that step. Raises BadInput if `path` exists or does not end in .toml."""
+    check_fish_name(path)
+    with new_file(path) as beside:
+        beside.write_text(text_of(path.stem, sketch, simulation, error), encoding="utf-8")
+
+
+def text_of(name: str, sketch: Sketch, simulation: Simulation, error: float) -> str:
+    """The file's text."""
+    head = _part("shell", sketch.shell, "sealed; holds electronics and battery", False)
+    head += _part("mid-body", sketch.mid, "holds the servo", True)
+    zones = "".join(ZONE.format(name=zone) for zone in ("head", "tail", "fin"))
+    parts = (
+        _front(name, sketch, simulation, error),
+        zones,
+        _machine(sketch),
+        head,
+        _tail(sketch),
+        _markers(sketch),
+    )
+    return "\n".join(map(_aligned, "".join(parts).split("\n")))
+
+
+def _aligned(line: str) -> str:
+    """The line with its comment at a fixed column."""
+    value, mark, comment = line.partition(" # ")
+    if line.startswith("#") or not mark:
+        return line
+    return f"{value.rstrip():<{COLUMN}} # {comment.strip()}"
+
+
+def _front(name: str, sketch: Sketch, simulation: Simulation, error: float) -> str:
+    given = sketch.given
+    top = 1e3 * (sketch.shell.size[2] / 2 + 5e-3)
+    return FRONT.format(
+        name=name,
+        given=_given(sketch),
+        tag=_mm(sketch.tag),
+        side=_number(sketch.tag),
+        hinges=given.hinges,
+        length=_mm(given.length),
+        mass=_grams(given.mass),
+        model=sketch.profile.model,
+        servo=sketch.profile.name,
+        low=_number(sketch.band[0]),
+        high=_number(sketch.band[1]),
+        tracked=f"{_number(40 * sketch.scale)} 0 {_number(top)}",
+        step=_number(1e3 * simulation.step),
+        integrator=simulation.integrator,
+        error=f"{100 * error:.1f} %",
+    )
+
+
+def _given(sketch: Sketch) -> str:
+    given = sketch.given
+    words = [f"{_mm(given.length)} mm", f"{_grams(given.mass)} g", f"{given.hinges} hinges"]
+    words.append(f"servo {sketch.profile.name}")
+    if given.fin is not None:
+        words.append(f"fin {_mm(given.fin[0])}x{_mm(given.fin[1])} mm")
+    if given.k_eff is not None:
+        words.append(f"k_eff {_number(given.k_eff)} N m/rad")
+    return ", ".join(words)
+
+
+def _machine(sketch: Sketch) -> str:
+    servo, profile, first = sketch.profile.servo(), sketch.profile, sketch.tail[0]
+    pitch = first.strip[1]
+    return MACHINE.format(
+        motor=_number(-60 * sketch.scale),
+        radius=_mm(sketch.radius),
+        motor_mass=_grams(sketch.motor_mass),
+        servo=profile.name,
+        model=profile.model,
+        volts=_number(profile.voltage_v),
+        stall=_number(servo.force_limit),
+        rpm=_number(profile.no_load_rpm),
+        gain=_number(profile.gain),
+        kp=_number(servo.kp),
+        armature=_number(servo.armature),
+        damping=_number(servo.damping),
+        tau=_number(1e3 * servo.armature / servo.damping),
+        delay=_number(1e3 * servo.delay),
+        guide=f"{_mm(first.hinge + 0.2 * pitch)} {_mm(first.arm)}",
+    )
+
+
+def _part(name: str, box: Box, note: str, flooded: bool) -> str:
+    return PART.format(name=name, note=note, flooded=str(flooded).lower(), **_box(box))
+
+
+def _box(box: Box) -> dict[str, str]:
+    return {
+        "x": _mm(box.x),
+        "size": " ".join(map(_mm, box.size)),
+        "mass": _grams(box.mass),
+        "added": _grams(box.added_mass),
+    }
+
+
+def _tail(sketch: Sketch) -> str:
+    given = sketch.given.k_eff is not None
+    source = "as given" if given else "assumed: with the cube of the length, within the servo's"
+    links = [_link(sketch, i, link) for i, link in enumerate(sketch.tail)]
+    return TAIL.format(k_eff=_number(sketch.k_eff), source=source) + "".join(links)
+
+
+def _link(sketch: Sketch, i: int, link: Segment) -> str:
+    boxes = [BOX.format(name=f"tail{i}", zone="tail", **_box(link.box))]
+    if i == len(sketch.tail) - 1:
+        boxes.append(BOX.format(name="fin", zone="fin", **_box(sketch.fin)))
+    places = [(link.hinge - 0.2 * link.strip[1], link.arm)]
+    places += [link.guide] if link.guide is not None else []
+    return LINK.format(
+        hinge=_mm(link.hinge),
+        stiffness=_number(link.stiffness),
+        height=_mm(link.strip[0]),
+        long=_mm(link.strip[1]),
+        guides=", ".join(f'"{_mm(x)} {_mm(y)} mm"' for x, y in places),
+        arm=_mm(link.arm),
+        parts="\n".join(boxes),
+    )
+
+
+def _markers(sketch: Sketch) -> str:
+    last, top = len(sketch.tail) - 1, 1e3 * (sketch.shell.size[2] / 2 + 5e-3)
+    tip = sketch.fin.x - sketch.fin.size[0] / 2
+    places = {
+        "0": ('"head"', f"{_number(80 * sketch.scale)} 0 {_number(top)}"),
+        "1": ('"head"', f"0 0 {_number(top)}"),
+        "2": (str(last), f"{_mm(tip)} 0 0"),
+    }
+    rows = [
+        MARKER.format(name=name, body=body, place=place) for name, (body, place) in places.items()
+    ]
+    return "".join(rows).rstrip("\n") + "\n"
+
+
+def _mm(metres: float) -> str:
+    return _number(1e3 * metres)
+
+
+def _grams(kilograms: float) -> str:
+    return _number(1e3 * kilograms)
+
+
+def _number(value: float) -> str:
+    """Four significant digits, without an exponent."""
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g}"
+    digits = max(3 - math.floor(math.log10(abs(value))), 0)
+    return (
+        f"{round(value, digits):.{digits}f}".rstrip("0").rstrip(".") if digits else f"{value:.0f}"
+    )
