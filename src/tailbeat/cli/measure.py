@@ -19,8 +19,9 @@ def protocol(
     fish: FishOption,
     out: Annotated[Path, typer.Option("--out", help="Folder of the command recordings.")],
     speed: Annotated[
-        float, typer.Option(help="Largest shaft speed in the commands [rad/s].")
-    ] = 4.0,
+        float | None,
+        typer.Option(help="Largest shaft speed in the commands [rad/s]; default: the servo's."),
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Write the commands that the test bench plays. docs/how-to/record.md has the steps."""

@@ -12,11 +12,12 @@ from tailbeat.recording import write_recording
 PROTOCOLS = ("tail", "servo", "fluid", "check")
 
 
-def write_protocol(kind: str, fish: str, out: Path, speed: float) -> list[Path]:
+def write_protocol(kind: str, fish: str, out: Path, speed: float | None = None) -> list[Path]:
     """Write the command recordings of one test bench, one of `PROTOCOLS`, into a folder.
 
-    `speed` is the largest shaft speed [rad/s]. Returns the paths, .csv. Raises BadInput for another
-    kind, a crank, a speed that is not above 0, or a file that exists.
+    `speed` is the largest shaft speed [rad/s] (None: the described servo's). Returns the paths,
+    .csv. Raises BadInput for another kind, a crank, a speed that is not above 0, or a file that
+    exists.
     """
     if kind not in PROTOCOLS:
         raise BadInput(f"protocol {kind!r}: allowed are {', '.join(PROTOCOLS)}.")

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 RATE = 50.0  # Hz: the robot's own loop
 SHARE = 0.9  # fraction of the motor's range that is used
 HELD_OUT_SERVO = ("servo-mixed", "servo-beat")
+USUAL_SPEED = 4.0  # rad/s
 EVERY = 3  # every third swim is held out of an identification
 
 
@@ -29,8 +30,8 @@ class ServoLimits:
     speed: float
 
 
-def limits(fish: Fish, speed: float = 4.0) -> ServoLimits:
-    """The fish's limits. `speed` [rad/s]: an X430's no-load speed at 12 V is 5.5 rad/s.
+def limits(fish: Fish, speed: float | None = None) -> ServoLimits:
+    """The fish's limits. `speed` [rad/s] is by default what the described servo can do.
 
     Raises BadInput for a motor without a range (a crank, which turns without end) and for a speed
     that is not above 0.
@@ -40,10 +41,25 @@ def limits(fish: Fish, speed: float = 4.0) -> ServoLimits:
             f"{fish.name}: a {fish.motor.kind} without motor.range cannot swing to both sides; give"
             f" its range of angles, or record free swims at constant motor speeds."
         )
-    if not speed > 0:
+    if speed is not None and not speed > 0:
         raise BadInput(f"--speed {speed:g}: give a shaft speed above 0 [rad/s].")
     low, high = fish.motor.range
-    return ServoLimits(SHARE * (high - low) / 2, (high + low) / 2, speed)
+    fast = shaft_speed(fish) if speed is None else speed
+    return ServoLimits(SHARE * (high - low) / 2, (high + low) / 2, fast)
+
+
+def shaft_speed(fish: Fish) -> float:
+    """A shaft speed [rad/s] that the described servo reaches under load.
+
+    4 rad/s, as for an X430 (no-load 5.5 rad/s at 12 V); 60 % of the no-load speed of a faster
+    servo, and 84 % at most of a slower one's. The shares are chosen.
+    """
+    servo = fish.servos[fish.servo]
+    drag = servo.damping + servo.kv
+    if drag == 0:
+        return USUAL_SPEED
+    no_load = servo.force_limit / drag
+    return min(max(USUAL_SPEED, 0.6 * no_load), 0.84 * no_load)
 
 
 def largest(limit: ServoLimits, frequency: float) -> float:

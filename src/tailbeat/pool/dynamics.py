@@ -108,22 +108,27 @@ def _lump(b, x, weight, frames, mass, force, row):  # type: ignore[no-untyped-de
 
 @compiled
 def add_drive(command, chain, servo, work):  # type: ignore[no-untyped-def]
-    """Hinge springs and the servo; returns the actuator's torque [N m]."""
+    """Hinge springs and the servo, at the middle of a step as it is predicted."""
     q, v, force, stiff, damp = work.q, work.v, work.force, work.stiff, work.damp
     for j in range(len(chain.hinges)):
         hinge = chain.hinges[j]
         force[4 + j] -= hinge.stiffness * q[4 + j] + hinge.damping * v[4 + j]
         stiff[4 + j, 4 + j] += hinge.stiffness
         damp[4 + j, 4 + j] += hinge.damping
-    wanted = servo.kp * (command - q[3]) - servo.kv * v[3]
-    torque = min(max(wanted, -servo.force_limit), servo.force_limit)
-    if torque == wanted:
+    torque = actuator(command, q[3], v[3], servo)
+    if abs(torque) < servo.force_limit:
         stiff[3, 3] += servo.kp
         damp[3, 3] += servo.kv
     dry = servo.friction / np.sqrt(v[3] * v[3] + COULOMB * COULOMB)
     force[3] += torque - (servo.damping + dry) * v[3]
     damp[3, 3] += servo.damping + dry
-    return torque
+
+
+@compiled
+def actuator(command, angle, speed, servo):  # type: ignore[no-untyped-def]
+    """The servo's torque [N m], within its limit, without friction and damping of its shaft."""
+    wanted = servo.kp * (command - angle) - servo.kv * speed
+    return min(max(wanted, -servo.force_limit), servo.force_limit)
 
 
 @compiled
@@ -179,8 +184,10 @@ def solve(matrix, rhs):  # type: ignore[no-untyped-def]
 
 @compiled
 def step(fish, command, time, dt, chain, around, work):  # type: ignore[no-untyped-def]
-    """One step of one fish from `time`, in place; returns the actuator's torque [N m].
+    """One step of one fish from `time`, in place; returns the actuator's mean torque [N m].
 
+    The torque is that of the motion found. The predicted one would show an inertia of kp dt^2 / 4
+    too many on a torque sensor.
     `fish` is a `Moving`, `chain` a `Chain`, `around` an `Around`, `work` a `Work`.
     """
     mass, stiff, damp, force = work.mass, work.stiff, work.damp, work.force
@@ -191,7 +198,7 @@ def step(fish, command, time, dt, chain, around, work):  # type: ignore[no-untyp
     add_bodies(chain, around.servo.armature, work)
     add_water(chain, around, time + dt / 2, dt / 2, fish.wakes, work)
     add_tendons(chain, work)
-    torque = add_drive(command, chain, around.servo, work)
+    add_drive(command, chain, around.servo, work)
     add_walls(chain, around.walls, work)
     add_pokes(chain.bodies[0].centre, around.pokes, time, work)
     if around.held:
@@ -200,6 +207,8 @@ def step(fish, command, time, dt, chain, around, work):  # type: ignore[no-untyp
     force += dt / 2 * (damp @ fish.a)
     mass += dt / 2 * damp + dt * dt / 4 * stiff
     solve(mass, force)
+    angle = work.q[3] + dt * dt / 4 * force[3]
+    torque = actuator(command, angle, fish.v[3] + dt / 2 * force[3], around.servo)
     _move(fish, force, dt)
     shed(chain, around, dt / 2, fish.wakes, work)
     return torque

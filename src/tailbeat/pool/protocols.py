@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
+from tailbeat.fish.show import shaft_stiffness
 from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.launch import KEY as LAUNCH
 from tailbeat.identify.launch import launch_of
@@ -34,7 +35,15 @@ from tailbeat.pool.plant import (
     build_plant,
     step_plant,
 )
-from tailbeat.pool.recorder import Sensors, camera, clock, encoder, frames, torque_cell
+from tailbeat.pool.recorder import (
+    Sensors,
+    camera,
+    clock,
+    encoder,
+    frames,
+    torque_cell,
+    torque_cell_for,
+)
 from tailbeat.pool.water import Water, fingerprint
 from tailbeat.recording import Recording, require
 
@@ -44,18 +53,20 @@ DT = 0.002  # s
 AIR = 1.2e-3  # density of air over that of water
 MARGIN = 0.35  # m: a recording ends when the fish is this close to a wall
 # The test bench's drive for the tail: stiff, and on the motor's side of the torque sensor.
-DRIVE = Servo(kp=300.0, kv=3.0, armature=1e-6, damping=0.0, force_limit=50.0, delay=0.0)
+DRIVE = Servo(kp=300.0, kv=3.0, armature=1e-9, damping=0.0, force_limit=50.0, delay=0.0)
 
 
 def record_tail(
     fish: Fish,
     seed: int = 0,
-    sensors: Sensors = SENSORS,
+    sensors: Sensors | None = None,
     water: Water = WATER,
     commands: Sequence[Recording] = (),
 ) -> Iterator[Recording]:
-    """Record sweep and slow pull in air: `angle_rad` and `torque_nm` of the shaft."""
+    """Record sweep and slow pull in air: `angle_rad` and `torque_nm` of the shaft. Without
+    `sensors` the torque cell suits the fish's tail."""
     limit = limits(fish)
+    sensors = sensors or torque_cell_for(limit.angle * shaft_stiffness(fish), SENSORS)
     played = commands or (tail_sweep(fish, limit), tail_static(limit))
     for number, command in enumerate(_checked(fish, played)):
         rng = np.random.default_rng([seed, number])

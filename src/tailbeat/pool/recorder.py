@@ -4,7 +4,7 @@ Every number is chosen, rounded up from data sheets and published measurements. 
 this noise leave the room.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,15 @@ Array = NDArray[np.float64]
 COUNT = SensorModel().encoder_count  # rad
 
 
+CELLS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # N m, ranges that are sold
+CELL_NOISE, CELL_COUNT = 1e-3, 5e-4  # of the range, chosen
+
+
 @dataclass(frozen=True)
 class Sensors:
     """Standard deviations and rates of a bench and a pool."""
 
-    torque_noise: float = 0.01  # N m, chosen: 0.1 % of a 10 N m cell's range
+    torque_noise: float = 0.01  # N m, of a 10 N m cell; see `torque_cell_for`
     torque_count: float = 0.005  # N m
     bench_rate: float = 200.0  # Hz, angle and torque sampled together
     loop_rate: float = 100.0  # Hz, of a loop that writes the goal and reads the encoder
@@ -41,6 +45,12 @@ def clock(seconds: float, rate: float, jitter: float, rng: np.random.Generator) 
 def encoder(angle: Array) -> Array:
     """Round an angle to encoder counts [rad]."""
     return np.asarray(np.round(angle / COUNT) * COUNT)
+
+
+def torque_cell_for(torque: float, sensors: Sensors) -> Sensors:
+    """Sensors with the smallest common torque cell whose range is five times a `torque` [N m]."""
+    suited = next((size for size in CELLS if size >= 5 * torque), CELLS[-1])
+    return replace(sensors, torque_noise=CELL_NOISE * suited, torque_count=CELL_COUNT * suited)
 
 
 def torque_cell(torque: Array, sensors: Sensors, rng: np.random.Generator) -> Array:
