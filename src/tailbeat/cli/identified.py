@@ -103,6 +103,7 @@ def parameters(known: dict[str, Any]) -> list[dict[str, Any]]:
 def identified(report: dict[str, Any]) -> None:
     """Print parameters with intervals, seeds, runs and trade-offs of identified coefficients."""
     _verdict(report)
+    _warn(report["warnings"])
     seeds = [{k: v for k, v in row.items() if k != "values"} for row in report["seeds"]]
     runs = [
         {"role": role, **_run_cells(run)}

@@ -2,14 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from json import loads
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from tailbeat.cli import identified, output, progress
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
 from tailbeat.files import refuse_existing, write_json
+
+if TYPE_CHECKING:
+    from tailbeat.identify.stages import Paths
 
 OutFish = Annotated[Path, typer.Option("--out", help="Fish to write, .toml.")]
 AddedOption = Annotated[
@@ -65,7 +69,7 @@ def identify_fluid(
     """Fit the fluid coefficients to recorded swims. Writes the fish and, beside it, a report
     (.json), a figure (.png) and the posterior (.parquet). The same command resumes an interrupted
     search."""
-    from tailbeat.identify import fluid_report, job, stages
+    from tailbeat.identify import job, stages
     from tailbeat.identify.search import Effort
     from tailbeat.report.figures import measured_against_twin
 
@@ -73,8 +77,8 @@ def identify_fluid(
     config = job.FluidConfig(zones, seeds, seed, effort, start_weight, added_inertia, whole, draws)
     paths = stages.Paths(fish, fit, out, validate or [], json, check or [])
     with progress.search_progress() as report:
-        found = stages.fluid(paths, config, report, measured_against_twin)
-    said = fluid_report.as_report(found, config)
+        stages.fluid(paths, config, report, measured_against_twin)
+    said = _report(paths)
     identified.identified(said)
     output.say(f"wrote {', '.join(map(str, paths.written))}")
     _exit_untrusted(said)
@@ -136,12 +140,12 @@ def identify_tail(
 ) -> None:
     """Fit the tail's stiffness and damping to driven sweeps with shaft torque. Both are distributed
     over the hinges."""
-    from tailbeat.identify import stages, tail_report
+    from tailbeat.identify import stages
     from tailbeat.report import bench_figures
 
     paths = stages.Paths(fish, sweeps, out, json=json)
-    found = stages.tail(paths, static, ring_down, bench_figures.tail)
-    said = tail_report.as_report(found)
+    stages.tail(paths, static, ring_down, bench_figures.tail)
+    said = _report(paths)
     identified.tail(said)
     output.say(f"wrote {', '.join(map(str, paths.written))}")
     _exit_untrusted(said)
@@ -173,7 +177,7 @@ def identify_servo(
     json: JsonOption = None,
 ) -> None:
     """Fit the servo to recorded commands and encoder angles. The load on the shaft is known."""
-    from tailbeat.identify import servo_job, servo_report, stages
+    from tailbeat.identify import servo_job, stages
     from tailbeat.report import bench_figures
 
     config = servo_job.ServoConfig(
@@ -181,8 +185,8 @@ def identify_servo(
     )
     paths = stages.Paths(fish, fit, out, validate or [], json)
     with progress.search_progress() as report:
-        found = stages.servo(paths, config, report, bench_figures.servo_fit)
-    said = servo_report.as_report(found)
+        stages.servo(paths, config, report, bench_figures.servo_fit)
+    said = _report(paths)
     identified.servo(said)
     output.say(f"wrote {', '.join(map(str, paths.written))}")
     _exit_untrusted(said)
@@ -280,3 +284,8 @@ def coverage(
     identified.covered(result)
     if not found.covered:
         raise typer.Exit(1)
+
+
+def _report(paths: "Paths") -> Any:
+    """The report that an identification wrote."""
+    return loads(paths.written[1].read_text("utf-8"))

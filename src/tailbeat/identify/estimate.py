@@ -17,8 +17,15 @@ class Estimate:
 
     @property
     def decided(self) -> bool:
-        """Whether the interval is narrower than 20 % of the value."""
-        return (self.interval[1] - self.interval[0]) < 2 * DECIDED * abs(self.value)
+        """Whether the interval is narrower than 20 % of the value, and the value is not at the end
+        of what was searched: then its interval ends at the value."""
+        low, high = self.interval
+        return high - low < 2 * DECIDED * abs(self.value) and low < self.value < high
+
+    @property
+    def above_zero(self) -> bool:
+        """Whether the data say that the number is above zero."""
+        return self.value > 0 and self.interval[0] > 0
 
 
 def as_row(estimate: Estimate) -> dict[str, Any]:

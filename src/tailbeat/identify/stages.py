@@ -4,9 +4,10 @@ The caller passes the function that draws the figure, so that the three files ar
 If the fit fails, nothing is written.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from tailbeat.files import refuse_existing, write_json
 from tailbeat.fish.store import (
@@ -17,13 +18,22 @@ from tailbeat.fish.store import (
     write_identified,
 )
 from tailbeat.fish.water import whole
-from tailbeat.identify import fluid_report, job, posterior, servo_job, servo_report, tail_report
+from tailbeat.identify import (
+    fluid_report,
+    job,
+    posterior,
+    servo_job,
+    servo_report,
+    step_check,
+    tail_report,
+)
 from tailbeat.identify.clean import clean_pull, clean_tail
 from tailbeat.identify.decay import ring_down, static_loop
 from tailbeat.identify.predict import Prediction
 from tailbeat.identify.runs import as_runs
 from tailbeat.identify.servo import as_benches
 from tailbeat.identify.servo_job import ServoConfig, ServoFit
+from tailbeat.identify.step_check import Held
 from tailbeat.identify.tail import identify_tail
 from tailbeat.identify.tail_report import TailResult
 from tailbeat.recording import Recording, read_recording
@@ -71,10 +81,12 @@ def tail(paths: Paths, static: Path | None, release: Path | None, draw: DrawTail
     loop = None if pull is None else static_loop(pull)
     fit = identify_tail(recordings)
     found = tail_report.combine(described, fit, loop, ring, (*pulled, *listed))
-    fish, report, figure = paths.written
-    draw(found, pull, figure)
-    write_json(report, {**_source(paths), **tail_report.as_report(found)})
     values = tail_report.toml_values(found, [recording.name for recording in recordings])
+    fish, report, figure = paths.written
+    step = _held(paths, values)
+    draw(found, pull, figure)
+    write_json(report, _with_step(paths, tail_report.as_report(found), step))
+    values |= step_check.toml_values(step)
     write_identified(paths.fish, fish, values, tail_report.heading(found))
     return found
 
@@ -92,10 +104,12 @@ def servo(paths: Paths, config: ServoConfig, progress: Progress, draw: DrawServo
     if config.cross_validate:
         left_out = servo_report.cross_validate(described, fit, config, paths.scratch, progress)
         found = replace(found, left_out=left_out)
-    fish, report, figure = paths.written
-    draw(found, figure)
-    write_json(report, {**_source(paths), **servo_report.as_report(found)})
     values = servo_report.toml_values(found, [bench.name for bench in fit])
+    fish, report, figure = paths.written
+    step = _held(paths, values)
+    draw(found, figure)
+    write_json(report, _with_step(paths, servo_report.as_report(found), step))
+    values |= step_check.toml_values(step)
     write_identified(paths.fish, fish, values, servo_report.heading(found))
     job.clear(paths.scratch)
     return found
@@ -129,9 +143,12 @@ def _write_fluid(
     """Write fish, report and figure of identified coefficients."""
     fish, report, figure = paths.written
     shown = [("fitted", found.fitted[0])] + [("held out", p) for p in found.validated[:1]]
+    values: dict[str, dict[str, Any] | str] = {}
+    values |= fluid_report.toml_values(found, [p.run.name for p in found.fitted])
+    step = _held(paths, values)
     draw(shown, figure)
-    write_json(report, {**_source(paths), **fluid_report.as_report(found, config)})
-    values = fluid_report.toml_values(found, [p.run.name for p in found.fitted])
+    write_json(report, _with_step(paths, fluid_report.as_report(found, config), step))
+    values |= step_check.toml_values(step)
     note = fluid_report.heading(found, config)
     first = paths.scratch / fish.name  # the posterior needs its digest; the fish is written last
     write_identified(paths.fish, first, {"name": fish.stem, **values}, note, overwrite=True)
@@ -140,6 +157,24 @@ def _write_fluid(
     )
     posterior.write(posterior.beside(fish), known)
     write_identified(paths.fish, fish, {"name": fish.stem, **values}, note)
+
+
+def _held(paths: Paths, values: Mapping[str, dict[str, Any] | str]) -> Held:
+    """The step that the fish with these identified values holds. Raises BadInput for none."""
+    trial = paths.scratch / "step.toml"
+    write_identified(paths.fish, trial, values, "", overwrite=True)
+    try:
+        return step_check.held(load_fish(trial))
+    finally:
+        trial.unlink()
+        if not any(paths.scratch.iterdir()):
+            paths.scratch.rmdir()
+
+
+def _with_step(paths: Paths, report: dict[str, Any], step: Held) -> dict[str, Any]:
+    """A report with its source and the fish's step."""
+    warnings = [*report.get("warnings", []), *step.warnings]
+    return {**_source(paths), **report, "warnings": warnings, "step": step_check.as_row(step)}
 
 
 def _refuse_taken(paths: Paths) -> None:

@@ -17,16 +17,23 @@ from tailbeat.identify.trust import verdict
 
 NUMBERS = ("k_eff", "i_eff", "c_eff", "coulomb")
 MISSED = 0.02  # relative difference of the compiled shaft's stiffness that draws a warning
+HEAVY = 0.3  # the same of its inertia; air and large strokes make up to 0.15
 
 
 @dataclass(frozen=True)
 class TailResult:
-    """The result: the fit, the hinges, the slow pull's loop, the ring-down, and all glitches."""
+    """The result: the fit, the hinges, the slow pull's loop, the ring-down, and all glitches.
+
+    `damping_time` [s] and `friction` [N m] are what the fish gets: the measured numbers, or the
+    described ones where the data decide nothing.
+    """
 
     fit: TailFit
     hinges: Hinges
     loop: Loop | None
     ring: RingDown | None
+    damping_time: float
+    friction: float
     glitches: tuple[Glitch, ...] = ()
 
     @property
@@ -38,6 +45,12 @@ class TailResult:
             found.append(
                 f"the compiled tail has {compiled:.3g} N m/rad at the shaft, measured are"
                 f" {measured:.3g}: the tendons stretch, or arms and guides are wrong in the fish"
+            )
+        inertia = self.fit.i_eff
+        if inertia.above_zero and abs(inertia.value / self.hinges.i_compiled - 1) > HEAVY:
+            found.append(
+                f"the tail's inertia at the shaft is {inertia.value:.3g} kg m^2, the description"
+                f" gives {self.hinges.i_compiled:.3g}: masses of links or fin are wrong in the fish"
             )
         return found
 
@@ -51,8 +64,11 @@ def combine(
 ) -> TailResult:
     """Distribute the measured stiffness over the fish's hinges. `glitches` are those of `loop` and
     `ring`."""
-    hinges = hinges_for(fish, fit.k_eff.value, fit.c_eff.value)
-    return TailResult(fit, hinges, loop, ring, (*fit.glitches, *glitches))
+    k = fit.k_eff.value
+    damping = fit.c_eff.value / k if fit.c_eff.above_zero else fish.tail.damping_time
+    friction = fit.coulomb.value if fit.coulomb.above_zero else fish.tail.friction
+    hinges = hinges_for(fish, k, damping * k)
+    return TailResult(fit, hinges, loop, ring, damping, friction, (*fit.glitches, *glitches))
 
 
 def as_report(found: TailResult) -> dict[str, Any]:
@@ -64,7 +80,7 @@ def as_report(found: TailResult) -> dict[str, Any]:
         "trusted": said.trusted,
         **{name: as_row(getattr(fit, name)) for name in NUMBERS},
         "joint_stiffness": list(hinges.stiffness),
-        "joint_damping": [k * _damping_time(fit) for k in hinges.stiffness],
+        "joint_damping": [k * found.damping_time for k in hinges.stiffness],
         "joint_pattern": hinges.pattern,
         "arms": list(hinges.arms),
         "radius": hinges.radius,
@@ -103,10 +119,6 @@ def _ring(ring: RingDown) -> dict[str, Any]:
     }
 
 
-def _damping_time(fit: TailFit) -> float:
-    return max(fit.c_eff.value, 0.0) / fit.k_eff.value
-
-
 def toml_values(found: TailResult, recordings: Sequence[str]) -> dict[str, dict[str, Any] | str]:
     """Field -> {value, unit, interval, source} for `store.write_identified`."""
     fit, source = found.fit, f"identified on {', '.join(recordings)}"
@@ -120,14 +132,23 @@ def toml_values(found: TailResult, recordings: Sequence[str]) -> dict[str, dict[
     damping = [edge / k for edge in fit.c_eff.interval]
     written: dict[str, dict[str, Any] | str] = {
         "tail.k_eff": _entry(k, "N m/rad", fit.k_eff.interval),
-        "tail.damping_time": _entry(fit.c_eff.value / k, "s", damping),
-        "tail.friction": _entry(fit.coulomb.value, "N m", fit.coulomb.interval),
+        "tail.damping_time": _kept(_entry(found.damping_time, "s", damping), fit.c_eff.above_zero),
+        "tail.friction": _kept(
+            _entry(found.friction, "N m", fit.coulomb.interval), fit.coulomb.above_zero
+        ),
         "tail.stiffness_scale": _entry(1.0, "1", (1.0, 1.0)),
     }
     for i, stiffness in enumerate(found.hinges.stiffness):
         edges = [stiffness * edge / k for edge in fit.k_eff.interval]
         written[f"tail.links.{i}.stiffness"] = _entry(stiffness, "N m/rad", edges)
     return written
+
+
+def _kept(entry: dict[str, Any], measured: bool) -> dict[str, Any]:
+    """An entry of a number that stays as it was described where it was not measured."""
+    source = entry["source"]
+    said = source if measured else f"as described: {source}, which do not decide it"
+    return {**entry, "source": said}
 
 
 def heading(found: TailResult) -> str:

@@ -36,7 +36,7 @@ def page(report: dict[str, Any], stem: str) -> str:
             [_swim(run, role) for role in ("fit", "validate") for run in stages["fluid"][role]],
         )
     )
-    warnings = [*stages["tail"]["warnings"], *stages["servo"]["warnings"]]
+    warnings = dict.fromkeys(warning for one in stages.values() for warning in one["warnings"])
     undecided = ", ".join(stages["fluid"]["undecided"]) or "none"
     lines += ["", f"Not decided by the swims: {undecided}.", ""]
     return "\n".join([*lines, *(f"- {warning}" for warning in warnings)]) + "\n"

@@ -1,0 +1,70 @@
+"""Does an identified fish hold its own step? If not, the step that does is written with it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from tailbeat.files import BadInput
+from tailbeat.fish import convergence
+from tailbeat.fish.convergence import Deviation
+from tailbeat.fish.description import Fish
+
+SOURCE = "chosen after the identification: the described step errs too much"
+
+
+@dataclass(frozen=True)
+class Held:
+    """The step that an identified fish gets; `changed` if it is not the described one, which erred
+    by `before` of the way (infinite: it diverged)."""
+
+    step: Deviation
+    changed: bool
+    before: float
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was changed, in a sentence."""
+        if not self.changed:
+            return []
+        how = "diverged" if self.before == float("inf") else f"erred by {100 * self.before:.0f} %"
+        now = self.step.simulation
+        return [
+            f"the described step {how} at full stroke with the identified numbers; the fish was"
+            f" written with {1e3 * now.step:g} ms, {now.integrator}"
+        ]
+
+
+def held(fish: Fish) -> Held:
+    """The step that holds for an identified fish at the largest stroke and rate that its motor can
+    be commanded. Raises BadInput if it diverges at every step."""
+    own = convergence.deviation(fish)
+    if own.error < convergence.ALLOWED:
+        return Held(own, False, own.error)
+    best = convergence.choose(fish)
+    if best.error == float("inf"):
+        raise BadInput(
+            f"{fish.name}: with the identified numbers it diverges at every step down to"
+            f" {1e3 * convergence.CHOICES[-1].step:g} ms; check masses and stiffnesses of the links"
+            f" and the recordings' units."
+        )
+    return Held(best, best.simulation != fish.simulation, own.error)
+
+
+def toml_values(found: Held) -> dict[str, dict[str, Any] | str]:
+    """Fields of the step for `store.write_identified`; none if it stays."""
+    if not found.changed:
+        return {}
+    step = {"value": found.step.simulation.step, "unit": "s", "source": SOURCE}
+    return {"simulation.step": step, "simulation.integrator": found.step.simulation.integrator}
+
+
+def as_row(found: Held) -> dict[str, Any]:
+    """The JSON of the step."""
+    now = found.step
+    error = None if now.error == float("inf") else now.error
+    return {
+        "step_s": now.simulation.step,
+        "integrator": now.simulation.integrator,
+        "error_of_the_way": error,
+        "changed": found.changed,
+        "warnings": found.warnings,
+    }

@@ -1,0 +1,106 @@
+"""Where data decide nothing the user's number stays, and what diverges is never written."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tailbeat.files import BadInput
+from tailbeat.fish import convergence
+from tailbeat.fish.description import Simulation
+from tailbeat.fish.store import load_fish, with_values
+from tailbeat.identify import stages, step_check
+from tailbeat.identify.estimate import Estimate
+from tailbeat.identify.intervals import estimates
+from tailbeat.identify.search import Fit, Parameter
+from tailbeat.identify.tail import identify_tail
+from tailbeat.identify.tail_report import combine, toml_values
+from tailbeat.recording import write_recording
+from tailbeat.report import bench_figures
+from test_tail import TRUTH, bench_42
+
+FISH = load_fish("pulley-fish")
+MEASURED = identify_tail(bench_42(0))
+
+
+def test_an_undecided_damping_leaves_the_described_one():
+    """Found on a small fish: -0.0002 N m s/rad wrote 0 over 12 ms, and Euler diverged on it."""
+    doubtful = replace(MEASURED, c_eff=Estimate(-2e-4, (-9e-4, 5e-4), "N m s/rad"))
+    found = combine(FISH, doubtful, None, None)
+    assert found.damping_time == FISH.tail.damping_time > 0
+    written = toml_values(found, ["sweep"])["tail.damping_time"]
+    assert isinstance(written, dict) and written["value"] == FISH.tail.damping_time
+    assert written["source"].startswith("as described") and "do not decide" in written["source"]
+    measured = toml_values(combine(FISH, MEASURED, None, None), ["sweep"])["tail.damping_time"]
+    assert isinstance(measured, dict)
+    assert measured["value"] == pytest.approx(TRUTH.c_eff / TRUTH.k_eff, rel=0.05)
+    assert measured["source"] == "identified on sweep"
+
+
+def test_an_undecided_friction_leaves_the_described_one():
+    rubbing = with_values(FISH, {"tail.friction": 0.02})
+    doubtful = replace(MEASURED, coulomb=Estimate(0.001, (-0.002, 0.004), "N m"))
+    assert combine(rubbing, doubtful, None, None).friction == 0.02
+    assert combine(rubbing, MEASURED, None, None).friction == MEASURED.coulomb.value
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1.0, False), (2.0, True), (0.5, True)])
+def test_an_inertia_unlike_the_compiled_one_is_said(factor, said):
+    compiled = combine(FISH, MEASURED, None, None).hinges.i_compiled
+    value = factor * compiled
+    inertia = Estimate(value, (0.98 * value, 1.02 * value), "kg m^2")
+    warnings = combine(FISH, replace(MEASURED, i_eff=inertia), None, None).warnings
+    assert any("the tail's inertia at the shaft is" in text for text in warnings) == said
+
+
+def test_a_number_at_the_end_of_its_range_is_not_decided():
+    assert not Estimate(6.3, (6.1, 6.3)).decided and not Estimate(0.5, (0.5, 0.51)).decided
+    assert Estimate(6.2, (6.1, 6.3)).decided
+    space = (Parameter("a", "1", 0.5, 2.0, 1.0, 0.5), Parameter("b", "1", 0.5, 2.0, 1.0, 0.5))
+    fit = Fit(0, np.array([9.0, 0.0]), 1.0, np.zeros(3), np.eye(3, 2), 1e-4 * np.eye(2))
+    known = estimates(space, [fit])
+    assert known["a"].value == 2.0 and not known["a"].decided
+    assert known["b"].value == 1.0 and known["b"].decided
+
+
+# ---- the step -----------------------------------------------------------------------------------
+
+
+def with_step(seconds: float) -> Simulation:
+    return Simulation(step=seconds, integrator="Euler")
+
+
+def test_a_step_that_holds_stays_and_one_that_does_not_is_replaced():
+    fish = load_fish("pulley-fish-pool")
+    assert step_check.toml_values(step_check.held(fish)) == {}
+    coarse = fish.model_copy(update={"simulation": with_step(0.02)})
+    found = step_check.held(coarse)
+    assert found.changed and found.before > convergence.ALLOWED > found.step.error
+    assert "full stroke with the identified numbers" in found.warnings[0]
+    fine = fish.model_copy(update={"simulation": found.step.simulation})
+    assert convergence.deviation(fine).error < convergence.ALLOWED
+
+
+def test_a_fish_that_diverges_at_every_step_is_refused():
+    fish = load_fish("pulley-fish-pool")
+    zones = [f"zones.{zone}.kutta" for zone in fish.zones]
+    wild = with_values(fish, dict.fromkeys(zones, 1e5))
+    with pytest.raises(BadInput, match="diverges at every step down to"):
+        step_check.held(wild)
+
+
+def test_an_identified_tail_is_written_with_a_step_that_holds(tmp_path: Path):
+    text = Path(stages.fish_path("pulley-fish-pool")).read_text("utf-8")
+    (tmp_path / "coarse.toml").write_text(text.replace('step = "4 ms"', 'step = "20 ms"'))
+    sweeps = []
+    for number, sweep in enumerate(bench_42(0)):
+        sweeps.append(tmp_path / f"sweep-{number}.csv")
+        write_recording(sweep, sweeps[-1])
+    paths = stages.Paths(str(tmp_path / "coarse.toml"), sweeps, tmp_path / "out.toml")
+    stages.tail(paths, None, None, bench_figures.tail)
+    written = load_fish(tmp_path / "out.toml")
+    assert written.simulation.step < 0.02
+    assert convergence.deviation(written).error < convergence.ALLOWED
+    assert "the described step" in (tmp_path / "out.json").read_text()
+    assert not list(tmp_path.glob(".*"))
