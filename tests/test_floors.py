@@ -49,7 +49,7 @@ MAX_PARAMETERS, MAX_WIDE_FUNCTIONS = 7, 5  # of a function, and how many may hav
 # files give dictionaries. Anywhere else a public signature names a type.
 EDGES = {"as_json", "as_report", "as_row", "as_rows", "row", "rows", "errors_row", "tables",
          "toml_values", "drive_json", "schema", "read_rows", "leaves", "page", "snapshot", "show",
-         "commands", "reset", "training", "provenance"}  # fmt: skip
+         "commands", "reset", "training", "description", "provenance"}  # fmt: skip
 
 
 @dataclass(frozen=True)

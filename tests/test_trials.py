@@ -33,7 +33,7 @@ from tailbeat.evaluate.compare import ComparisonConfig
 from tailbeat.evaluate.evaluation import Evaluation, EvaluationConfig
 from tailbeat.evaluate.runs import Runs, surge
 from tailbeat.evaluate.trial import Condition, Pool, swim, swim_all
-from tailbeat.files import BadInput, plain
+from tailbeat.files import BadInput, plain, write_json
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.link.places import POOL
@@ -288,13 +288,10 @@ def tried(fish: str, water: str, tasks: tuple[str, ...], episodes: int, out: Pat
 def evaluated(tmp_path_factory) -> tuple[Path, Evaluation]:
     """A small evaluation of the shipped policy, with its page, which says that it was cut short."""
     out = tmp_path_factory.mktemp("trial") / "shipped"
-    found = tried("pulley-fish", "full", ("reach", "spectrum"), 6, out)
-    run = json.loads((out / "run.json").read_text())
-    whole = json.dumps(run)
-    run["conditions"]["reach open"] = 500
-    (out / "run.json").write_text(json.dumps(run))
-    of_folder(out, "pulley-fish")
-    (out / "run.json").write_text(whole)
+    swum = tried("pulley-fish", "full", ("reach", "spectrum"), 6, out)
+    found = replace(swum, cut_short=("reach open",))
+    write_json(out / "evaluation.json", found, overwrite=True)
+    of_folder(out, "pulley-fish", data=found)
     return out, found
 
 
@@ -369,8 +366,14 @@ def test_runs_of_an_earlier_version_are_read_and_gone_on_with(evaluated, tmp_pat
 
 
 def test_a_page_of_runs_cut_short_says_so(evaluated, tmp_path):
-    out, found = evaluated
-    assert found.cut_short == ()
+    out, _ = evaluated
+    copy = tmp_path / "copy"
+    shutil.copytree(out, copy)
+    assert evaluation.read(copy).cut_short == ()
+    run = json.loads((copy / "run.json").read_text())
+    run["conditions"]["reach open"] = 500
+    (copy / "run.json").write_text(json.dumps(run))
+    assert evaluation.read(copy).cut_short == ("reach open",)
     assert "Incomplete, read as far as they go: reach open." in (out / "report.html").read_text()
 
 

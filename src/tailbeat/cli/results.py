@@ -41,10 +41,13 @@ def trained(done: "TrainingResult") -> None:
 
 def contract(held: dict[str, Any]) -> None:
     """Print a policy's contract, with the observation table at the end."""
-    rest = {k: v for k, v in held.items() if k not in ("golden", "observation")}
+    aside = ("golden", "observation", "description")
+    rest = {k: v for k, v in held.items() if k not in aside}
     rows = [{"field": name, "value": value} for name, value in leaves("", rest).items()]
     tables({"contract": rows, "observation": list(held["observation"])})
     say(f"{len(held['golden'][0])} golden pairs agree")
+    inside = "no" if held["description"] is None else "yes"
+    say(f"carries its fish: {inside}")
 
 
 def differences(rows: list[dict[str, Any]]) -> None:

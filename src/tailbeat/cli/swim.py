@@ -16,7 +16,6 @@ from tailbeat.cli.options import (
     PageOption,
     PolicyFile,
     PolicyOption,
-    PoolFish,
     ReplayOption,
     ReplayPool,
     SeedOption,
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from tailbeat.evaluate.swim import Swum
     from tailbeat.operator.leader import Leader
 
+EMULATED = "pulley-fish"  # fish of emulated devices, unless another is given
 Asked = tuple[str, str, str | None, int, int]  # policy, pool's fish, twin, targets, seed
 Devices = AbstractContextManager[tuple[Ports, Path]]  # where the devices are, and the key's file
 
@@ -143,7 +143,10 @@ def drive(
     listen: Annotated[str, typer.Option(help="host:port on which to listen for poses.")] = "",
     station: Annotated[str, typer.Option(help="host:port of the station.")] = "",
     key: Annotated[Path | None, typer.Option("--key", help="File of the shared key.")] = None,
-    fish: PoolFish = "pulley-fish",
+    fish: Annotated[
+        str | None,
+        typer.Option("--fish", help="The fish that drives; refused if the policy is not for it."),
+    ] = None,
     target: Annotated[
         str | None, typer.Option("--target", help="Target x,y [m], instead of the target's tag.")
     ] = None,
@@ -163,6 +166,7 @@ def drive(
     need_robot()
     from tailbeat.link.reasons import Reason
     from tailbeat.robot import session
+    from tailbeat.robot.fits import check_named
     from tailbeat.robot.results import drive_json
 
     log = session.log_in(log)
@@ -171,8 +175,10 @@ def drive(
     pool = POOL if emulated else ANY_POOL  # the station tells the robot the real pool's size
     aim, stay = None if target is None else place(target, pool=pool), wait or bool(page)
     lasts = _duration(seconds, stay)
+    if fish is not None or emulated:
+        check_named(policy, fish or EMULATED)
     if emulated:
-        devices = _emulated(fish, seed, target or TARGET, page)
+        devices = _emulated(fish or EMULATED, seed, target or TARGET, page)
         aim = None if stay else aim  # the target's tag floats there; the operator may drag it
     else:
         devices = _given(servo, imu, listen, station, key, page)

@@ -23,6 +23,7 @@ from tailbeat.files import BadInput, leaves
 
 Single = NDArray[np.float32]
 VERSION = 1
+LATER = {"description"}  # fields that older files lack
 KEY = "tailbeat"  # of the file's metadata
 CLOSE = 1e-5  # golden actions agree to this on any machine; 1e-6 was measured here
 SPACES = {"generator": Generator, "direct": Direct, "filtered": Filtered}
@@ -50,6 +51,8 @@ class Contract:
     """How the policy was trained: recipe, seed, stage, versions and what the task was."""
     golden: tuple[tuple[list[float], ...], tuple[list[float], ...]]
     """Observations (k, 24) and the actions (k, size) that the network must give for them."""
+    description: dict[str, Any] | None = None
+    """The whole fish in SI, as it was trained on; None in policies of before version 0.3."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +76,8 @@ def decide(policy: Policy, observation: Single) -> Single:
 def as_text(contract: Contract) -> str:
     """The contract as the file carries it: JSON, and a digest of every field."""
     content = asdict(contract)
+    if contract.description is None:
+        del content["description"]  # an older file stays as it was
     return json.dumps({"contract": content, "digests": _digests(content)}, sort_keys=True)
 
 
@@ -140,8 +145,8 @@ def _contract(path: Path, text: str) -> Contract:
             f" that exported it."
         )
     names = [field.name for field in fields(Contract)]
-    if sorted(content) != sorted(names):
-        odd = sorted(set(content) ^ set(names))
+    odd = sorted((set(content) | LATER) ^ set(names))
+    if odd:
         raise BadInput(f"{path}: contract has missing or unknown fields {odd}; export it again.")
     changed = [name for name, value in _digests(content).items() if digests.get(name) != value]
     if changed:

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tailbeat.control.policy import Policy, as_text, decide
 from tailbeat.evaluate import disturb, fresh_recordings, out_of_distribution, reach, spectrum, store
 from tailbeat.evaluate import track as tracks
@@ -21,7 +24,7 @@ from tailbeat.evaluate.store import RunDescription
 from tailbeat.evaluate.track import TrackResult
 from tailbeat.evaluate.trial import CHUNK, Condition, Pool, Progress, swim_all
 from tailbeat.files import BadInput, write_json
-from tailbeat.fish.store import digest, load_fish
+from tailbeat.fish.store import digest, load_fish, shipped
 from tailbeat.identify import posterior
 from tailbeat.link.places import POOL
 from tailbeat.pool.water import Water, ablations, ensemble, fingerprint
@@ -89,10 +92,15 @@ def pool_of(policy: Policy, config: EvaluationConfig) -> Pool:
     own = load_fish(config.fish)
     trained = check_swims(policy, config.twin, own)
     waters, actions = waters_of(config.pool), policy.contract.actions
-    name = config.twin or policy.contract.fish
-    known = posterior.of(name)
-    draws = None if known is None else posterior.coefficient_factors(load_fish(name), known)
+    draws = _draws(config.twin or policy.contract.fish)
     return Pool(own, trained, actions, waters, config.episodes, config.seed, config.walls, draws)
+
+
+def _draws(fish: str) -> NDArray[np.float64] | None:
+    """The posterior's draws beside a fish, if there is one; a policy may carry a fish of which no
+    file is at hand."""
+    known = posterior.of(fish) if fish in shipped() or Path(fish).is_file() else None
+    return None if known is None else posterior.coefficient_factors(load_fish(fish), known)
 
 
 def conditions_of(pool: Pool, tasks: Sequence[str]) -> list[Condition]:
@@ -110,6 +118,7 @@ def evaluate(policy: Policy, config: EvaluationConfig, out: Path, progress: Prog
     swum = dict.fromkeys(["reach", *tasks] if "spectrum" in tasks else tasks)
     conditions = conditions_of(pool, list(swum))
     store.begin(out, describe(policy, pool))
+    store.keep_fish(out, pool.twin)
     swim_all(partial(decide, policy), conditions, out, pool.seed, progress)
     if "twin" in tasks:
         fresh_recordings.record(pool.fish, out / "twin", pool.seed)

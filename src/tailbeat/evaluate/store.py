@@ -16,8 +16,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from tailbeat.evaluate.runs import Runs
 from tailbeat.files import BadInput, leaves, new_file, plain, write_json
+from tailbeat.fish.description import Fish
+from tailbeat.fish.store import fish_of
 
-DESCRIPTION = "run.json"
+DESCRIPTION, TWIN = "run.json", "trained-on.json"
 # Names in folders of earlier versions.
 DESCRIPTION_BEFORE = "plan.json"
 RENAMED, RENAMED_FILE = ("beyond ", "out of distribution: "), ("beyond-", "out-of-distribution-")
@@ -66,6 +68,18 @@ def begin(out: Path, wanted: RunDescription) -> None:
             f"{out}: contains other runs: {'; '.join(said)}{more}. Use the same options, or a new"
             f" folder."
         )
+
+
+def keep_fish(out: Path, twin: Fish) -> None:
+    """Keep the fish that a folder's policy was trained on, for the page."""
+    write_json(out / TWIN, twin.model_dump(mode="json"), overwrite=True)
+
+
+def kept_fish(out: Path) -> Fish | None:
+    """The fish that a folder's policy was trained on; None in folders of before version 0.3.
+    Raises BadInput."""
+    path = out / TWIN
+    return fish_of(read_json(path)) if path.is_file() else None
 
 
 def has_runs(out: Path) -> bool:

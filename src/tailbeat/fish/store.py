@@ -43,6 +43,15 @@ def load_fish(name_or_path: str | Path) -> Fish:
         raise BadInput(f"{path}: {_sentence(error)}") from None
 
 
+def fish_of(content: Mapping[str, Any]) -> Fish:
+    """A fish from its `model_dump`, in SI. Raises BadInput for one that this version cannot
+    read."""
+    try:
+        return Fish.model_validate(content)
+    except ValidationError as error:
+        raise BadInput(f"fish {content.get('name')}: {_sentence(error)}") from None
+
+
 def _sentence(error: ValidationError) -> str:
     """The first error of pydantic as: field, value, what is allowed."""
     first = error.errors()[0]

@@ -62,7 +62,7 @@ def as_row(found: Held) -> dict[str, Any]:
     now = found.step
     error = None if now.error == float("inf") else now.error
     return {
-        "step_s": now.simulation.step,
+        "seconds_per_step": now.simulation.step,
         "integrator": now.simulation.integrator,
         "error_of_the_way": error,
         "changed": found.changed,

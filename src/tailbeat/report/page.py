@@ -53,8 +53,14 @@ def of_folder(
     if not out.is_dir() or not any(out.iterdir()):
         raise BadInput(f"{out}: folder is empty or missing; run `tailbeat evaluate` into it first.")
     described = load_fish(fish)
-    trained = store.read_description(out).twin if store.has_runs(out) else fish
-    return report(out, described, load_fish(twin or trained), data)
+    return report(out, described, _trained_on(out, fish, twin), data)
+
+
+def _trained_on(out: Path, fish: str, twin: str | None) -> Fish:
+    """The fish that a folder's policy was trained on."""
+    if twin is not None or not store.has_runs(out):
+        return load_fish(twin or fish)
+    return store.kept_fish(out) or load_fish(store.read_description(out).twin)
 
 
 # ---- an evaluation ------------------------------------------------------------------------------

@@ -1,10 +1,10 @@
 """Does a policy fit a fish? Compares the twin that it was trained in, and the body of the fish."""
 
 from tailbeat.control.actions import PERIOD
-from tailbeat.control.policy import Policy, check_fits
+from tailbeat.control.policy import Contract, Policy, check_fits, load_policy
 from tailbeat.files import BadInput, leaves
 from tailbeat.fish.description import Fish
-from tailbeat.fish.store import digest, load_fish
+from tailbeat.fish.store import digest, fish_of, load_fish, shipped
 
 # Fields of a description that an identification may change; all others describe the body.
 LAW = ("zones", "added_inertia", "added_along", "trailing_edge")  # of the fluid
@@ -15,16 +15,29 @@ FITTED_IN_TAIL = ("tail.damping_time", "tail.friction", "tail.k_eff", "tail.stif
 def twin_of(policy: Policy, twin: str | None) -> Fish:
     """The fish that a policy was trained on, with the servo that it had.
 
-    `twin` is that fish's file, or None for a shipped fish. Raises BadInput if it does not match the
-    policy's contract.
+    `twin` is that fish's file, or None for the fish inside the policy; an older policy has none,
+    so it must be of a shipped fish. Raises BadInput if it does not match the policy's contract.
     """
     contract = policy.contract
-    described = load_fish(twin or contract.fish)
+    described = carried(contract) if twin is None else load_fish(twin)
     variants = [described.model_copy(update={"servo": name}) for name in described.servos]
     same = [one for one in variants if digest(one) == contract.fish_digest]
     chosen = same[0] if same else described
     check_fits(contract, chosen.name, digest(chosen), chosen.band, PERIOD)
     return chosen
+
+
+def carried(contract: Contract) -> Fish:
+    """The fish inside a policy; for an older policy, the shipped fish of its name. Raises BadInput
+    if there is neither."""
+    if contract.description is not None:
+        return fish_of(contract.description)
+    if contract.fish not in shipped():
+        raise BadInput(
+            f"policy: it was trained on {contract.fish}, which is not shipped, and does not carry"
+            f" its fish; give the fish's file with --twin."
+        )
+    return load_fish(contract.fish)
 
 
 def check_swims(policy: Policy, twin: str | None, fish: Fish) -> Fish:
@@ -33,6 +46,11 @@ def check_swims(policy: Policy, twin: str | None, fish: Fish) -> Fish:
     check_same_body(trained, fish)
     check_fits(policy.contract, trained.name, digest(trained), fish.band, PERIOD)
     return trained
+
+
+def check_named(policy: str, fish: str) -> None:
+    """Raises BadInput if a policy, by file or name, was trained for another fish than this one."""
+    check_swims(load_policy(policy), None, load_fish(fish))
 
 
 def check_same_body(twin: Fish, fish: Fish) -> None:

@@ -48,6 +48,7 @@ def export(
         actions=actions,
         training={**training, "versions": versions()},
         golden=(tuple(golden.tolist()), tuple(act(model, golden).tolist())),
+        description=fish.model_dump(mode="json"),
     )
     with new_file(path, overwrite=True) as beside:
         onnx.save(as_onnx(model, contract), str(beside))

@@ -1,0 +1,120 @@
+"""A policy carries the fish that it was trained on: nobody has to keep that file at hand."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
+
+from policies import POLICIES
+from support import complaint, tailbeat
+from tailbeat.control.actions import Generator
+from tailbeat.control.policy import KEY, Policy, _digests, as_text, load_policy
+from tailbeat.files import BadInput
+from tailbeat.fish.store import load_fish, with_values
+from tailbeat.robot.doctor import check_policy
+from tailbeat.robot.fits import carried, check_swims, twin_of
+from tailbeat.train.export import export
+from test_policy import sights, untrained
+
+POOL_FISH = load_fish("pulley-fish")
+# A lab's own identification of the pulley fish: no file of this name exists anywhere.
+OWN = with_values(load_fish("pulley-fish-pool"), {"zones.fin.kutta": 2.0}).model_copy(
+    update={"name": "mine"}
+)
+LOW, HIGH = OWN.motor.range or (-1.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory) -> tuple[Path, Policy]:
+    path, space = tmp_path_factory.mktemp("own") / "policy.onnx", Generator(LOW, HIGH)
+    return path, export(untrained(space), OWN, space, sights(100), {"stage": "exact"}, path)
+
+
+def rewritten(source: Path, target: Path, changes: dict[str, object], sign: bool = True) -> Path:
+    """A policy file whose contract has other values, signed anew or not."""
+    model = onnx.load(str(source))
+    held = json.loads(model.metadata_props[0].value)
+    held["contract"].update(changes)
+    held["digests"] = _digests(held["contract"]) if sign else held["digests"]
+    model.metadata_props[0].value = json.dumps(held)
+    onnx.save(model, str(target))
+    return target
+
+
+def test_the_fish_inside_is_the_one_it_was_trained_on(own):
+    _, policy = own
+    assert carried(policy.contract) == OWN == twin_of(policy, None)
+    assert check_swims(policy, None, POOL_FISH) == OWN
+
+
+def test_an_older_policy_is_read_and_signed_as_it_was():
+    for name, path in POLICIES.items():
+        text = onnx.load(str(path)).metadata_props[0].value
+        policy = load_policy(path)
+        assert policy.contract.description is None, name
+        assert json.loads(as_text(policy.contract)) == json.loads(text), name
+
+
+def test_an_older_policy_of_ones_own_fish_asks_for_its_file(own):
+    _, policy = own
+    older = replace(policy, contract=replace(policy.contract, description=None))
+    with pytest.raises(BadInput, match=r"trained on mine, which is not shipped.*--twin"):
+        twin_of(older, None)
+
+
+def test_a_fish_that_was_changed_inside_is_refused(own, tmp_path):
+    path, policy = own
+    other = with_values(OWN, {"zones.fin.kutta": 2.5}).model_dump(mode="json")
+    unsigned = rewritten(path, tmp_path / "a.onnx", {"description": other}, sign=False)
+    with pytest.raises(BadInput, match="description changed after the policy was exported"):
+        load_policy(unsigned)
+    signed = load_policy(rewritten(path, tmp_path / "b.onnx", {"description": other}))
+    with pytest.raises(BadInput, match="mine's description has changed since the training"):
+        twin_of(signed, None)
+    assert policy.contract.fish == "mine"
+
+
+def test_evaluate_and_its_page_need_no_file_of_the_twin(own, tmp_path):
+    path, _ = own
+    done = tailbeat(
+        "evaluate", path, "--fish", "pulley-fish", "--tasks", "reach", "--episodes", 2,
+        "--out", tmp_path / "trial",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    again = tailbeat("report", tmp_path / "trial", "--fish", "pulley-fish")
+    assert again.returncode == 0, again.stderr
+    assert (tmp_path / "trial" / "report.html").stat().st_size > 10_000
+
+
+def test_doctor_accepts_the_policy_of_ones_own_fish(own, tmp_path):
+    path, _ = own
+    good = check_policy(str(path), "pulley-fish")
+    assert [one.verdict for one in good] == ["ok", "ok"]
+    wrong = check_policy(str(path), "crank-fish")[-1]
+    assert wrong.verdict == "bad" and "the policy's fish is not the pool's" in wrong.found
+
+
+def test_show_says_that_it_carries_its_fish(own):
+    shown = tailbeat("policy", "show", own[0])
+    assert "carries its fish: yes" in shown.stdout and "zones" not in shown.stdout
+
+
+def test_a_drive_with_the_wrong_fish_never_starts(tmp_path):
+    """An audit found that it armed and swam, with exit code 0."""
+    said = complaint(
+        "drive", "pulley-fish-pool-generator", "--emulated", "--fish", "crank-fish",
+        "--log", tmp_path / "a.mcap",
+    )  # fmt: skip
+    assert "the policy's fish is not the pool's" in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_golden_pairs_still_hold_for_a_policy_that_carries_its_fish(own):
+    path, policy = own
+    seen = np.array(policy.contract.golden[0], np.float32)
+    assert np.isfinite(seen).all() and KEY in {p.key for p in onnx.load(str(path)).metadata_props}
