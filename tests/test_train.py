@@ -36,6 +36,7 @@ from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import load_fish
 from tailbeat.train import checkpoint
 from tailbeat.train import config as config
+from tailbeat.train.callback import TrainingCallback
 from tailbeat.train.config import RunConfig, action_space, check
 from tailbeat.train.progress import Progress, TrainingRow
 from tailbeat.train.recipes import paper, quick, recipe_of, smoke
@@ -360,6 +361,16 @@ def test_a_resumed_run_goes_on_where_it_was(run):
     assert progress.history[: len(before.progress.history)] == before.progress.history
     ends = np.load(run / "checkpoint" / "buffer.npz")["episode"]
     assert (np.diff(ends, axis=0) >= 0).all()  # no episode spans the interruption
+
+
+@pytest.mark.parametrize("greedy", [True, False])
+def test_exploring_fish_pass_no_stage_that_greedy_ones_fail(tmp_path, monkeypatch, greedy):
+    """All exploring fish are said to arrive, and the network without its noise never has."""
+    monkeypatch.setattr(TrainingCallback, "_judged", lambda self: [True] * self.run.recipe.window)
+    plan = planned_for(tmp_path / "run", hours=0.001)
+    plan = replace(plan, recipe=replace(plan.recipe, greedy=greedy, stages=STAGES[:1]))
+    done = train(plan, False, print)
+    assert done.finished == (not greedy) and bool(done.promotions) == (not greedy)
 
 
 def copied(run: Path, folder: Path, **changes: Any) -> Path:

@@ -1,6 +1,6 @@
 """A policy's greedy swims to seeded targets in the twin: success rate, times and path lengths."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,9 +65,14 @@ def assess(decide: Decide, build: Build, count: int, seed: int) -> Swims:
         _together(decide, build(seeds[first : first + AT_ONCE]))
         for first in range(0, count, AT_ONCE)
     ]
+    return joined(parts)
+
+
+def joined(parts: Sequence[Swims]) -> Swims:
+    """Swims of several batches as one; the observations seen are the first batch's."""
     names = [name for name in Swims.__annotations__ if name != "seen"]
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return Swims(**joined, seen=parts[0].seen)
+    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return Swims(**whole, seen=parts[0].seen)
 
 
 def _together(decide: Decide, world: World) -> Swims:

@@ -47,6 +47,7 @@ class Recipe:
     close_up: bool = False  # networks get the target features
     rounded: bool = False  # updates multiply in bfloat16 if the processor supports it
     binds: Literal["fundamental", "signal"] = "fundamental"  # what stays below the ceiling
+    greedy: bool = True  # a stage is passed by greedy swims; else by exploring ones (paper)
     width: int = WIDTH  # of every layer of actor and critics
     stages: tuple[Stage, ...] = STAGES
     task: Task = field(default_factory=Task)
@@ -116,6 +117,7 @@ def paper() -> Recipe:
         misses=0.0,
         close_up=False,
         rounded=False,
+        greedy=False,
         stages=STAGES[:10],
     )
 
