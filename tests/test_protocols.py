@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import load_fish
 from tailbeat.identify import posterior
-from tailbeat.identify.chain import ChainPaths, identify_all, read_folder
+from tailbeat.identify.chain import ChainPaths, Folder, _keys, identify_all, read_folder
 from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.job import FluidConfig
 from tailbeat.identify.protocol import limits
@@ -104,6 +104,24 @@ def test_the_bench_gives_back_the_plant_s_stiffness():
     fit = identify_tail([sweep])
     assert fit.k_eff.value == pytest.approx(shaft_stiffness(FISH), rel=0.02)
     assert fit.k_eff.interval[0] < shaft_stiffness(FISH) < fit.k_eff.interval[1]
+
+
+def test_a_change_of_one_stage_s_inputs_keeps_the_stages_before_it(folder):
+    """It was one key for all: other draws, and tail and servo were fitted anew."""
+    data = read_folder(folder)
+    keys = _keys("pulley-fish", data, LITTLE)
+
+    def kept(fish: str, recordings: Folder, config: FluidConfig) -> list[str]:
+        other = _keys(fish, recordings, config)
+        return [name for name, key in keys.items() if other[name] == key]
+
+    assert kept("pulley-fish", data, LITTLE) == ["tail", "servo", "fluid"]
+    assert kept("pulley-fish", data, replace(LITTLE, draws=7)) == ["tail", "servo"]
+    assert kept("pulley-fish", data, replace(LITTLE, seeds=2)) == ["tail"]
+    fewer = replace(data, fluid_fit=data.fluid_fit[1:])
+    assert kept("pulley-fish", fewer, LITTLE) == ["tail", "servo"]
+    assert kept("pulley-fish", replace(data, servo_fit=data.servo_fit[1:]), LITTLE) == ["tail"]
+    assert kept("pulley-fish-pool", data, LITTLE) == []
 
 
 def test_one_folder_one_command(folder, tmp_path):

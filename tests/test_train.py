@@ -301,6 +301,7 @@ def planned_for(out: Path, **changes: Any) -> RunConfig:
     ("changes", "complaint"),
     [
         ({"hours": 0.0}, "--hours 0"),
+        ({"fish": load_fish("crank-fish")}, "a crank turns without end, and every action space"),
         ({"device": "tpu"}, "--device tpu"),
         ({"actions": Generator(-9.0, 9.0)}, "motor allows"),
         ({"actions": Generator(-1.0, 1.0, ceiling=6.0)}, "band ends at 4 Hz"),

@@ -115,8 +115,8 @@ def identify_all(
     targets = _targets(paths)
     data = read_folder(paths.folder)
     work = paths.out.parent / f".{paths.out.stem}.chain"
-    done = work / _key(paths.fish, data, config)
-    places = {name: done / name / paths.out.name for name in ("tail", "servo", "fluid")}
+    keys = _keys(paths.fish, data, config)
+    places = {name: work / f"{name}-{key}" / paths.out.name for name, key in keys.items()}
     _run_stages(paths.fish, data, places, config, progress, drawings)
     reports = {name: _read_json(path.with_suffix(".json")) for name, path in places.items()}
     found = _summary(reports)
@@ -142,16 +142,23 @@ def _targets(paths: ChainPaths) -> dict[str, Path]:
     return targets
 
 
-def _key(fish: str, data: Folder, config: job.FluidConfig) -> str:
-    """Name of the folder of finished stages, a digest of the inputs: only the same work resumes."""
-    digest = hashlib.sha256(fish_path(fish).read_bytes() + repr(config).encode())
-    digest.update(version("tailbeat").encode())  # another version may find other numbers
+def _keys(fish: str, data: Folder, config: job.FluidConfig) -> dict[str, str]:
+    """Digest of every stage's inputs, by its name: a stage is resumed, or kept, for the same work
+    alone. What only the swims' fit reads does not begin tail and servo anew."""
     singles = [path for path in (data.static, data.release) if path is not None]
-    for path in [*data.sweeps, *singles, *data.servo_fit, *data.servo_validate, *data.fluid_fit]:
-        digest.update(path.read_bytes())
-    for path in [*data.fluid_validate, *data.check]:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+    seeds = f"{config.seeds} {config.first_seed}"
+    inputs = {
+        "tail": ("", [fish_path(fish), *data.sweeps, *singles]),
+        "servo": (seeds, [*data.servo_fit, *data.servo_validate]),
+        "fluid": (repr(config), [*data.fluid_fit, *data.fluid_validate, *data.check]),
+    }
+    digest, keys = hashlib.sha256(version("tailbeat").encode()), {}
+    for name, (words, files) in inputs.items():  # each stage starts from the one before it
+        digest.update(words.encode())
+        for path in files:
+            digest.update(path.read_bytes())
+        keys[name] = digest.hexdigest()[:16]
+    return keys
 
 
 def _run_stages(

@@ -108,6 +108,7 @@ def check(run: RunConfig, resume: bool) -> None:
         raise BadInput(f"--hours {run.hours:g}: give a time above 0.")
     if run.device not in ("cpu", "cuda") or (run.device == "cuda" and not cuda.is_available()):
         raise BadInput(f"--device {run.device}: allowed are cpu, and cuda if this machine has it.")
+    _check_motor(run.fish)
     check_settings(run.fish, run.settings(0))
     _check_memory(run.recipe)
     if resume:
@@ -115,6 +116,15 @@ def check(run: RunConfig, resume: bool) -> None:
     elif run.out.exists() and any(run.out.iterdir()):
         raise BadInput(
             f"{run.out}: contains another run; continue it with --resume, or choose a new folder."
+        )
+
+
+def _check_motor(fish: Fish) -> None:
+    """Refuse a motor that turns on: every action space of today commands angles."""
+    if fish.motor.kind == "crank":
+        raise BadInput(
+            f"{fish.name}: a crank turns without end, and every action space commands angles"
+            f" within a range; train a fish with a pulley. Steering by a crank is not there yet."
         )
 
 
@@ -150,6 +160,7 @@ def _check_same(run: RunConfig) -> None:
     if held.get("actions.kind") == "generator":
         held.setdefault("actions.floor", 0.0)  # older runs have no floor
     held.setdefault("physics", "ranges")  # and no posterior
+    held.setdefault("recipe.greedy", run.recipe.greedy)  # and no verdict by greedy swims
     asked = leaves("", json.loads(json.dumps(asdict(run.record()))))
     wrong = [
         f"{name} was {held.get(name)}, now {asked.get(name)}"
