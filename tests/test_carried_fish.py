@@ -14,8 +14,11 @@ from policies import POLICIES
 from support import complaint, tailbeat
 from tailbeat.control.actions import Generator
 from tailbeat.control.policy import KEY, Policy, _digests, as_text, load_policy
+from tailbeat.evaluate import store
+from tailbeat.evaluate.evaluation import EvaluationConfig, describe, pool_of
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish, with_values
+from tailbeat.report.page import trained_on
 from tailbeat.robot.doctor import check_policy
 from tailbeat.robot.fits import carried, check_swims, twin_of
 from tailbeat.train.export import export
@@ -80,15 +83,15 @@ def test_a_fish_that_was_changed_inside_is_refused(own, tmp_path):
 
 
 def test_evaluate_and_its_page_need_no_file_of_the_twin(own, tmp_path):
-    path, _ = own
-    done = tailbeat(
-        "evaluate", path, "--fish", "pulley-fish", "--tasks", "reach", "--episodes", 2,
-        "--out", tmp_path / "trial",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    again = tailbeat("report", tmp_path / "trial", "--fish", "pulley-fish")
-    assert again.returncode == 0, again.stderr
-    assert (tmp_path / "trial" / "report.html").stat().st_size > 10_000
+    _, policy = own
+    config = EvaluationConfig("pulley-fish", None, "full", ("reach",), 2)
+    pool = pool_of(policy, config)
+    assert pool.twin == OWN and pool.draws is None
+    store.begin(tmp_path / "trial", describe(policy, pool))
+    store.keep_fish(tmp_path / "trial", pool.twin)  # as `evaluate` does
+    assert trained_on(tmp_path / "trial", "pulley-fish", None) == OWN
+    other = trained_on(tmp_path / "trial", "pulley-fish", "pulley-fish-pool")
+    assert other.name == "pulley-fish-pool"
 
 
 def test_doctor_accepts_the_policy_of_ones_own_fish(own, tmp_path):

@@ -146,7 +146,7 @@ def test_real_logs_are_read_with_gain_and_load(data):
     assert off[0] == pytest.approx(2.0, abs=0.02)  # lift and drop: torque off after two seconds
 
 
-@pytest.mark.long
+@pytest.mark.slow  # eight logs of a real servo
 def test_a_gain_never_seen_is_predicted(data, tmp_path):
     """Fitted at gains 100 and 800, judged at 200; the recorders' own published model, fitted on
     all of these logs, scores 3.4 degrees over all of them. Seed 0 stops in a worse valley (2.8)."""

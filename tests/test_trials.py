@@ -306,6 +306,7 @@ def test_an_evaluation_leaves_numbers_figures_and_one_page(evaluated):
     open_water = found.reach["reach open"]
     assert open_water.swims == 6 and open_water.within_20cm >= 4 / 6
     assert {row.runs for row in found.spectrum} >= {"identification", "reach open"}
+    assert store.kept_fish(out) == TWIN
     page = (out / "report.html").read_text()
     assert "band 1 to 4 Hz" in page and "data:image/svg+xml;base64," in page
     assert 'src="' not in page.replace('src="data:', "")  # needs no other file

@@ -53,10 +53,10 @@ def of_folder(
     if not out.is_dir() or not any(out.iterdir()):
         raise BadInput(f"{out}: folder is empty or missing; run `tailbeat evaluate` into it first.")
     described = load_fish(fish)
-    return report(out, described, _trained_on(out, fish, twin), data)
+    return report(out, described, trained_on(out, fish, twin), data)
 
 
-def _trained_on(out: Path, fish: str, twin: str | None) -> Fish:
+def trained_on(out: Path, fish: str, twin: str | None) -> Fish:
     """The fish that a folder's policy was trained on."""
     if twin is not None or not store.has_runs(out):
         return load_fish(twin or fish)
