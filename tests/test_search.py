@@ -84,6 +84,34 @@ def test_an_interrupted_search_goes_on_where_it_stopped(tmp_path):
     assert np.allclose(resumed.z, whole.z, atol=1e-6)
 
 
+def test_an_interrupted_polish_goes_on_where_it_stopped(tmp_path):
+    """Killed at every call of the polish in turn: the same result, and little is done twice."""
+    effort, calls = Effort(3, 6, 6), []
+
+    def counted(z: np.ndarray) -> np.ndarray:
+        calls.append(len(z))
+        return residuals(z)
+
+    whole = search(counted, SPACE, 0, effort)
+    total = len(calls)
+    for last in range(effort.generations + 2, total):
+        left = [last]
+
+        def failing(z: np.ndarray, left: list[int] = left) -> np.ndarray:
+            left[0] -= 1
+            if left[0] == 0:
+                raise KeyboardInterrupt
+            return residuals(z)
+
+        checkpoint = tmp_path / f"{last}.search"
+        with pytest.raises(KeyboardInterrupt):
+            search(failing, SPACE, 0, effort, checkpoint)
+        calls.clear()
+        resumed = search(counted, SPACE, 0, effort, checkpoint)
+        assert np.array_equal(resumed.z, whole.z)
+        assert len(calls) <= total - last + 8, last  # a part's noise level, and one iteration
+
+
 def test_numbers_that_trade_against_each_other_are_named():
     space = SPACE[:2]
 
