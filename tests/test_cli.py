@@ -32,7 +32,7 @@ def test_lists_of_recordings_follow_an_option():
 
 def test_new_fish_show_and_predict(tmp_path, swim):
     assert tailbeat_process("new-fish", tmp_path / "my.toml").returncode == 0
-    shown = tailbeat_process(
+    shown = tailbeat(
         "show",
         tmp_path / "my.toml",
         "--picture",
@@ -46,7 +46,7 @@ def test_new_fish_show_and_predict(tmp_path, swim):
     assert json.loads((tmp_path / "s.json").read_text())["hinges"][0]["arm_m"] == pytest.approx(
         0.015
     )
-    done = tailbeat_process("predict", "--fish", "pulley-fish", swim, "--json", tmp_path / "p.json")
+    done = tailbeat("predict", "--fish", "pulley-fish", swim, "--json", tmp_path / "p.json")
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "p.json").read_text())
     assert result["speed_mae"] < 1e-3

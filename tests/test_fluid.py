@@ -53,8 +53,8 @@ def test_known_coefficients_of_one_zone_come_back(tmp_path):
     known = {path.replace(".fin.", ".*."): v for path, v in truth().items() if ".fin." in path}
     fish = apply(PULLEY, known)
     runs = [
-        as_run(record(fish, "a", 1.5, 0.5, offset=0.1, noise=1e-3), PULLEY),
-        as_run(record(fish, "b", 2.2, 0.4, offset=-0.25, noise=1e-3, seed=1), PULLEY),
+        as_run(record(fish, "a", 1.5, 0.5, offset=0.1, noise=1e-3, seconds=3.0), PULLEY),
+        as_run(record(fish, "b", 2.2, 0.4, offset=-0.25, noise=1e-3, seed=1, seconds=3.0), PULLEY),
     ]
     config = FluidConfig(
         zones=1, seeds=1, effort=Effort(generations=1, population=8, polish=6), draws=4
