@@ -220,7 +220,7 @@ def test_on_a_terminal_five_questions_are_asked(tmp_path):
         ({"length": 5.0}, r"--length 5 m: allowed is 0.1 to 3 m"),
         ({"mass": 0.0}, r"--mass 0 kg"),
         ({"mass": 12.0}, r"--mass 12 kg: a fish of 0.28 m that floats would be 307 mm wide"),
-        ({"hinges": 1}, r"--hinges 1 : allowed is 2 to 12"),
+        ({"hinges": 1}, r"--hinges 1: allowed is 2 to 12\."),
         ({"servo": "abc"}, r"--servo 'abc': not in the catalogue \(xl330"),
         ({"servo": "xm540"}, r"--servo xm540: it weighs 165 g"),
         ({"fin": (0.2, 0.07)}, r"--fin: chord 200 mm; a fish of 280 mm may have 6 to 70 mm"),

@@ -2,7 +2,7 @@
 
 Lengths scale with the fish's length. Widths and heights scale so that the sealed shell displaces
 the shell's share of the mass, so the fish floats. Arms and pulley scale with the width. Everything
-that is not given is chosen here; `sketch.py` marks it as assumed.
+that is not given is chosen here; `sketch_file.py` marks it as assumed.
 """
 
 import math
@@ -100,9 +100,9 @@ def sketch(given: Given) -> Sketch:
     _check_servo(given, servo)
     radius = 17.5e-3 * wide
     fin = _fin(given, scale)
-    arms, softness = _arms(given.hinges) * wide, _softness(given.hinges)
+    arms, pattern = _arms(given.hinges) * wide, _pattern(given.hinges)
     k_eff = given.k_eff or _stiffness(scale, servo)
-    stiffness = k_eff * softness * np.sum(arms**2 / softness) / radius**2
+    stiffness = k_eff * pattern * np.sum(arms**2 / pattern) / radius**2
     _check_bend(given, servo, k_eff)
     return Sketch(
         given, servo, scale, wide,
@@ -124,7 +124,8 @@ def _check(given: Given) -> None:
     }
     for option, (value, low, high, unit) in limits.items():
         if not low <= value <= high:
-            raise BadInput(f"{option} {value:g} {unit}: allowed is {low:g} to {high:g} {unit}.")
+            said = f"{option} {value:g} {unit}".rstrip()
+            raise BadInput(f"{said}: allowed is {f'{low:g} to {high:g} {unit}'.rstrip()}.")
     for side, size, most in zip(("chord", "span"), given.fin or (), (0.25, 1.0), strict=False):
         low, high = 0.02 * given.length, most * given.length
         if not low <= size <= high:
@@ -192,7 +193,7 @@ def _arms(hinges: int) -> Array:
     return 1e-3 * np.interp(np.linspace(0, 1, hinges), np.linspace(0, 1, 5), ARMS)
 
 
-def _softness(hinges: int) -> Array:
+def _pattern(hinges: int) -> Array:
     """Stiffness of every hinge, in proportion."""
     return np.linspace(*STIFFNESS, hinges)
 
