@@ -7,7 +7,7 @@ import pytest
 
 from tailbeat.evaluate.fresh_recordings import EVERY
 from tailbeat.files import BadInput
-from tailbeat.fish.show import length_of
+from tailbeat.fish.description import length_of
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.water import whole
 from tailbeat.identify.gait import Track

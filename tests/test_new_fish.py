@@ -17,9 +17,9 @@ from tailbeat.files import BadInput
 from tailbeat.fish import check, convergence, first_draft
 from tailbeat.fish.buoyancy import buoyancy
 from tailbeat.fish.catalogue import profile, profiles
-from tailbeat.fish.description import Simulation
+from tailbeat.fish.description import Simulation, length_of
 from tailbeat.fish.proportions import Given, sketch
-from tailbeat.fish.show import length_of, read_back
+from tailbeat.fish.show import read_back
 from tailbeat.fish.store import digest, load_fish, with_values
 from tailbeat.fish.twin import Options, compile_twin
 

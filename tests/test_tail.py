@@ -8,10 +8,11 @@ import pytest
 
 from synthetic_recordings import Noise, TailTruth, release, slow_pull, tail_sweep
 from tailbeat.files import BadInput
+from tailbeat.fish.linkage import spread
 from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.decay import ring_down, static_loop
-from tailbeat.identify.hinges import hinges_for, spread, tail_inertia, with_stiffness
+from tailbeat.identify.hinges import hinges_for, tail_inertia, with_stiffness
 from tailbeat.identify.response import measure, project
 from tailbeat.identify.tail import identify_tail, line
 from tailbeat.recording import Recording, crop, read_recording, write_recording

@@ -7,9 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from tailbeat.fish.check import moment_arms, tail_of
+from tailbeat.fish.check import tail_of
 from tailbeat.fish.description import Fish
 from tailbeat.fish.first_draft import described
+from tailbeat.fish.linkage import moment_arms
 from tailbeat.fish.proportions import Given, sketch
 from tailbeat.fish.show import read_back, shaft_stiffness
 from tailbeat.fish.store import load_fish, with_values

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from tailbeat.files import BadInput
+from tailbeat.fish.linkage import moment_arms
 from tailbeat.fish.rollout import Start, replay_command, swim
-from tailbeat.fish.show import moment_arms, read_back, shaft_stiffness, tables
+from tailbeat.fish.show import read_back, shaft_stiffness, tables
 from tailbeat.fish.store import load_fish, shipped, with_values
 from tailbeat.fish.twin import Options, Twin, compile_twin, inertial
 from tailbeat.processes import threads

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tailbeat.fish.description import Body, Fish, Part
+from tailbeat.fish.description import Body, Fish, Part, parts_of
 
 FLOATS = 0.15  # share of the mass by which a hull may displace more or less: boxes are rounded
 TRIM = 0.05  # share of the length between the centres of mass and of volume
@@ -27,7 +27,7 @@ class Buoyancy:
 def buoyancy(fish: Fish) -> Buoyancy:
     """Mass against displacement. A flooded part displaces what its own material does: taken as
     neutral. Bodies with a stated inertial are taken at its mass."""
-    parts = [pair for body in _bodies(fish) for pair in _masses(body)]
+    parts = [pair for body in (fish.head, *fish.tail.links) for pair in _masses(body)]
     places = np.array([part.position[0] for part, _ in parts] + [fish.motor.position[0]])
     masses = np.array([mass for _, mass in parts] + [fish.motor.mass])
     boxes = np.array([_displaced(fish, *pair, 1.0) for pair in parts] + [fish.motor.mass])
@@ -44,10 +44,6 @@ def buoyancy(fish: Fish) -> Buoyancy:
 def _displaced(fish: Fish, part: Part, mass: float, share: float) -> float:
     """Water that a part displaces [kg] if it fills a `share` of its box; its mass if flooded."""
     return mass if part.flooded else share * fish.medium.density * float(np.prod(part.size))
-
-
-def _bodies(fish: Fish) -> list[Body]:
-    return [fish.head, *fish.tail.links]
 
 
 def _masses(body: Body) -> list[tuple[Part, float]]:
@@ -88,14 +84,14 @@ def water_warnings(fish: Fish, mass: float) -> list[str]:
     """Wet parts of a fish of a `mass` [kg] that lack their added mass."""
     if fish.added_inertia == 0:
         return []
-    parts = [part for body in _bodies(fish) for part in body.parts if part.zone is not None]
-    dry = [
-        part.name for part in parts if part.added_mass == 0 and _water(fish, part) > MISSING * mass
-    ]
+    bare = [part for part in parts_of(fish) if part.zone is not None and part.added_mass == 0]
+    rho, least = fish.medium.density, MISSING * mass
+    dry = [part.name for part in bare if slender_mass(rho, part.size) > least]
     names = ", ".join(dry)
     return [f"no added mass on {names}: density pi/4 height^2 length is a start"] if dry else []
 
 
-def _water(fish: Fish, part: Part) -> float:
-    """Water that a slender part of this size carries sideways [kg]."""
-    return float(fish.medium.density * math.pi / 4 * part.size[2] ** 2 * part.size[0])
+def slender_mass(density: float, size: tuple[float, float, float]) -> float:
+    """Water [kg] that a slender part of this size [m] carries sideways: density pi/4 h^2 l."""
+    length, _, height = size
+    return density * math.pi / 4 * height**2 * length

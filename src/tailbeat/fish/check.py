@@ -8,17 +8,14 @@ in the description.
 import math
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from tailbeat.fish.buoyancy import Buoyancy, buoyancy, float_warnings, water_warnings
 from tailbeat.fish.convergence import ALLOWED, Deviation, deviation
 from tailbeat.fish.description import Fish
+from tailbeat.fish.linkage import at_shaft
 from tailbeat.fish.quick_swims import Quick, quick_swims, swim_warnings
-from tailbeat.fish.twin import Options, Twin, compile_twin
 
-Array = NDArray[np.float64]
 LEAST_BEND = math.radians(10)  # at the shaft, in the band's lower half
 
 
@@ -78,42 +75,9 @@ def check(fish: Fish, length: float) -> Check:
 
 def tail_of(fish: Fish) -> Tail:
     """Stiffness and inertia at the shaft when the tail bends as under a slow pull (Rayleigh)."""
-    air, stiffness = _shaft(fish, 0.0)
-    water, _ = _shaft(fish, max(fish.added_inertia, 1.0))
-    rings = [math.sqrt(stiffness / i) / (2 * math.pi) for i in (air, water)]
-    return Tail(stiffness, air, water, rings[0], rings[1])
-
-
-def _shaft(fish: Fish, added: float) -> tuple[float, float]:
-    """The tail's inertia at the shaft [kg m^2] with a share of its added mass, and its stiffness
-    there [N m/rad]."""
-    described = fish.model_copy(update={"added_inertia": added})
-    twin = compile_twin(described, Options(root="fixed"))
-    data = mujoco.MjData(twin.model)
-    mujoco.mj_forward(twin.model, data)
-    arms, motor_arm = moment_arms(twin, data)
-    soft = np.array([link.stiffness for link in fish.tail.links]) * fish.tail.stiffness_scale
-    shape = motor_arm * (arms / soft) / float(np.sum(arms**2 / soft))
-    full = np.zeros((twin.model.nv, twin.model.nv))
-    mujoco.mj_fullM(twin.model, data, full)
-    motor = int(twin.model.joint("motor").dofadr[0])
-    own = full[motor + 1 :, motor + 1 :]
-    return float(shape @ own @ shape), float(motor_arm**2 / np.sum(arms**2 / soft))
-
-
-def moment_arms(twin: Twin, data: mujoco.MjData) -> tuple[Array, float]:
-    """Arms dL/dq of the left tendon at the hinges (n,), and at the motor, signs included [m]."""
-    jacobian = np.zeros((twin.model.ntendon, twin.model.nv))
-    mujoco.mju_sparse2dense(
-        jacobian,
-        data.ten_J.ravel(),
-        twin.model.ten_J_rownnz,
-        twin.model.ten_J_rowadr,
-        twin.model.ten_J_colind.ravel(),
-    )
-    motor = int(twin.model.joint("motor").dofadr[0])
-    row = jacobian[twin.model.tendon("left").id]
-    return -row[motor + 1 :], float(row[motor])
+    air, water = (at_shaft(fish, added) for added in (0.0, max(fish.added_inertia, 1.0)))
+    rings = [math.sqrt(one.stiffness / one.inertia) / (2 * math.pi) for one in (air, water)]
+    return Tail(air.stiffness, air.inertia, water.inertia, rings[0], rings[1])
 
 
 def reaches(fish: Fish, tail: Tail) -> tuple[Reach, ...]:

@@ -291,13 +291,24 @@ class Fish(_Model):
         return self
 
 
+def parts_of(fish: Fish) -> list[Part]:
+    """Every part of head and links, from nose to fin."""
+    return [part for body in (fish.head, *fish.tail.links) for part in body.parts]
+
+
+def length_of(fish: Fish) -> float:
+    """Length from the front of the foremost part to the rear of the rearmost part [m]."""
+    places = [(part.position[0], part.size[0] / 2) for part in parts_of(fish)]
+    return max(x + half for x, half in places) - min(x - half for x, half in places)
+
+
 def _name_errors(fish: Fish) -> list[str]:
     """Names of zones, servos and links that do not exist."""
     zones, links = ", ".join(fish.zones), len(fish.tail.links)
     found = []
     if fish.servo not in fish.servos:
         found.append(f"servo {fish.servo!r} is not one of {', '.join(fish.servos)}")
-    for part in (p for body in (fish.head, *fish.tail.links) for p in body.parts):
+    for part in parts_of(fish):
         if part.zone is not None and part.zone not in fish.zones:
             found.append(
                 f"part {part.name!r} names zone {part.zone!r}, which is not one of {zones}"
@@ -333,7 +344,7 @@ def _geometry_errors(fish: Fish) -> list[str]:
 
 def _chord_errors(fish: Fish) -> list[str]:
     """Wet parts that are too short along x to have a rear end."""
-    wet = [p for body in (fish.head, *fish.tail.links) for p in body.parts if p.zone is not None]
+    wet = [part for part in parts_of(fish) if part.zone is not None]
     return [
         f"part {part.name!r} is {1e3 * part.size[0]:g} mm long and trailing_edge needs a length of"
         f" {1e3 * SHORTEST:g} mm or more; give its length along x, or remove trailing_edge"

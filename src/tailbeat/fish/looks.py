@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.fish.description import Body, Fish, Part
+from tailbeat.fish.description import Body, Fish, Part, length_of
 
 Array = NDArray[np.float64]
 
@@ -32,9 +32,12 @@ class Colours:
 COLOURS = Colours([0.16, 0.33, 0.42, 1.0], [0.88, 0.52, 0.22, 1.0], [0.95, 0.62, 0.30, 1.0])
 
 
+PICTURED = 0.54  # m, the pulley fish's length, which the cameras' places suit
+
+
 def add_looks(spec: mujoco.MjSpec, fish: Fish) -> None:
     """Add the pool floor, lights, cameras and one visible mesh or more per body."""
-    _add_scene(spec, _scale(fish))
+    _add_scene(spec, length_of(fish) / PICTURED)
     add_hulls(spec, fish)
 
 
@@ -217,13 +220,6 @@ def _add_dry_box(body: mujoco.MjsBody, part: Part, x0: float) -> None:
         group=1,
         rgba=DRY,
     )
-
-
-def _scale(fish: Fish) -> float:
-    """Length of the fish over the pulley fish's, whose picture the cameras' places suit."""
-    parts = [part for body in (fish.head, *fish.tail.links) for part in body.parts]
-    front = max(part.position[0] + part.size[0] / 2 for part in parts)
-    return (front - min(part.position[0] - part.size[0] / 2 for part in parts)) / 0.54
 
 
 def _add_scene(spec: mujoco.MjSpec, scale: float) -> None:

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
+from tailbeat.fish.buoyancy import slender_mass
 from tailbeat.fish.catalogue import Profile, profile
+from tailbeat.fish.linkage import spread
 
 Array = NDArray[np.float64]
 WATER = 1000.0  # kg/m^3
@@ -102,7 +104,7 @@ def sketch(given: Given) -> Sketch:
     fin = _fin(given, scale)
     arms, pattern = _arms(given.hinges) * wide, _pattern(given.hinges)
     k_eff = given.k_eff or _stiffness(scale, servo)
-    stiffness = k_eff * pattern * np.sum(arms**2 / pattern) / radius**2
+    stiffness = spread(radius, arms, pattern, k_eff)
     _check_bend(given, servo, k_eff)
     return Sketch(
         given, servo, scale, wide,
@@ -177,7 +179,7 @@ def _tag(scale: float) -> float:
 
 def _box(x: float, size: tuple[float, float, float], mass: float) -> Box:
     """A box with the added mass of a slender body, water * pi/4 height^2 length."""
-    return Box(x, size, mass, WATER * math.pi / 4 * size[2] ** 2 * size[0])
+    return Box(x, size, mass, slender_mass(WATER, size))
 
 
 def _fin(given: Given, scale: float) -> Box:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from tailbeat.fish.convergence import SAMPLE
 from tailbeat.fish.description import Fish
+from tailbeat.fish.outline import outline
 from tailbeat.fish.rollout import Start, Swim, swim
 from tailbeat.fish.twin import compile_twin
 
@@ -80,13 +81,9 @@ def _pace(done: Swim) -> tuple[float, float]:
 
 def tip_offset(done: Swim) -> Array:
     """Sideways place of the rearmost point in the head's frame (k,) [m]."""
-    links = done.twin.fish.tail.links
-    rear = min((p.position[0] - p.size[0] / 2 for p in links[-1].parts), default=0.0)
-    first = done.twin.motor + 1
-    bends = done.qpos[:, first : first + len(links)]
-    ends = [link.hinge for link in links[1:]] + [rear]
-    spans = np.array([a.hinge - b for a, b in zip(links, ends, strict=True)])
-    return np.asarray(-np.sin(np.cumsum(bends, axis=1)) @ spans)
+    tips = np.array([outline(done.twin.fish, row)[-1] for row in done.qpos]) - done.qpos[:, :2]
+    yaw = done.qpos[:, 2]
+    return np.asarray(np.cos(yaw) * tips[:, 1] - np.sin(yaw) * tips[:, 0])
 
 
 def swim_warnings(swims: Sequence[Quick], length: float) -> list[str]:

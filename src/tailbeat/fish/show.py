@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from tailbeat.files import refuse_existing, write_json
 from tailbeat.fish import surge
-from tailbeat.fish.check import check, moment_arms
+from tailbeat.fish.check import check
 from tailbeat.fish.check_rows import check_tables
-from tailbeat.fish.description import Fish, Part
+from tailbeat.fish.description import Fish, length_of, parts_of
+from tailbeat.fish.linkage import mass_matrix, moment_arms, stiffness_of
 from tailbeat.fish.render import save_picture
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import Options, Twin, compile_twin
@@ -50,11 +51,11 @@ def read_back(fish: Fish) -> Compiled:
     mujoco.mj_forward(twin.model, data)
     arms, motor_arm = moment_arms(twin, data)
     stiffness = np.array([link.stiffness for link in fish.tail.links]) * fish.tail.stiffness_scale
-    k_formula = float(motor_arm**2 / np.sum(arms**2 / stiffness))
+    k_formula = stiffness_of(motor_arm, arms, stiffness)
     k_read = shaft_stiffness(fish)
     return Compiled(
         float(twin.model.body_subtreemass[1]),
-        fish.added_inertia * sum(part.added_mass for part in _parts(fish)),
+        fish.added_inertia * sum(part.added_mass for part in parts_of(fish)),
         tuple(float(c) for c in data.subtree_com[1]),
         yaw_inertia(twin, data),
         length_of(fish),
@@ -69,8 +70,7 @@ def read_back(fish: Fish) -> Compiled:
 
 def yaw_inertia(twin: Twin, data: mujoco.MjData) -> float:
     """Inertia of the straight fish about the vertical axis through its centre of mass [kg m^2]."""
-    full = np.zeros((twin.model.nv, twin.model.nv))
-    mujoco.mj_fullM(twin.model, data, full)
+    full = mass_matrix(twin, data)
     if twin.options.root != "planar":
         return float("nan")
     centre = np.asarray(data.subtree_com[1])
@@ -106,17 +106,6 @@ def _settle(model: mujoco.MjModel, angle: float) -> float:
     for _ in range(10_000):
         mujoco.mj_step(model, data)
     return float(data.actuator_force[0] / data.qpos[0])
-
-
-def _parts(fish: Fish) -> list[Part]:
-    return [part for body in (fish.head, *fish.tail.links) for part in body.parts]
-
-
-def length_of(fish: Fish) -> float:
-    """Length from the front of the foremost part to the rear of the rearmost part [m]."""
-    parts = [p for body in (fish.head, *fish.tail.links) for p in body.parts]
-    ends = np.array([[p.position[0] + p.size[0] / 2, p.position[0] - p.size[0] / 2] for p in parts])
-    return float(ends[:, 0].max() - ends[:, 1].min())
 
 
 def _warnings(fish: Fish, k_read: float) -> list[str]:

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.fish.description import Fish
-from tailbeat.fish.show import moment_arms, shaft_stiffness
+from tailbeat.fish.linkage import at_shaft, moment_arms, spread
+from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import with_values
-from tailbeat.fish.twin import Options, Twin, compile_twin
+from tailbeat.fish.twin import Options, compile_twin
 
 Array = NDArray[np.float64]
 
@@ -36,14 +37,6 @@ class Hinges:
     radius: float
     k_compiled: float
     i_compiled: float
-
-
-def spread(radius: float, arms: Array, pattern: Array, k_eff: float) -> Array:
-    """Hinge stiffnesses (n,) [N m/rad] in proportion to `pattern` (n,) that give `k_eff` [N m/rad].
-
-    `radius` of the pulley and moment `arms` (n,) need the same unit. Formula: see above.
-    """
-    return np.asarray(pattern * k_eff * np.sum(arms**2 / pattern) / radius**2)
 
 
 def hinges_for(fish: Fish, k_eff: float, c_eff: float) -> Hinges:
@@ -93,27 +86,8 @@ def with_stiffness(fish: Fish, stiffness: Array, k_eff: float, c_eff: float) -> 
 
 
 def tail_inertia(fish: Fish) -> float:
-    """Inertia of the dry tail at the shaft [kg m^2], for the quasi-static shape of its springs.
-
-    The shape is phi_i = theta (k / r) d_i / k_i. The motor's own armature is not included. Below
-    the first bending mode this is the I that a sweep finds.
-    """
-    dry = fish.model_copy(update={"added_inertia": 0.0})
-    twin = compile_twin(dry, Options(root="fixed"))
-    data = mujoco.MjData(twin.model)
-    mujoco.mj_forward(twin.model, data)
-    arms, radius = moment_arms(twin, data)
-    stiffness = twin.model.jnt_stiffness[twin.model.joint("motor").id + 1 :]
-    shape = (arms / stiffness) * radius / np.sum(arms**2 / stiffness)
-    moved = np.concatenate([[1.0], shape])
-    return float(moved @ _mass_matrix(twin, data) @ moved) - _armature(twin)
-
-
-def _mass_matrix(twin: Twin, data: mujoco.MjData) -> Array:
-    full = np.zeros((twin.model.nv, twin.model.nv))
-    mujoco.mj_fullM(twin.model, data, full)
-    return full
-
-
-def _armature(twin: Twin) -> float:
-    return float(twin.model.dof_armature[int(twin.model.joint("motor").dofadr[0])])
+    """Inertia of the dry tail at the shaft [kg m^2], with pulley and without the motor's armature,
+    for the quasi-static shape of its springs. Below the first bending mode this is the I that a
+    sweep finds."""
+    dry = at_shaft(fish)
+    return dry.inertia + dry.rotor

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
-from tailbeat.fish.description import Fish
+from tailbeat.fish.description import Fish, length_of
 from tailbeat.fish.rollout import Start, Swim, replay_command, swim
-from tailbeat.fish.show import length_of
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.recording import Recording
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Body, Fish, Part, Servo
-from tailbeat.fish.show import moment_arms
+from tailbeat.fish.linkage import moment_arms
 from tailbeat.fish.twin import compile_twin, inertial
 from tailbeat.pool.kinematics import FRAME, pose
 from tailbeat.pool.tendons import tendon_lengths
