@@ -68,12 +68,13 @@ class Typed:
 def _asked() -> Typed:
     """Ask the five questions; an empty answer takes what stands in brackets."""
     from tailbeat.fish.catalogue import profiles
+    from tailbeat.fish.proportions import Given
 
     return Typed(
         typer.prompt("Length from nose to fin, as 280mm"),
         typer.prompt("Mass, as 350g"),
-        typer.prompt("Hinges in the tail", default=5, type=int),
-        typer.prompt(f"Servo ({', '.join(profiles())})", default="xw430"),
+        typer.prompt("Hinges in the tail", default=Given.hinges, type=int),
+        typer.prompt(f"Servo ({', '.join(profiles())})", default=Given.servo),
         typer.prompt("Fin's chord x span, as 60x70mm", default="", show_default=False) or None,
     )
 
@@ -87,8 +88,8 @@ def _measured(given: Typed) -> "Given":
     return Given(
         _quantity("--length", given.length, "length"),
         _quantity("--mass", given.mass, "mass"),
-        5 if given.hinges is None else given.hinges,
-        given.servo or "xw430",
+        Given.hinges if given.hinges is None else given.hinges,
+        given.servo or Given.servo,
         None if given.fin is None else _fin(given.fin),
         None if given.k_eff is None else _quantity("--k-eff", given.k_eff, "angular stiffness"),
     )

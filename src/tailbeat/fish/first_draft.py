@@ -4,11 +4,12 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+from tailbeat.files import new_file
 from tailbeat.fish import check, convergence
 from tailbeat.fish.convergence import Deviation
 from tailbeat.fish.description import Fish, Simulation
 from tailbeat.fish.proportions import BAND, Given, Sketch, sketch
-from tailbeat.fish.sketch_file import text_of, write_sketch
+from tailbeat.fish.sketch_file import text_of
 from tailbeat.fish.store import check_new_fish
 
 LEAST_STROKE = 0.1  # rad at the shaft, in water, at the band's top; the pulley fish has 0.11
@@ -22,7 +23,9 @@ def new_fish(path: Path, given: Given) -> Deviation:
     drawn = sketch(given)
     drawn = replace(drawn, band=_band(drawn))
     chosen = convergence.choose(described(drawn))
-    write_sketch(path, drawn, chosen.simulation, chosen.error)
+    with new_file(path) as beside:
+        text = text_of(path.stem, drawn, chosen.simulation, chosen.error)
+        beside.write_text(text, encoding="utf-8")
     return chosen
 
 

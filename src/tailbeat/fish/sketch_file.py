@@ -1,12 +1,9 @@
-"""Write a sketched fish as a TOML file in which every number that nobody measured says so."""
+"""A sketched fish as the text of a TOML file in which every number that nobody measured says so."""
 
 import math
-from pathlib import Path
 
-from tailbeat.files import new_file
 from tailbeat.fish.description import Simulation
 from tailbeat.fish.proportions import Box, Segment, Sketch
-from tailbeat.fish.store import check_fish_name
 
 COLUMN = 29  # where comments begin
 FRONT = """\
@@ -108,16 +105,9 @@ position = "{place} mm"       # assumed
 """
 
 
-def write_sketch(path: Path, sketch: Sketch, simulation: Simulation, error: float) -> None:
-    """Write a sketch with the step and integrator that its convergence run chose, and the `error`
-    of that step. Raises BadInput if `path` exists or does not end in .toml."""
-    check_fish_name(path)
-    with new_file(path) as beside:
-        beside.write_text(text_of(path.stem, sketch, simulation, error), encoding="utf-8")
-
-
 def text_of(name: str, sketch: Sketch, simulation: Simulation, error: float) -> str:
-    """The file's text."""
+    """The file's text, with the step and integrator that a convergence run chose, and the `error`
+    of that step."""
     head = _part("shell", sketch.shell, "sealed; holds electronics and battery", False)
     head += _part("mid-body", sketch.mid, "holds the servo", True)
     zones = "".join(ZONE.format(name=zone) for zone in ("head", "tail", "fin"))

@@ -6,6 +6,7 @@ If the fit fails, nothing is written.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,7 @@ from tailbeat.identify.tail_report import TailResult
 from tailbeat.recording import Recording, read_recording
 
 Progress = Callable[[int, str, float, float], None]
+Values = Mapping[str, dict[str, Any] | str]  # fields of a description and their new entries
 DrawTail = Callable[[TailResult, Recording | None, Path], None]
 DrawServo = Callable[[ServoFit, Path], None]
 DrawFluid = Callable[[list[tuple[str, Prediction]], Path], None]
@@ -81,13 +83,9 @@ def tail(paths: Paths, static: Path | None, release: Path | None, draw: DrawTail
     loop = None if pull is None else static_loop(pull)
     fit = identify_tail(recordings)
     found = tail_report.combine(described, fit, loop, ring, (*pulled, *listed))
-    values = tail_report.toml_values(found, [recording.name for recording in recordings])
-    fish, report, figure = paths.written
-    step = _held(paths, values)
-    draw(found, pull, figure)
-    write_json(report, _with_step(paths, tail_report.as_report(found), step))
-    values |= step_check.toml_values(step)
-    write_identified(paths.fish, fish, values, tail_report.heading(found))
+    named = tail_report.toml_values(found, [recording.name for recording in recordings])
+    values = _reported(paths, named, tail_report.as_report(found), partial(draw, found, pull))
+    write_identified(paths.fish, paths.out, values, tail_report.heading(found))
     return found
 
 
@@ -104,13 +102,9 @@ def servo(paths: Paths, config: ServoConfig, progress: Progress, draw: DrawServo
     if config.cross_validate:
         left_out = servo_report.cross_validate(described, fit, config, paths.scratch, progress)
         found = replace(found, left_out=left_out)
-    values = servo_report.toml_values(found, [bench.name for bench in fit])
-    fish, report, figure = paths.written
-    step = _held(paths, values)
-    draw(found, figure)
-    write_json(report, _with_step(paths, servo_report.as_report(found), step))
-    values |= step_check.toml_values(step)
-    write_identified(paths.fish, fish, values, servo_report.heading(found))
+    named = servo_report.toml_values(found, [bench.name for bench in fit])
+    values = _reported(paths, named, servo_report.as_report(found), partial(draw, found))
+    write_identified(paths.fish, paths.out, values, servo_report.heading(found))
     job.clear(paths.scratch)
     return found
 
@@ -141,14 +135,12 @@ def _write_fluid(
     paths: Paths, found: job.Identified, config: job.FluidConfig, draw: DrawFluid
 ) -> None:
     """Write fish, report and figure of identified coefficients."""
-    fish, report, figure = paths.written
-    shown = [("fitted", found.fitted[0])] + [("held out", p) for p in found.validated[:1]]
-    values: dict[str, dict[str, Any] | str] = {}
-    values |= fluid_report.toml_values(found, [p.run.name for p in found.fitted])
-    step = _held(paths, values)
-    draw(shown, figure)
-    write_json(report, _with_step(paths, fluid_report.as_report(found, config), step))
-    values |= step_check.toml_values(step)
+    fish, shown = (
+        paths.out,
+        [("fitted", found.fitted[0])] + [("held out", p) for p in found.validated[:1]],
+    )
+    named = fluid_report.toml_values(found, [p.run.name for p in found.fitted])
+    values = _reported(paths, named, fluid_report.as_report(found, config), partial(draw, shown))
     note = fluid_report.heading(found, config)
     first = paths.scratch / fish.name  # the posterior needs its digest; the fish is written last
     write_identified(paths.fish, first, {"name": fish.stem, **values}, note, overwrite=True)
@@ -159,7 +151,21 @@ def _write_fluid(
     write_identified(paths.fish, fish, {"name": fish.stem, **values}, note)
 
 
-def _held(paths: Paths, values: Mapping[str, dict[str, Any] | str]) -> Held:
+def _reported(
+    paths: Paths, values: Values, report: dict[str, Any], draw: Callable[[Path], None]
+) -> Values:
+    """Draw the figure and write the report, with the step that the fish holds; returns the values
+    with that step. Raises BadInput, before anything is written, if no step holds."""
+    step = _held(paths, values)
+    _, place, figure = paths.written
+    draw(figure)
+    warnings = [*report.get("warnings", []), *step.warnings]
+    added = {"warnings": warnings, "step": step_check.as_row(step)}
+    write_json(place, {**_source(paths), **report, **added})
+    return {**values, **step_check.toml_values(step)}
+
+
+def _held(paths: Paths, values: Values) -> Held:
     """The step that the fish with these identified values holds. Raises BadInput for none."""
     trial = paths.scratch / "step.toml"
     write_identified(paths.fish, trial, values, "", overwrite=True)
@@ -169,12 +175,6 @@ def _held(paths: Paths, values: Mapping[str, dict[str, Any] | str]) -> Held:
         trial.unlink()
         if not any(paths.scratch.iterdir()):
             paths.scratch.rmdir()
-
-
-def _with_step(paths: Paths, report: dict[str, Any], step: Held) -> dict[str, Any]:
-    """A report with its source and the fish's step."""
-    warnings = [*report.get("warnings", []), *step.warnings]
-    return {**_source(paths), **report, "warnings": warnings, "step": step_check.as_row(step)}
 
 
 def _refuse_taken(paths: Paths) -> None:

@@ -144,7 +144,7 @@ class TrainingCallback(BaseCallback):
         swims = [self._examine()]
         if not self.run.recipe.greedy:
             return swims[0].summary()
-        while (said := passed(_reached(swims), curriculum.PROMOTED)) is None:
+        while (said := passed(joined(swims).reached.tolist(), curriculum.PROMOTED)) is None:
             swims.append(self._examine(len(swims)))
         self.next_verdict = self.progress.episodes + self.run.recipe.window
         return joined(swims).summary() if said else None
@@ -261,10 +261,6 @@ class TrainingCallback(BaseCallback):
         slope = float(np.polyfit(time_ - time_[0], success, 1)[0])
         missing = curriculum.PROMOTED - float(success[-1])
         return max(missing / slope, 0.0) if slope > 1e-6 else None
-
-
-def _reached(swims: list[Swims]) -> list[bool]:
-    return [bool(one) for part in swims for one in part.reached]
 
 
 def _fraction(judged: list[bool]) -> float:
