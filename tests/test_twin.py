@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 
 from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
+from tailbeat.fish.first_draft import described
 from tailbeat.fish.linkage import moment_arms
+from tailbeat.fish.proportions import Given, sketch
 from tailbeat.fish.rollout import Start, replay_command, swim
 from tailbeat.fish.show import read_back, shaft_stiffness, tables
 from tailbeat.fish.store import load_fish, shipped, with_values
@@ -30,11 +33,11 @@ def forwarded(twin: Twin, **joints: float) -> mujoco.MjData:
 def test_masses_and_inertias_are_the_descriptions(name):
     fish = with_values(load_fish(name), {"added_inertia": 0.0})
     model = compile_twin(fish).model
-    for body, described in [
+    for body, stated in [
         ("head", fish.head),
         *((f"link{i}", link) for i, link in enumerate(fish.tail.links)),
     ]:
-        known = inertial(described)
+        known = inertial(stated)
         assert model.body(body).mass[0] == pytest.approx(known.mass, rel=1e-12)
         assert sorted(model.body(body).inertia) == pytest.approx(sorted(known.inertia), rel=1e-9)
     parts = [p.mass for b in (fish.head, *fish.tail.links) for p in b.parts]
@@ -85,8 +88,39 @@ def test_servo_is_the_descriptions_and_variants_compile():
         assert model.actuator("servo").gainprm[0] == servo.kp
         assert -model.actuator("servo").biasprm[2] == servo.kv
         assert model.actuator("servo").forcerange[1] == servo.force_limit
-        assert model.joint("motor").armature[0] == servo.armature
-        assert model.actuator_delay[0] == pytest.approx(servo.delay)
+        half = fish.simulation.step / 2  # see `test_the_servo_s_phase_is_exact_at_any_step`
+        less = servo.armature - half * servo.damping
+        assert model.joint("motor").armature[0] == pytest.approx(less)
+        late = servo.delay + half if servo.delay > 0 else 0.0
+        assert model.actuator_delay[0] == pytest.approx(late)
+
+
+SMALL = described(sketch(Given(0.28, 0.35, 4, "xl330")))
+
+
+@pytest.mark.parametrize("fish", [load_fish("pulley-fish"), SMALL], ids=["paper", "small"])
+@pytest.mark.parametrize("frequency", [1.0, 4.0])
+def test_the_servo_s_phase_is_exact_at_any_step(fish, frequency):
+    """The motor's lag behind a held command [ms], at steps of 4 ms and of 0.25 ms. It differed by
+    half a step before."""
+    lag = [motor_lag(fish, frequency, step) for step in (4e-3, 2.5e-4)]
+    assert lag[0] == pytest.approx(lag[1], abs=0.06)
+
+
+def motor_lag(fish: Fish, frequency: float, step: float) -> float:
+    """Time [ms] by which the motor lags behind a small sine, each step of it held, in air."""
+    air = fish.medium.model_copy(update={"density": 1e-9, "viscosity": 0.0})
+    calm = fish.simulation.model_copy(update={"step": step, "integrator": "implicitfast"})
+    dry = fish.model_copy(update={"medium": air, "simulation": calm, "added_inertia": 0.0})
+    twin, omega = compile_twin(dry, Options(root="fixed")), 2 * np.pi * frequency
+    ends = omega * np.arange(0, 3 + step, step)
+    held = 0.1 * -np.diff(np.cos(ends)) / (omega * step)
+    done = swim([twin], [Start.at_rest()], [held], 1)[0]
+    late = done.time > 1
+    phase = omega * done.time[late]
+    columns = np.column_stack([np.sin(phase), np.cos(phase), np.ones(phase.size)])
+    sine, cosine, _ = np.linalg.lstsq(columns, done.qpos[late, twin.motor], rcond=None)[0]
+    return float(-np.arctan2(cosine, sine) / omega * 1e3)
 
 
 @pytest.mark.parametrize("name", shipped())

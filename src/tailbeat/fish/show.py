@@ -90,6 +90,14 @@ def shaft_stiffness(fish: Fish, angle: float = 0.02) -> float:
     return _settle(model, angle)
 
 
+def stiffening(fish: Fish, angle: float = 0.6) -> float:
+    """By which share the tail of a pulley is stiffer at 1 rad of its shaft [1/rad^2]: the tendon's
+    arms shorten as the hinges bend, with the square of the angle. 0 for a crank."""
+    if fish.motor.kind != "pulley":
+        return 0.0
+    return (shaft_stiffness(fish, angle) / shaft_stiffness(fish) - 1) / angle**2
+
+
 def _settle(model: mujoco.MjModel, angle: float) -> float:
     """Torque over angle [N m/rad] when the tail has come to rest on a stiff, undelayed servo."""
     soft = float(model.jnt_stiffness[1:].min())  # a servo that is stiff for this tail

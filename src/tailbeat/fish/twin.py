@@ -266,7 +266,7 @@ def _add_motor(spec: mujoco.MjSpec, head: mujoco.MjsBody, fish: Fish, replayed: 
     _add_speck(rotor)
     axis = [0, 0, -1] if motor.kind == "pulley" else [0, -1, 0]
     joint = rotor.add_joint(name="motor", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
-    joint.armature, joint.damping[0] = servo.armature, servo.damping
+    joint.armature, joint.damping[0] = _armature(spec, servo), servo.damping
     joint.frictionloss = servo.friction + (0.0 if replayed else fish.tail.friction)
     _add_anchors(rotor, fish)
     _add_servo(spec, fish, servo, replayed)
@@ -290,8 +290,18 @@ def _add_anchors(rotor: mujoco.MjsBody, fish: Fish) -> None:
         rotor.add_site(name=f"anchor-{side}", pos=front if motor.kind == "pulley" else arm)
 
 
+def _armature(spec: mujoco.MjSpec, servo: Servo) -> float:
+    """Armature [kg m^2] less what implicit damping adds: it acts on the speed half a step later,
+    which is the damping of half a step's acceleration. At least half the armature is left."""
+    return max(servo.armature - spec.option.timestep / 2 * servo.damping, servo.armature / 2)
+
+
 def _add_servo(spec: mujoco.MjSpec, fish: Fish, servo: Servo, replayed: bool) -> None:
-    """Position servo. `delay` may be any time; the command is interpolated between steps."""
+    """Position servo. `delay` may be any time; the command is interpolated between steps.
+
+    Half a step is added: the engine's speeds belong to the middles of its steps, so a command that
+    acted for the whole step would act half a step early. A servo without delay has no buffer.
+    """
     actuator = spec.add_actuator(name="servo", target="motor")
     actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
     actuator.set_to_position(kp=servo.kp, kv=servo.kv)
@@ -301,8 +311,8 @@ def _add_servo(spec: mujoco.MjSpec, fish: Fish, servo: Servo, replayed: bool) ->
         actuator.ctrllimited = True
         actuator.ctrlrange = list(fish.motor.range)
     if servo.delay > 0:
-        actuator.delay = servo.delay
-        actuator.nsample = int(np.ceil(servo.delay / spec.option.timestep)) + 2
+        actuator.delay = servo.delay + spec.option.timestep / 2
+        actuator.nsample = int(np.ceil(actuator.delay / spec.option.timestep)) + 2
         actuator.interp = 1  # linear: a delay between two whole steps is exact on average
 
 

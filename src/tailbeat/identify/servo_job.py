@@ -28,12 +28,12 @@ from tailbeat.identify.servo import (
     IDEALISED,
     as_servos,
     blocks,
+    delay_doubt,
     described_servo,
     gain_reference,
     load_doubt,
     residual_function,
     servo_space,
-    step_doubt,
     with_honest_intervals,
 )
 from tailbeat.identify.servo_gains import contradictions
@@ -220,7 +220,7 @@ def _seeds(
     fits = [search_once(residuals, space, s, config.effort, scratch, progress) for s in seeds]
     fits.sort(key=lambda found: found.cost)
     best = with_honest_intervals(fits[0], residuals, blocks(fit))
-    doubt = load_doubt(space, best.z, fit) + step_doubt(space)
+    doubt = load_doubt(space, best.z, fit) + delay_doubt(space)
     return [replace(best, covariance=best.covariance + doubt), *fits[1:]]
 
 

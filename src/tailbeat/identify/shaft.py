@@ -25,7 +25,7 @@ STEP = 1e-3  # s
 SERVO = (
     "kp kv armature damping friction force_limit delay damping_off load_friction stiction".split()
 )
-LOAD = "stiffness damping inertia friction weight".split()
+LOAD = "stiffness damping inertia friction weight bend".split()
 CREEP = 0.2  # rad/s at which stiction has fallen to half, chosen
 
 
@@ -33,9 +33,9 @@ CREEP = 0.2  # rad/s at which stiction has fallen to half, chosen
 class Load:
     """The load, seen at the shaft; `kind` is tail, pendulum or nothing.
 
-    A tail has `stiffness` [N m/rad], `damping` [N m s/rad], `inertia` [kg m^2] and `friction` [N
-    m]. A pendulum has `inertia` m l^2 and `weight` m g l [N m], and hangs down at angle 0. Nothing
-    has zeros.
+    A tail has `stiffness` [N m/rad], `damping` [N m s/rad], `inertia` [kg m^2], `friction` [N m]
+    and `bend` [1/rad^2], by which share it is stiffer at 1 rad. A pendulum has `inertia` m l^2 and
+    `weight` m g l [N m], and hangs down at angle 0. Nothing has zeros.
     """
 
     kind: str = "nothing"
@@ -44,6 +44,7 @@ class Load:
     inertia: float = 0.0
     friction: float = 0.0
     weight: float = 0.0
+    bend: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +72,11 @@ class Bench:
 
 
 class Played(NamedTuple):
-    """Samples (k,) of a shaft's drive: time [s], command [rad], the command's running integral
-    [rad s], and whether the servo's torque is on."""
+    """Samples (k,) of a shaft's drive: time [s], command [rad], and whether the servo's torque is
+    on."""
 
     time: Array
     command: Array
-    integral: Array
     enabled: NDArray[np.bool_]
 
 
@@ -93,10 +93,9 @@ def free_run(servo: Mapping[str, Array], benches: Sequence[Bench]) -> list[Array
     time, command, enabled = (
         np.concatenate([getattr(b, n) for b in benches]) for n in ("time", "command", "enabled")
     )
-    integral = np.concatenate([_integral(b) for b in benches])
     edges = np.cumsum([0, *(b.time.size for b in benches)])
     angle = np.full((len(lanes), time.size), np.nan)
-    _run(lanes, load, start, Played(time, command, integral, enabled > 0.5), edges, angle)
+    _run(lanes, load, start, Played(time, command, enabled > 0.5), edges, angle)
     return np.split(angle, edges[1:-1], axis=1)
 
 
@@ -113,12 +112,6 @@ def _first_speed(bench: Bench) -> float:
     return float(np.polyfit(bench.time[early], bench.angle[early], 1)[0])
 
 
-def _integral(bench: Bench) -> Array:
-    """Running integral of the held command at its samples [rad s]. With it, the mean command over a
-    step changes smoothly with the delay; a look-up would change in steps."""
-    return np.concatenate([[0.0], np.cumsum(bench.command[:-1] * np.diff(bench.time))])
-
-
 def mean_held(time: Array, command: Array, edges: Array) -> Array:
     """Mean over each interval of `edges` (k + 1,) of a command held from sample to sample (k,)."""
     ends = np.append(time, edges[-1] + 1.0)
@@ -133,37 +126,43 @@ def _run(lanes, load, start, played, edges, angle):  # type: ignore[no-untyped-d
     for lane in prange(len(lanes) * benches):
         i, b = lane // benches, lane % benches
         part = slice(edges[b], edges[b + 1])
-        own = Played(
-            played.time[part], played.command[part], played.integral[part], played.enabled[part]
-        )
+        own = Played(played.time[part], played.command[part], played.enabled[part])
         _shaft(lanes[i, b], load[b], start[b], own, angle[i, part])
 
 
 @njit(cache=True)
 def _shaft(servo, load, start, played, angle):  # type: ignore[no-untyped-def]
-    """One lane: semi-implicit Euler with implicit damping. Friction can stop the shaft exactly."""
+    """One lane: leapfrog. Friction can stop the shaft exactly.
+
+    A speed belongs to the middle of its step, so a step's torque is the mean from the middle of the
+    step before to its own middle, and damping acts on the mean of the two speeds. A mean of torques
+    and not the torque of a mean command: that would reach the force limit too early by a part of a
+    step. It changes smoothly with the delay.
+    """
     kp, kv, armature, on_damping, friction, limit, delay, off_damping = servo[:8]
     load_rub, stiction = servo[8:]
-    stiffness, damping, load_inertia, load_friction, weight = load
-    time, command, integral, enabled = played
+    stiffness, damping, load_inertia, load_friction, weight, bend = load
+    time, command, enabled = played
     q, v = start
     angle[0] = q
-    held, place, switch, sample = -delay * command[0], 0, 0, 1
+    place, switch, sample = 0, 0, 1
     for step in range(int(np.ceil(time[-1] / STEP))):
-        late = (step + 1) * STEP - delay
-        while place + 1 < time.size and time[place + 1] <= late:
-            place += 1
-        now = integral[place] + command[place] * (late - time[place])
         while switch + 1 < time.size and time[switch + 1] <= step * STEP:
             switch += 1
         torque, slope, drag = 0.0, 0.0, off_damping + damping
         if enabled[switch]:
-            wanted = kp * ((now - held) / STEP - q) - kv * v
-            torque, drag = min(max(wanted, -limit), limit), on_damping + damping
-            slope = kv if torque == wanted else 0.0
-        held = now
-        pull = stiffness * q + (weight * np.sin(q) if weight > 0 else 0.0)
-        reach = armature + load_inertia + STEP * (drag + slope)
+            drag = on_damping + damping
+        begun, late = (step - 0.5) * STEP - delay, (step + 0.5) * STEP - delay
+        while begun < late:
+            to = min(time[place + 1], late) if place + 1 < time.size else late
+            part, wanted = max(to - begun, 0.0) / STEP, kp * (command[place] - q) - kv * v
+            if enabled[switch]:
+                torque += part * min(max(wanted, -limit), limit)
+                slope += part * kv if abs(wanted) < limit else 0.0
+            begun = max(to, begun)
+            place += begun < late
+        pull = stiffness * q * (1 + bend * q * q) + (weight * np.sin(q) if weight > 0 else 0.0)
+        reach = armature + load_inertia + STEP * (drag / 2 + slope)
         rub = friction + load_friction
         if load_rub > 0 or stiction > 0:
             share = load_rub + stiction / (1 + (v / CREEP) ** 2)

@@ -50,6 +50,7 @@ from tailbeat.recording import Recording, require
 Array = NDArray[np.float64]
 SENSORS, WATER = Sensors(), Water()
 DT = 0.002  # s
+SERVO_DT = 0.00025  # s; the mean command of a longer step reaches the force limit too early
 AIR = 1.2e-3  # density of air over that of water
 MARGIN = 0.35  # m: a recording ends when the fish is this close to a wall
 # The test bench's drive for the tail: stiff, and on the motor's side of the torque sensor.
@@ -100,7 +101,7 @@ def record_servo(
         time = clock(float(command.time[-1]), sensors.loop_rate, sensors.jitter, rng)
         sent = np.interp(time, command.time, command.columns["command_rad"])
         passes = Recording(command.name, time, {"command_rad": sent})
-        swum = _play(fish, passes, _air(water), Surroundings(held=True), None, 0.001)
+        swum = _play(fish, passes, _air(water), Surroundings(held=True), None, SERVO_DT)
         columns = {"command_rad": sent, "angle_rad": encoder(_at(swum, swum.q[0, :, 3], time))}
         yield Recording(command.name, time, columns, {**_meta(water), "load": "tail"})
 
