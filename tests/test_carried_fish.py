@@ -21,6 +21,7 @@ from tailbeat.fish.store import load_fish, with_values
 from tailbeat.report.page import trained_on
 from tailbeat.robot.doctor import check_policy
 from tailbeat.robot.fits import carried, check_swims, twin_of
+from tailbeat.train.config import RunConfig
 from tailbeat.train.export import export
 from test_policy import sights, untrained
 
@@ -35,7 +36,8 @@ LOW, HIGH = OWN.motor.range or (-1.0, 1.0)
 @pytest.fixture(scope="module")
 def own(tmp_path_factory) -> tuple[Path, Policy]:
     path, space = tmp_path_factory.mktemp("own") / "policy.onnx", Generator(LOW, HIGH)
-    return path, export(untrained(space), OWN, space, sights(100), {"stage": "exact"}, path)
+    run = RunConfig(OWN, path.parent, actions=space)
+    return path, export(untrained(space), run, sights(100), {"stage": "exact"}, path)
 
 
 def rewritten(source: Path, target: Path, changes: dict[str, object], sign: bool = True) -> Path:

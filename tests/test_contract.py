@@ -17,7 +17,7 @@ import onnx
 from policies import POLICIES
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, Direct, Generator
-from tailbeat.control.observation import SCALES, TABLE, Samples, observe
+from tailbeat.control.observation import PAPER, TABLE, Samples, observe, scales
 from tailbeat.control.policy import (
     KEY,
     _digests,
@@ -34,6 +34,7 @@ from tailbeat.fish.store import digest, load_fish
 
 FISH, NAME = load_fish("pulley-fish-pool"), "pulley-fish-pool-generator"
 LOW, HIGH = FISH.motor.range or (-1.0, 1.0)
+SCALES = scales(PAPER)
 PATH, POLICY = shipped()[NAME], load_policy(NAME)
 CONTRACT = POLICY.contract
 

@@ -22,16 +22,18 @@ from tailbeat.control.actions import (
 )
 from tailbeat.control.band import share_below
 from tailbeat.control.observation import (
-    SCALES,
+    PAPER,
     TABLE,
     Samples,
     as_markdown,
     bearing,
     observe,
+    scales,
     wrapped,
 )
 from tailbeat.files import BadInput
 
+SCALES = scales(PAPER)
 GENERATOR = Generator(-1.4, 1.4)
 SPACES = (GENERATOR, Direct(-1.4, 1.4), Filtered(-1.4, 1.4))
 DT = 0.02

@@ -65,7 +65,7 @@ def test_the_python_of_the_first_lines_runs(capsys):
     first, *others = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     exec(first, {})
     rate = capsys.readouterr().out.splitlines()[1].split()[0]
-    assert f"`found.within_5cm` is {float(rate):.1f}" in text
+    assert f"`found.arrived` is {float(rate):.1f}" in text
     for code in others:
         exec(code, {})
 

@@ -27,10 +27,10 @@ FOLDER = Path(style.__file__).parent
 FIGURES = sorted(FOLDER.glob("*figures.py"))
 FISH = load_fish("pulley-fish")
 RATES: dict[str, Any] = {
-    "within_5cm": 0.8,
-    "interval_5cm": (0.6, 0.9),
-    "within_20cm": 0.9,
-    "interval_20cm": (0.7, 1),
+    "arrived": 0.8,
+    "arrived_interval": (0.6, 0.9),
+    "near": 0.9,
+    "near_interval": (0.7, 1),
 }
 ALLOWED = {
     to_hex(getattr(style, name))
@@ -71,7 +71,9 @@ RESULT = reach.numbers(SWIMS)
 
 def condition(name: str) -> ConditionResult:
     gap = Difference(-0.1, (-0.2, 0.05))
-    return ConditionResult(condition=name, swims=40, lost=0, cost_5cm=gap, cost_20cm=gap, **RATES)
+    return ConditionResult(
+        condition=name, swims=40, lost=0, arrived_cost=gap, near_cost=gap, **RATES
+    )
 
 
 def spectrum(runs: str, gait: str) -> SpectrumRow:
@@ -81,7 +83,7 @@ def spectrum(runs: str, gait: str) -> SpectrumRow:
 
 def kind(**words: Any) -> Kind:
     values: dict[str, Any] = {one.name: np.nan for one in fields(Kind)}
-    return Kind(**{**values, "gap_20cm": 0.1, "gap_interval_20cm": (0.0, 0.2), **words})
+    return Kind(**{**values, "near_gap": 0.1, "gap_near_interval": (0.0, 0.2), **words})
 
 
 POWER = [spectrum(runs, gait) for runs in ("identification", "reach twin", "reach open")

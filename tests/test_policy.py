@@ -15,17 +15,27 @@ from stable_baselines3 import SAC
 from support import complaint, tailbeat, tailbeat_process
 from tailbeat.control import actions as act
 from tailbeat.control.actions import Direct, Generator
+from tailbeat.control.measure import Measure
 from tailbeat.control.observation import TABLE
 from tailbeat.control.policy import Policy, decide, load_policy
 from tailbeat.env.task import Settings
 from tailbeat.env.vector_env import FishEnv, FishVecEnv
 from tailbeat.fish.store import load_fish
+from tailbeat.train.config import RunConfig
 from tailbeat.train.export import Facts, export
 from tailbeat.train.export import act as act_of_sb3
 from tailbeat.train.features import TargetFeatures
 
 FISH = load_fish("pulley-fish-pool")
 LOW, HIGH = FISH.motor.range or (-1.0, 1.0)
+CLOSE_UP: dict[str, Any] = {
+    "features_extractor_class": TargetFeatures,
+    "features_extractor_kwargs": {"measure": Measure()},
+}
+
+
+def run_of(space: act.ActionSpace) -> RunConfig:
+    return RunConfig(FISH, Path(), actions=space)
 
 
 def untrained(actions: act.ActionSpace, seed: int = 0, **shape: Any) -> SAC:
@@ -48,7 +58,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SAC, Policy
     space = Generator(LOW, HIGH)
     model, path = untrained(space), tmp_path_factory.mktemp("policy") / "policy.onnx"
     training: Facts = {"stage": "exact", "seed": 0}
-    return path, model, export(model, FISH, space, sights(400), training, path)
+    return path, model, export(model, run_of(space), sights(400), training, path)
 
 
 def test_the_network_in_the_file_is_sb3_s(written):
@@ -59,8 +69,8 @@ def test_the_network_in_the_file_is_sb3_s(written):
 
 def test_a_network_with_a_close_up_is_sb3_s_too(tmp_path):
     space = Generator(LOW, HIGH)
-    model = untrained(space, features_extractor_class=TargetFeatures)
-    policy = export(model, FISH, space, sights(400), {}, tmp_path / "policy.onnx")
+    model = untrained(space, **CLOSE_UP)
+    policy = export(model, run_of(space), sights(400), {}, tmp_path / "policy.onnx")
     seen = sights(1000)
     assert np.abs(decide(policy, seen) - act_of_sb3(model, seen)).max() <= 1e-6
 
@@ -74,7 +84,7 @@ def test_a_close_up_gives_bearings_far_off_and_decimetres_near():
         entry = next(e for e in TABLE if e.name == f"frame 0 (newest): target {name}")
         seen[:, TABLE.index(entry)] = metres / entry.scale
     env = FishVecEnv(FISH, 1, seed=0)
-    found = TargetFeatures(env.observation_space)(torch.as_tensor(seen)).numpy()
+    found = TargetFeatures(env.observation_space, Measure())(torch.as_tensor(seen)).numpy()
     assert np.array_equal(found[:, :24], seen)
     share = away / (away + 0.1)
     wanted = np.stack([share * np.cos(angle), share * np.sin(angle), 1 - share], axis=1)
@@ -106,7 +116,7 @@ def test_a_thousand_recorded_steps_replay_to_the_bit(written):
 
 def test_a_floor_travels_in_the_contract(tmp_path):
     space = Generator(LOW, HIGH, floor=1.0)
-    export(untrained(space), FISH, space, sights(64), {"stage": "x"}, tmp_path / "floor.onnx")
+    export(untrained(space), run_of(space), sights(64), {"stage": "x"}, tmp_path / "floor.onnx")
     found = load_policy(str(tmp_path / "floor.onnx")).contract.actions
     assert isinstance(found, Generator) and found.floor == 1.0
 
@@ -121,7 +131,7 @@ def test_show_diff_and_try_from_the_command_line(written, tmp_path):
     same = tailbeat("policy", "diff", written[0], written[0])
     assert same.returncode == 0 and "equal" in same.stdout
     space = Direct(LOW, HIGH)
-    export(untrained(space), FISH, space, sights(64), {"stage": "x"}, tmp_path / "direct.onnx")
+    export(untrained(space), run_of(space), sights(64), {"stage": "x"}, tmp_path / "direct.onnx")
     other = tailbeat("policy", "diff", written[0], tmp_path / "direct.onnx")
     assert other.returncode == 1 and "actions.kind" in other.stdout
     args = ("--targets", 8, "--exact", "--json", tmp_path / "try.json")

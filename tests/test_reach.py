@@ -38,7 +38,7 @@ def test_sectors_take_both_sides_and_every_target_once():
     assert {(row.low, row.high): row.targets for row in rows} == {
         (0, 30): 2, (30, 60): 1, (90, 120): 1, (150, 180): 2,
     }  # fmt: skip
-    assert rows[-1].within_5cm == 0.5 and rows[-1].within_20cm == 1.0
+    assert rows[-1].arrived == 0.5 and rows[-1].near == 1.0
     assert rows[0].p90_s == 5.0  # of 4 and 5 s
     assert rows[-1].p90_s is None  # one of two never came
 
@@ -59,8 +59,8 @@ def test_the_shipped_generator_reaches_its_targets_in_twin_and_pool():
     settings = settings_of(FRONT, policy.contract.actions)
     twin = reach(policy, in_twin(TWIN, settings), 40, seed=3)
     pool = reach(policy, in_pool(FISH, settings, ensemble(8, 1)), 40, seed=3)
-    assert twin.within_5cm > 0.9, twin
-    assert pool.within_5cm > 0.9, pool
+    assert twin.arrived > 0.9, twin
+    assert pool.arrived > 0.9, pool
 
 
 def test_the_shipped_generator_does_not_back_off_in_the_twin():

@@ -124,7 +124,7 @@ def test_a_result_that_is_not_there_says_how_to_make_it(small):
 
 
 def test_a_success_rate_has_its_count_and_interval():
-    row = {"targets": 2000, "within_5cm": 0.998, "interval_5cm": (0.9928, 0.9995)}
+    row = {"targets": 2000, "arrived": 0.998, "arrived_interval": (0.9928, 0.9995)}
     assert result_cells.rate(row) == "1,996 of 2,000 (99.3–100.0 %)"
 
 
@@ -148,7 +148,7 @@ def test_cells_show_signs_intervals_and_missing_numbers():
 
 
 def test_rows_are_picked_by_their_fields():
-    rows = [{"a": 1, "b": 2, "targets": 60, "within_5cm": 0.95}, {"a": 1, "b": 3}]
+    rows = [{"a": 1, "b": 2, "targets": 60, "arrived": 0.95}, {"a": 1, "b": 3}]
     assert result_cells.unique(rows, "a") == [1] and result_cells.unique(rows, "b") == [2, 3]
     assert result_cells.pick(rows, a=1, b=3) is rows[1]
     assert result_cells.hits(rows[0]) == 57

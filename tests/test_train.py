@@ -23,6 +23,7 @@ from stable_baselines3.common.buffers import NStepReplayBuffer
 from support import complaint, until
 from tailbeat.benchmarks import update as update_bench
 from tailbeat.control.actions import Direct, Generator
+from tailbeat.control.measure import Measure
 from tailbeat.control.observation import TABLE
 from tailbeat.control.policy import decide, load_policy
 from tailbeat.env import randomize
@@ -140,7 +141,7 @@ def test_targets_elsewhere_are_seen_where_they_are(filled):
     buffer, _ = filled
     at, _ = everything(buffer)
     place = buffer._anywhere(at)
-    seen = _seen(buffer.frames[at], place)
+    seen = _seen(buffer.frames[at], place, Measure())
     x, y, yaw = buffer.frames[at][:, 0, :3].T
     ahead = np.cos(yaw) * (place[:, 0] - x) + np.sin(yaw) * (place[:, 1] - y)
     column = [entry.name for entry in TABLE].index("frame 0 (newest): target ahead") - FIRST

@@ -201,8 +201,8 @@ def test_shares_count_arrivals_and_near_passes_and_the_trained_range_is_its_own(
     )
     hit = np.array([True, False, True, False])
     found = reach.numbers(runs(ways, np.repeat(target, 11, axis=1), reached=hit))
-    assert found.within_5cm == 0.5 and found.within_20cm == 0.75
-    assert found.trained_range is not None and found.trained_range.within_5cm == 0.5
+    assert found.arrived == 0.5 and found.near == 0.75
+    assert found.trained_range is not None and found.trained_range.arrived == 0.5
     assert found.median_path_ratio == pytest.approx(1.0)
     assert {(row.low, row.high) for row in found.sectors} >= {(0, 30), (90, 120)}
 
@@ -304,7 +304,7 @@ def cells_of(page: str) -> list[list[str]]:
 def test_an_evaluation_leaves_numbers_figures_and_one_page(evaluated):
     out, found = evaluated
     open_water = found.reach["reach open"]
-    assert open_water.swims == 6 and open_water.within_20cm >= 4 / 6
+    assert open_water.swims == 6 and open_water.near >= 4 / 6
     assert {row.runs for row in found.spectrum} >= {"identification", "reach open"}
     assert store.kept_fish(out) == TWIN
     page = (out / "report.html").read_text()
@@ -336,7 +336,7 @@ def test_the_page_shows_what_its_json_holds(evaluated):
     open_water = held["reach"]["reach open"]["trained_range"]
     static = paper["static targets within 5 cm"]
     assert static[0] == "11 of 22 (50 %)" and static[1].startswith(
-        f"{100 * open_water['within_5cm']:.1f} ("
+        f"{100 * open_water['arrived']:.1f} ("
     )
     known = next(row for row in held["spectrum"] if row["runs"] == "identification")
     name = "velocity power below the band&#39;s upper edge: identification runs"
@@ -401,7 +401,7 @@ def test_a_comparison_pairs_every_policy_with_its_twin_and_is_shared_between_pro
     assert full.actuator_watts and full.actuator_watts > 0
     parts = [full.share_below_floor, full.share_inside, full.share_above]
     assert sum(part or 0.0 for part in parts) == pytest.approx(1.0)
-    assert full.gap_20cm and full.gap_20cm.interval[0] <= full.gap_20cm.difference
+    assert full.near_gap and full.near_gap.interval[0] <= full.near_gap.difference
     path, _ = of_folder(tmp_path / "c", "pulley-fish")
     kind = next(row for row in found.kinds if row.condition == "full")
     assert ["generator", "identified", "full", "1"] in [c[:4] for c in cells_of(path.read_text())]

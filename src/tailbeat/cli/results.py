@@ -79,8 +79,8 @@ def _rates(row: "ReachResult | ConditionResult") -> dict[str, Any]:
     """Percentages with their intervals."""
     return {
         "swims": row.swims,
-        "within 5 cm [%]": percent(row.within_5cm, row.interval_5cm),
-        "within 20 cm [%]": percent(row.within_20cm, row.interval_20cm),
+        "within 5 cm [%]": percent(row.arrived, row.arrived_interval),
+        "within 20 cm [%]": percent(row.near, row.near_interval),
     }
 
 

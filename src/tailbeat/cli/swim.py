@@ -125,10 +125,10 @@ def _tour(swum: "Swum", out: Path, json: Path | None) -> None:
     done = tour.write(swum, out, progress.counting)
     output.tables({f"{done.fish} in the virtual pool, {done.policy}": tour.rows(done.targets)})
     of = len(done.targets)
-    output.say(f"{done.within_5cm} of {of} within 5 cm; page: {out / 'report.html'}")
+    output.say(f"{done.arrived} of {of} within 5 cm; page: {out / 'report.html'}")
     if json is not None:
         write_json(json, done)
-    if done.within_20cm < of:
+    if done.near < of:
         raise typer.Exit(1)
 
 

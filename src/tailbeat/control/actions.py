@@ -8,6 +8,7 @@ Trajectory generator (paper): theta = theta_c + sum_{k=1,2} [a_k cos k phi + b_k
 phi' = omega, u = (omega, theta_c, a_1, b_1, a_2, b_2), u' = (u* - u) / tau.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -85,6 +86,21 @@ class Filtered:
 
 
 ActionSpace = Generator | Direct | Filtered
+RANGE = math.radians(80)  # the paper's servo turns so far to either side
+
+
+def generator(
+    low: float,
+    high: float,
+    ceiling: float,
+    binds: Literal["fundamental", "signal"] = "fundamental",
+    floor: float = 0.0,
+) -> Generator:
+    """The generator of a servo that turns from `low` to `high` [rad], up to `ceiling` [Hz]: the
+    sizes of its waves are the paper's fish's, in proportion to the range."""
+    share, usual = (high - low) / 2 / RANGE, Generator(low, high)
+    waves = {name: share * getattr(usual, name) for name in ("offset", "first", "second")}
+    return replace(usual, ceiling=ceiling, binds=binds, floor=floor, **waves)
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,14 @@ number is of order one. The table is the definition: `observe` fills it in its o
 each row against its sample, and the policy's contract holds it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tailbeat.control.measure import Measure
 
 Array = NDArray[np.float64]
 FRAMES = 3  # most recent camera frames
@@ -73,11 +76,27 @@ def _table() -> tuple[Entry, ...]:
     return tuple(rows)
 
 
-TABLE = _table()
-SCALES = np.array([entry.scale for entry in TABLE])
+PAPER = Measure()
+TABLE = _table()  # of the paper's fish
 
 
-def observe(samples: Samples) -> NDArray[np.float32]:
+@cache
+def table(measure: Measure) -> tuple[Entry, ...]:
+    """The table of a fish: distances are divided by its reach, yaw rates by its turning."""
+    factors = {"m": measure.reach, "yaw rate": 1 / measure.time}
+    return tuple(
+        replace(one, scale=one.scale * factors.get(one.unit, factors.get(one.name, 1.0)))
+        for one in TABLE
+    )
+
+
+@cache
+def scales(measure: Measure) -> Array:
+    """The table's scales (24,), not to be written to."""
+    return np.array([entry.scale for entry in table(measure)])
+
+
+def observe(samples: Samples, measure: Measure = PAPER) -> NDArray[np.float32]:
     """The observation (n, 24) of raw samples, in the table's order and divided by its scales.
     Shapes and values are not checked."""
     count = len(samples.phase)
@@ -87,7 +106,9 @@ def observe(samples: Samples) -> NDArray[np.float32]:
     seen[:, 4], seen[:, 5] = np.cos(samples.phase), np.sin(samples.phase)
     seen[:, 6:12] = samples.commands.reshape(count, -1)
     seen[:, 12:] = relative(samples.frames).reshape(count, -1)
-    return np.divide(seen, SCALES, out=np.empty(seen.shape, np.float32), casting="same_kind")
+    return np.divide(
+        seen, scales(measure), out=np.empty(seen.shape, np.float32), casting="same_kind"
+    )
 
 
 def relative(frames: Array) -> Array:

@@ -8,7 +8,7 @@ the field. Needs only numpy and onnxruntime.
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,13 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from tailbeat.control.actions import ActionSpace, Direct, Filtered, Generator, check_space, size
-from tailbeat.control.observation import TABLE, Entry
+from tailbeat.control.measure import Measure
+from tailbeat.control.observation import TABLE, Entry, table
 from tailbeat.files import BadInput, leaves
 
 Single = NDArray[np.float32]
 VERSION = 1
-LATER = {"description"}  # fields that older files lack
+LATER = {"description", "measure"}  # fields that older files lack
 KEY = "tailbeat"  # of the file's metadata
 CLOSE = 1e-5  # golden actions agree to this on any machine; 1e-6 was measured here
 SPACES = {"generator": Generator, "direct": Direct, "filtered": Filtered}
@@ -53,6 +54,9 @@ class Contract:
     """Observations (k, 24) and the actions (k, size) that the network must give for them."""
     description: dict[str, Any] | None = None
     """The whole fish in SI, as it was trained on; None in policies of before version 0.3."""
+    measure: Measure = field(default_factory=Measure)
+    """The fish's measure, over the paper's fish, whose ratios are 1. It sizes arrivals, targets and
+    the scales of the observation. Without it in the file they are 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +81,7 @@ def as_text(contract: Contract) -> str:
     """The contract as the file carries it: JSON, and a digest of every field."""
     content = asdict(contract)
     if contract.description is None:
-        del content["description"]  # an older file stays as it was
+        del content["description"], content["measure"]  # an older file stays as it was
     return json.dumps({"contract": content, "digests": _digests(content)}, sort_keys=True)
 
 
@@ -157,10 +161,23 @@ def _contract(path: Path, text: str) -> Contract:
     content["actions"] = SPACES[content["actions"]["kind"]](**content["actions"])
     content["band"] = tuple(content["band"])
     content["golden"] = tuple(tuple(side) for side in content["golden"])
+    content["measure"] = _measure(path, content.get("measure", {}))
     contract = Contract(**content)
     check_space(contract.actions)
     _check_observation(path, contract)
     return contract
+
+
+def _measure(path: Path, held: dict[str, float]) -> Measure:
+    """The measure in a contract. Raises BadInput."""
+    wrong = set(held) ^ set(vars(Measure())) if held else set()
+    bad = [name for name, ratio in held.items() if not 0 < ratio < 1000]
+    if wrong or bad:
+        raise BadInput(
+            f"{path}: measure has missing, unknown or impossible ratios {sorted(wrong) or bad};"
+            f" export the policy again."
+        )
+    return Measure(**held)
 
 
 def _check_observation(path: Path, contract: Contract) -> None:
@@ -170,7 +187,8 @@ def _check_observation(path: Path, contract: Contract) -> None:
             f"{path}: {len(contract.observation)} observations; this tailbeat makes {len(TABLE)}."
             f" Use the tailbeat that exported it."
         )
-    for row, (theirs, ours) in enumerate(zip(contract.observation, TABLE, strict=True)):
+    own = table(contract.measure)
+    for row, (theirs, ours) in enumerate(zip(contract.observation, own, strict=True)):
         if theirs != ours:
             raise BadInput(
                 f"{path}: observation {row} is {theirs}; this tailbeat makes {ours}. Use the"

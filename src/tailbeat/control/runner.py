@@ -67,7 +67,7 @@ def steer(
         runner_state.commands,
         readings.frames[None],
     )
-    seen = observe(samples)
+    seen = observe(samples, policy.contract.measure)
     action = decide(policy, seen)
     if not np.isfinite(action).all():
         return runner_state, Decision(seen[0], action[0], float("nan"))

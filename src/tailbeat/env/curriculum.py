@@ -12,9 +12,11 @@ from typing import TypeVar
 import numpy as np
 
 from tailbeat.control.actions import ActionSpace
+from tailbeat.control.measure import Measure
+from tailbeat.env import randomize
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel
-from tailbeat.env.task import Settings, Task
+from tailbeat.env.task import Settings, Task, sized
 
 CONE = np.radians(30)  # half angle of the "narrow forward cone" (chosen)
 FALL = 0.3  # factor on the learning rate per stage within a phase (paper)
@@ -56,21 +58,26 @@ STAGES = (
 )
 
 
-OPEN_WATER = Task()  # the paper's targets
+OPEN_WATER, PAPER = Task(), Measure()  # the paper's targets and its fish
 
 
 def settings_of(
-    stage: Stage, actions: ActionSpace | None = None, task: Task = OPEN_WATER
+    stage: Stage,
+    actions: ActionSpace | None = None,
+    task: Task = OPEN_WATER,
+    measure: Measure = PAPER,
 ) -> Settings:
-    """The environment's settings in a stage of a task."""
+    """The environment's settings in a stage of a task, which is given for the paper's fish, in
+    another fish's measure."""
     task = replace(task, arc=float(stage.arc))
     if stage.following:
         task = replace(task, following=stage.following, target_speed=FASTEST, limit=FAR)
     return Settings(
         actions=actions,
-        task=task,
+        task=sized(task, measure),
         sensors=scaled(SensorModel(), stage.noise),
-        physics=scaled(Randomisation(), stage.physics),
+        physics=randomize.sized(scaled(Randomisation(), stage.physics), measure),
+        measure=measure,
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
+from tailbeat.control.measure import Measure
 from tailbeat.files import BadInput
 from tailbeat.fish.twin import Twin
 
@@ -41,6 +42,16 @@ class Randomisation:
 def none() -> Randomisation:
     """No randomisation: the nominal twin in every episode."""
     return replace(Randomisation(), **dict.fromkeys(Randomisation.__annotations__, 0.0))
+
+
+def sized(ranges: Randomisation, measure: Measure) -> Randomisation:
+    """The widths for the paper's fish in another fish's measure."""
+    return replace(
+        ranges,
+        head_centre=ranges.head_centre * measure.size,
+        push=ranges.push * measure.push,
+        current=ranges.current * measure.speed,
+    )
 
 
 def check(ranges: Randomisation) -> None:

@@ -8,15 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-NEAR = 1.0  # m, reach of `nearness` about a moving target: larger than the fish's turning circle
+NEAR = 1.0  # of the fish's reach: `nearness` acts within it; larger than its turning circle
 
 
 @dataclass(frozen=True)
 class Reward:
     """r = -distance - effort ||a|| + bonus [distance < arrival] (paper).
 
-    With a target that keeps moving, nearness * max(1 - distance / 1 m, 0) replaces the bonus (ours:
-    some seconds beside the target are worth as much as an arrival).
+    Distances are over the fish's reach, so in metres for the paper's fish. With a target that keeps
+    moving, nearness * max(1 - distance, 0) replaces the bonus (ours: some seconds beside the target
+    are worth as much as an arrival).
     """
 
     distance: float = 1.0
@@ -47,7 +48,8 @@ def of_action(weights: Reward, action: Array) -> Array:
 
 
 def of_target(weights: Reward, distance: Any, arrived: Any, goes_on: Any) -> tuple[Any, Any]:
-    """The distance's and the bonus's term of steps that end at `distance` [m] from the target.
+    """The distance's and the bonus's term of steps that end at `distance` from the target, in units
+    of the fish's reach.
 
     The arrays broadcast: `distance` (…,), whether the fish `arrived`, and whether the target
     `goes_on` moving. The terms have the dtype of `distance`; where it is NaN they are NaN.

@@ -1,12 +1,13 @@
 """The task: targets and ends of episodes, reward, sensors, physics."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
-from tailbeat.control.actions import ActionSpace, Generator
+from tailbeat.control.actions import PERIOD, ActionSpace, Generator
+from tailbeat.control.measure import ARRIVAL, PATIENCE, Measure
 from tailbeat.env import randomize
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.reward import Reward
@@ -32,8 +33,8 @@ class Task:
     nearest: float = 0.5
     farthest: float = 2.5
     arc: float = np.pi
-    arrival: float = 0.05
-    seconds: float = 30.0
+    arrival: float = ARRIVAL
+    seconds: float = PATIENCE
     limit: float = 6.0
     walls: tuple[float, float] | None = None
     target_speed: float = 0.0
@@ -72,6 +73,22 @@ class Settings:
     sensors: SensorModel = field(default_factory=SensorModel)
     physics: Randomisation = field(default_factory=Randomisation)
     draws: Array | None = field(default=None, compare=False)
+    measure: Measure = field(default_factory=Measure)  # of rewards and observations
+
+
+def sized(task: Task, measure: Measure) -> Task:
+    """A task of the paper's fish in another fish's measure."""
+    reach, walls = measure.reach, task.walls
+    return replace(
+        task,
+        nearest=task.nearest * reach,
+        farthest=task.farthest * reach,
+        arrival=task.arrival * measure.size,
+        seconds=round(task.seconds * measure.time / PERIOD) * PERIOD,
+        limit=task.limit * reach,
+        walls=walls and (walls[0] * reach, walls[1] * reach),
+        target_speed=task.target_speed * measure.speed,
+    )
 
 
 def check_settings(fish: Fish, settings: Settings) -> ActionSpace:

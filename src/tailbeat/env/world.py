@@ -24,8 +24,9 @@ from tailbeat.identify.runs import tracked_pose
 
 Array = NDArray[np.float64]
 PUSH_STEPS = 10  # control steps that a pulse lasts
-TIGHTEST = 0.6  # m, smallest radius of a moving target's bend: as tight as the fish turns (chosen)
-BESIDE, KEPT = 0.4, 0.8  # m from a moving target, and fraction of the second half (chosen)
+# Over the fish's reach: smallest radius of a moving target's bend, as tight as the fish turns, and
+# what counts as beside it; fraction of the second half that it must stay there (all chosen).
+TIGHTEST, BESIDE, KEPT = 0.6, 0.4, 0.8
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,8 @@ class World:
         if task.following:
             self.goes_on[fish] = rng.uniform() < task.following
             step *= rng.uniform() * self.goes_on[fish]
-            self.turn[fish] = rng.uniform(-1, 1) * step / TIGHTEST
+            tightest = TIGHTEST * self.settings.measure.reach
+            self.turn[fish] = rng.uniform(-1, 1) * step / tightest
         self.drift[fish] = step * np.cos(direction), step * np.sin(direction)
 
     def _draw_target(self, rng: np.random.Generator) -> Array:
@@ -198,7 +200,8 @@ class World:
                 self.state.phase,
                 self.commands,
                 readings.frames,
-            )
+            ),
+            self.settings.measure,
         )
 
     def _judge(self, action: Array, seen: NDArray[np.float32], lost: Flags) -> Outcome:
@@ -210,7 +213,8 @@ class World:
         weights, task = self.settings.reward, self.task
         away = np.where(lost, task.limit, np.hypot(*(self.target - self.pose[:, :2]).T))
         arrived = (away < task.arrival) & ~lost & ~self.goes_on
-        distance, bonus = reward.of_target(weights, away, arrived, self.goes_on)
+        apart = away / self.settings.measure.reach
+        distance, bonus = reward.of_target(weights, apart, arrived, self.goes_on)
         terms = Terms(distance, reward.of_action(weights, action), bonus)
         if lost.any():
             seen = np.where(lost[:, None], np.float32(0), seen)

@@ -158,8 +158,8 @@ def cell(entrant: Entrant, condition: Condition, field: Field) -> Cell:
         share_inside=power.share_inside,
         share_above=power.share_above,
         speed_in_twin=None if condition.name == TWIN else replayed(found, entrant.twin),
-        hits_5cm=tuple(found.reached.tolist()),
-        hits_20cm=tuple((found.nearest < NEAR).tolist()),
+        hits_arrived=tuple(found.reached.tolist()),
+        hits_near=tuple((found.nearest < NEAR).tolist()),
     )
 
 

@@ -13,7 +13,7 @@ from tailbeat.files import BadInput
 
 TWIN = "twin"  # the condition that the others are compared with
 AVERAGED = (
-    "within_5cm", "within_20cm", "share_below", "share_below_floor", "share_inside", "share_above",
+    "arrived", "near", "share_below", "share_below_floor", "share_inside", "share_above",
     "actuator_watts", "reversals_per_minute", "speed", "speed_in_twin",
 )  # fmt: skip
 
@@ -51,8 +51,8 @@ class Cell(Manner):
     targets were reached within 5 and 20 cm."""
 
     field: tuple[str, int, int]
-    hits_5cm: tuple[bool, ...]
-    hits_20cm: tuple[bool, ...]
+    hits_arrived: tuple[bool, ...]
+    hits_near: tuple[bool, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +60,8 @@ class Row(Manner):
     """A `Manner` with the success rates in the twin minus those here, over the same targets; None
     if the twin was not swum."""
 
-    gap_5cm: Difference | None
-    gap_20cm: Difference | None
+    arrived_gap: Difference | None
+    near_gap: Difference | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +73,8 @@ class Kind:
     servo: str
     condition: str
     policies: int
-    within_5cm: float
-    within_20cm: float
+    arrived: float
+    near: float
     share_below: float
     share_below_floor: float
     share_inside: float
@@ -83,8 +83,8 @@ class Kind:
     reversals_per_minute: float
     speed: float
     speed_in_twin: float
-    gap_20cm: float
-    gap_interval_20cm: tuple[float, float]
+    near_gap: float
+    gap_near_interval: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -130,11 +130,11 @@ def _read_cell(path: Path) -> Cell:
 def _row(one: Cell, twin: Cell | None) -> Row:
     kept = {field.name: getattr(one, field.name) for field in fields(Manner)}
     if twin is None:
-        return Row(**kept, gap_5cm=None, gap_20cm=None)
+        return Row(**kept, arrived_gap=None, near_gap=None)
     return Row(
         **kept,
-        gap_5cm=paired(np.array(one.hits_5cm), np.array(twin.hits_5cm)),
-        gap_20cm=paired(np.array(one.hits_20cm), np.array(twin.hits_20cm)),
+        arrived_gap=paired(np.array(one.hits_arrived), np.array(twin.hits_arrived)),
+        near_gap=paired(np.array(one.hits_near), np.array(twin.hits_near)),
     )
 
 
@@ -146,7 +146,7 @@ def _kinds(rows: Sequence[Row]) -> tuple[Kind, ...]:
 
 
 def _kind(key: tuple[str, str, str], own: Sequence[Row]) -> Kind:
-    gaps = [row.gap_20cm for row in own if row.gap_20cm]
+    gaps = [row.near_gap for row in own if row.near_gap]
     mean = float(np.mean([gap.difference for gap in gaps])) if gaps else float("nan")
     halves = [gap.interval[1] - gap.difference for gap in gaps]
     half = float(np.sqrt(np.square(halves).sum()) / len(gaps)) if gaps else float("nan")
@@ -156,8 +156,8 @@ def _kind(key: tuple[str, str, str], own: Sequence[Row]) -> Kind:
         condition=key[2],
         policies=len(own),
         **{name: _mean([getattr(row, name) for row in own]) for name in AVERAGED},
-        gap_20cm=mean,
-        gap_interval_20cm=(mean - half, mean + half),
+        near_gap=mean,
+        gap_near_interval=(mean - half, mean + half),
     )
 
 

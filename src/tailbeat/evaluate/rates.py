@@ -21,10 +21,10 @@ class SuccessRates:
     """Fractions of targets that the fish came within 5 and 20 cm of, with 95 % Wilson intervals
     (low, high)."""
 
-    within_5cm: float
-    interval_5cm: tuple[float, float]
-    within_20cm: float
-    interval_20cm: tuple[float, float]
+    arrived: float
+    arrived_interval: tuple[float, float]
+    near: float
+    near_interval: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -43,18 +43,18 @@ class ConditionResult(SuccessRates):
     condition: str
     swims: int
     lost: int
-    cost_5cm: Difference
-    cost_20cm: Difference
+    arrived_cost: Difference
+    near_cost: Difference
 
 
 def success(reached: Flags, nearest: Any) -> SuccessRates:
     """Success rates from arrivals (n,) and closest approaches (n,) [m]."""
     near = nearest < NEAR
     return SuccessRates(
-        within_5cm=float(reached.mean()),
-        interval_5cm=wilson(int(reached.sum()), reached.size),
-        within_20cm=float(near.mean()),
-        interval_20cm=wilson(int(near.sum()), near.size),
+        arrived=float(reached.mean()),
+        arrived_interval=wilson(int(reached.sum()), reached.size),
+        near=float(near.mean()),
+        near_interval=wilson(int(near.sum()), near.size),
     )
 
 
@@ -71,8 +71,8 @@ def _against(reference: Runs, name: str, runs: Runs) -> ConditionResult:
         swims=runs.count,
         lost=int(runs.lost.sum()),
         **vars(success(runs.reached, runs.nearest)),
-        cost_5cm=paired(close, runs.reached[:both]),
-        cost_20cm=paired(near, runs.nearest[:both] < NEAR),
+        arrived_cost=paired(close, runs.reached[:both]),
+        near_cost=paired(near, runs.nearest[:both] < NEAR),
     )
 
 

@@ -132,7 +132,7 @@ def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:
     check_fits(held, *who, described.band, PERIOD)
     noise = 0.0 if config.exact else 1.0
     stage = Stage("trial", 3, noise, noise, float(np.radians(config.arc)))
-    settings = settings_of(stage, held.actions)
+    settings = settings_of(stage, held.actions, measure=held.measure)
     waters = ensemble(config.pools, config.seed) if config.pools else []
     build = in_pool(described, settings, waters) if waters else in_twin(described, settings)
     return reach(policy, build, config.targets, config.seed)

@@ -19,7 +19,7 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.store import load_fish
 from tailbeat.report import figures, fresh_recordings, swim_figures
 from tailbeat.report.html import Block, Section, figure, picture, table, values, write
-from tailbeat.report.paper import beside_paper, within_5cm, within_20cm
+from tailbeat.report.paper import arrived, beside_paper, near
 from tailbeat.report.tables import as_rows
 
 Result = Evaluation | Comparison
@@ -134,10 +134,10 @@ def _reach_row(row: ReachResult) -> dict[str, Any]:
     trained = row.trained_range
     return {
         "swims": row.swims,
-        "5 cm [%]": within_5cm(row),
-        "20 cm [%]": within_20cm(row),
-        "±120°, to 2.5 m: 5 cm [%]": within_5cm(trained),
-        "±120°, to 2.5 m: 20 cm [%]": within_20cm(trained),
+        "5 cm [%]": arrived(row),
+        "20 cm [%]": near(row),
+        "±120°, to 2.5 m: 5 cm [%]": arrived(trained),
+        "±120°, to 2.5 m: 20 cm [%]": near(trained),
         "median time [s]": row.median_seconds,
         "path length over distance": row.median_path_ratio,
     }

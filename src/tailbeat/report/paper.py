@@ -9,14 +9,14 @@ from tailbeat.evaluate.reach import ReachResult
 from tailbeat.report.tables import percent
 
 
-def within_5cm(rates: SuccessRates | None) -> str:
+def arrived(rates: SuccessRates | None) -> str:
     """Success rate within 5 cm with its interval [%]."""
-    return "-" if rates is None else percent(rates.within_5cm, rates.interval_5cm)
+    return "-" if rates is None else percent(rates.arrived, rates.arrived_interval)
 
 
-def within_20cm(rates: SuccessRates | None) -> str:
+def near(rates: SuccessRates | None) -> str:
     """Success rate within 20 cm with its interval [%]."""
-    return "-" if rates is None else percent(rates.within_20cm, rates.interval_20cm)
+    return "-" if rates is None else percent(rates.near, rates.near_interval)
 
 
 def beside_paper(data: Evaluation) -> list[dict[str, str]]:
@@ -41,7 +41,7 @@ def _static(show: Callable[[SuccessRates | None], str]) -> Callable[[Evaluation]
 def _lateral(data: Evaluation) -> str:
     found = _open_water(data)
     rows = [] if found is None else [row for row in found.sectors if row.low == 90]
-    return f"{within_20cm(rows[0])} %" if rows else ""
+    return f"{near(rows[0])} %" if rows else ""
 
 
 def _perturbed(field: str) -> Callable[[Evaluation], str]:
@@ -76,11 +76,11 @@ def _power_below(runs: str) -> Callable[[Evaluation], str]:
 
 
 PAPER: tuple[tuple[str, str, Callable[[Evaluation], str]], ...] = (
-    ("static targets within 5 cm", "11 of 22 (50 %)", _static(within_5cm)),
-    ("static targets within 20 cm", "13 of 22 (59 %)", _static(within_20cm)),
+    ("static targets within 5 cm", "11 of 22 (50 %)", _static(arrived)),
+    ("static targets within 20 cm", "13 of 22 (59 %)", _static(near)),
     ("lateral rear, 90-120°, within 20 cm", "0 of 4", _lateral),
-    ("perturbed targets within 5 cm", "5 of 8", _perturbed("within_5cm")),
-    ("perturbed targets within 20 cm", "7 of 8", _perturbed("within_20cm")),
+    ("perturbed targets within 5 cm", "5 of 8", _perturbed("arrived")),
+    ("perturbed targets within 20 cm", "7 of 8", _perturbed("near")),
     ("figure-eight, 73 s: two clean crossings", "1 of 10", _crossings),
     ("velocity power below the band's upper edge: identification runs", "92 %",
      _power_below(spectrum.IDENTIFICATION)),

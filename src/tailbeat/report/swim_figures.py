@@ -120,7 +120,7 @@ def heat_map(cells: Sequence[Cell], title: str = "") -> Figure:
     axes = figure.subplots()
     for cell in cells:
         row, column = distances.index(cell.distance), bearings.index(cell.bearing)
-        rate[row, column] = 100 * cell.within_5cm
+        rate[row, column] = 100 * cell.arrived
         _write_cell(axes, cell, column, row)
     drawn = axes.imshow(rate, cmap=RATES, vmin=0, vmax=100, origin="lower", aspect="auto")
     axes.set_xticks(range(len(bearings)), [f"{low:g}–{high:g}" for low, high in bearings])
@@ -132,9 +132,9 @@ def heat_map(cells: Sequence[Cell], title: str = "") -> Figure:
 
 
 def _write_cell(axes: Axes, cell: Cell, column: int, row: int) -> None:
-    low, high = (100 * end for end in cell.interval_5cm)
-    words = f"{100 * cell.within_5cm:.0f} %\n{low:.0f} to {high:.0f} %\nn = {cell.targets}"
-    colour = BLACK if cell.within_5cm > 0.6 else WHITE
+    low, high = (100 * end for end in cell.arrived_interval)
+    words = f"{100 * cell.arrived:.0f} %\n{low:.0f} to {high:.0f} %\nn = {cell.targets}"
+    colour = BLACK if cell.arrived > 0.6 else WHITE
     axes.text(column, row, words, ha="center", va="center", fontsize="x-small", color=colour)
 
 
@@ -241,13 +241,13 @@ def costs(rows: Sequence[ConditionResult], title: str) -> Figure:
     figure = _figure(9, 0.4 * len(rows) + 1.4)
     shares, differences = figure.subplots(1, 2, sharey=True)
     place = np.arange(len(rows))[::-1]
-    value = 100 * np.array([row.within_5cm for row in rows])
-    low, high = 100 * np.array([row.interval_5cm for row in rows]).T
+    value = 100 * np.array([row.arrived for row in rows])
+    low, high = 100 * np.array([row.arrived_interval for row in rows]).T
     shares.errorbar(
         value, place, xerr=np.clip([value - low, high - value], 0, None), fmt="o", color=REACHED
     )
-    gap = 100 * np.array([row.cost_5cm.difference for row in rows])
-    low, high = 100 * np.array([row.cost_5cm.interval for row in rows]).T
+    gap = 100 * np.array([row.arrived_cost.difference for row in rows])
+    low, high = 100 * np.array([row.arrived_cost.interval for row in rows]).T
     differences.errorbar(
         gap, place, xerr=np.clip([gap - low, high - gap], 0, None), fmt="o", color=MEASURED
     )
@@ -269,8 +269,8 @@ def transfer(rows: Sequence[Kind]) -> Figure:
         own = [row for row in rows if (row.actions, row.servo) == kind]
         shift = 0.12 * (index - (len(kinds) - 1) / 2)
         place = np.array([conditions.index(row.condition) for row in own]) + shift
-        gap = 100 * np.array([row.gap_20cm for row in own])
-        low, high = 100 * np.array([row.gap_interval_20cm for row in own]).T
+        gap = 100 * np.array([row.near_gap for row in own])
+        low, high = 100 * np.array([row.gap_near_interval for row in own]).T
         label = f"{kind[0]}, {kind[1]} servo"
         reach = np.clip([gap - low, high - gap], 0, None)
         axes.errorbar(

@@ -46,8 +46,8 @@ class TourReport:
     fish: str
     water: str
     targets: tuple[TargetResult, ...]
-    within_5cm: int
-    within_20cm: int
+    arrived: int
+    near: int
     seconds: float
     median_seconds: float | None
     training: Mapping[str, object]
@@ -97,8 +97,8 @@ def summary(swum: Swum) -> TourReport:
         fish=swum.pool.fish.name,
         water=fingerprint(swum.pool.waters),
         targets=tour.results(),
-        within_5cm=int(hits.sum()),
-        within_20cm=int((tour.nearest < NEAR).sum()),
+        arrived=int(hits.sum()),
+        near=int((tour.nearest < NEAR).sum()),
         seconds=PERIOD * len(tour.goal),
         median_seconds=float(np.median(tour.seconds[hits])) if hits.any() else None,
         training=swum.policy.contract.training,

@@ -198,8 +198,7 @@ class TrainingCallback(BaseCallback):
             "hours": round(self.progress.seconds / 3600, 3),
             "rounded": isinstance(self.model, QuickSAC) and self.model.rounded,
         }
-        run = self.run
-        export(self.model, run.fish, run.space(), self.seen, training, run.out / "policy.onnx")
+        export(self.model, self.run, self.seen, training, self.run.out / "policy.onnx")
 
     def keep(self) -> None:
         """Write a checkpoint now."""

@@ -10,8 +10,10 @@ import psutil
 from numpy.typing import NDArray
 from torch import cuda
 
-from tailbeat.control.actions import ActionSpace, Direct, Filtered, Generator
+from tailbeat.control.actions import ActionSpace, Direct, Filtered, generator
+from tailbeat.control.measure import Measure
 from tailbeat.env.curriculum import settings_of
+from tailbeat.env.measured import measure_of
 from tailbeat.env.task import Settings, check_settings
 from tailbeat.files import BadInput, leaves, write_json
 from tailbeat.fish.description import Fish
@@ -25,8 +27,8 @@ WORKING_SET = 1.5e9  # bytes for torch, engine and 64 fish without the buffer (m
 
 @dataclass(frozen=True)
 class RunRecord:
-    """Contents of `run.json`: the fish's name and digest, action space, recipe, seed, and what the
-    physics are drawn from, `ranges` or `posterior` with its digest."""
+    """Contents of `run.json`: the fish's name and digest, action space, recipe, seed, what the
+    physics are drawn from (`ranges` or `posterior` with its digest), and the fish's measure."""
 
     fish: str
     fish_digest: str
@@ -34,6 +36,7 @@ class RunRecord:
     recipe: Recipe
     seed: int
     physics: str = "ranges"
+    measure: Measure = field(default_factory=Measure)
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class RunConfig:
     `out` is its folder. `actions` None is the generator up to the fish's band, bound as the recipe
     says. `draws` are a posterior's coefficients (`Settings.draws`), None for ranges. `hours` is the
     most time of this session, `checkpoint_minutes` the time between two checkpoints. `device` is
-    cpu or cuda.
+    cpu or cuda. `measure` is that of the fish; `measured_run` takes it.
     """
 
     fish: Fish
@@ -55,6 +58,12 @@ class RunConfig:
     device: str = "cpu"
     checkpoint_minutes: float = 5.0
     draws: Array | None = field(default=None, compare=False)
+    measure: Measure = field(default_factory=Measure)
+
+    @property
+    def discount(self) -> float:
+        """Discount per control step: the recipe's, over the fish's own time."""
+        return float(self.recipe.discount ** (1 / self.measure.time))
 
     def space(self) -> ActionSpace:
         """The action space."""
@@ -62,15 +71,28 @@ class RunConfig:
 
     def settings(self, stage: int) -> Settings:
         """The environment's settings in a stage."""
-        found = settings_of(self.recipe.stages[stage], self.space(), self.recipe.task)
+        recipe = self.recipe
+        found = settings_of(recipe.stages[stage], self.space(), recipe.task, self.measure)
         return replace(found, draws=self.draws)
 
     def record(self) -> RunRecord:
         """What must be equal when the run is resumed."""
         fish = self.fish
         return RunRecord(
-            fish.name, digest(fish), self.space(), self.recipe, self.seed, _physics(self.draws)
+            fish.name,
+            digest(fish),
+            self.space(),
+            self.recipe,
+            self.seed,
+            _physics(self.draws),
+            self.measure,
         )
+
+
+def measured_run(run: RunConfig) -> RunConfig:
+    """The run in its fish's own measure. Raises BadInput for a fish that hardly swims."""
+    _check_motor(run.fish)
+    return replace(run, measure=measure_of(run.fish))
 
 
 def _physics(draws: Array | None) -> str:
@@ -95,11 +117,11 @@ def action_space(
         return Direct(low, high)
     if kind == "filtered":
         return Filtered(low, high)
-    if binds == "signal":
-        return Generator(low, high, ceiling=fish.band[1], binds="signal", floor=floor)
-    if binds != "fundamental":
+    if binds not in ("fundamental", "signal"):
         raise BadInput(f"--binds {binds}: allowed are fundamental, signal.")
-    return Generator(low, high, ceiling=fish.band[1], floor=floor)
+    return generator(
+        low, high, fish.band[1], "signal" if binds == "signal" else "fundamental", floor
+    )
 
 
 def check(run: RunConfig, resume: bool) -> None:
@@ -161,6 +183,8 @@ def _check_same(run: RunConfig) -> None:
         held.setdefault("actions.floor", 0.0)  # older runs have no floor
     held.setdefault("physics", "ranges")  # and no posterior
     held.setdefault("recipe.greedy", run.recipe.greedy)  # and no verdict by greedy swims
+    for name, ratio in vars(Measure()).items():
+        held.setdefault(f"measure.{name}", ratio)  # and the paper's measure
     asked = leaves("", json.loads(json.dumps(asdict(run.record()))))
     wrong = [
         f"{name} was {held.get(name)}, now {asked.get(name)}"

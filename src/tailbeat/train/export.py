@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from stable_baselines3 import SAC
 
-from tailbeat.control.actions import PERIOD, ActionSpace
-from tailbeat.control.observation import TABLE
+from tailbeat.control.actions import PERIOD
+from tailbeat.control.observation import table
 from tailbeat.control.policy import KEY, VERSION, Contract, Policy, as_text, load_policy
 from tailbeat.files import new_file
-from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest
+from tailbeat.train.config import RunConfig
 from tailbeat.train.features import TargetFeatures
 
 Single = NDArray[np.float32]
@@ -29,14 +29,13 @@ OPSET, IR = 20, 10  # versions that onnxruntime 1.31 and the one on a Raspberry 
 PRODUCED_BY = ("tailbeat", "mujoco", "torch", "stable-baselines3")
 
 
-def export(
-    model: SAC, fish: Fish, actions: ActionSpace, seen: Single, training: Facts, path: Path
-) -> Policy:
-    """Write the policy, read it back and check its golden pairs.
+def export(model: SAC, run: RunConfig, seen: Single, training: Facts, path: Path) -> Policy:
+    """Write a run's policy, read it back and check its golden pairs.
 
     `seen` (k, 24) are observations of real swims, from which the golden ones are taken. `training`
     says how the policy was trained. Raises BadInput.
     """
+    fish, measure = run.fish, run.measure
     golden = seen[np.linspace(0, len(seen) - 1, GOLDEN).astype(int)]
     contract = Contract(
         version=VERSION,
@@ -44,11 +43,12 @@ def export(
         fish_digest=digest(fish),
         band=fish.band,
         period=PERIOD,
-        observation=TABLE,
-        actions=actions,
+        observation=table(measure),
+        actions=run.space(),
         training={**training, "versions": versions()},
         golden=(tuple(golden.tolist()), tuple(act(model, golden).tolist())),
         description=fish.model_dump(mode="json"),
+        measure=measure,
     )
     with new_file(path, overwrite=True) as beside:
         onnx.save(as_onnx(model, contract), str(beside))
@@ -87,7 +87,7 @@ def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
         last = index == len(layers) - 1
         name = "action" if last else f"h{index}"
         nodes.append(helper.make_node("Tanh" if last else "Relu", [f"z{index}"], [name]))
-    return _model(nodes, weights, len(TABLE), len(layers[-1].bias), contract)
+    return _model(nodes, weights, len(contract.observation), len(layers[-1].bias), contract)
 
 
 def _close_up(extractor: Any) -> tuple[list[Any], list[Any], str]:

@@ -15,22 +15,24 @@ from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch.nn import functional
 
-from tailbeat.control.observation import SCALES, TABLE
+from tailbeat.control.measure import Measure
+from tailbeat.control.observation import TABLE, scales
 
 Single = NDArray[np.float32]
-RANGE = 0.1  # m, distance below which the features show position, not bearing (chosen)
+RANGE = 0.1  # m, for the paper's fish: below it the features show position, not bearing (chosen)
 NEWEST = "frame 0 (newest): target "
 ADDED = 3  # ahead, left, and 1 - distance / (distance + RANGE)
 
 
-def _matrices() -> dict[str, Single]:
+def _matrices(measure: Measure) -> dict[str, Single]:
     """Matrices of the features (`above` o + `constant`) / (`below` o + RANGE) of an observation o
     (24,): `above` (3, 24), `constant` (3,), `below` (1, 24), `range` (1,)."""
     above, below = np.zeros((ADDED, len(TABLE))), np.zeros((1, len(TABLE)))
     for row, name in enumerate(("ahead", "left")):
-        above[row, _column(name)] = SCALES[_column(name)]
-    below[0, _column("distance")] = SCALES[_column("distance")]
-    found = {"above": above, "constant": [0, 0, RANGE], "below": below, "range": [RANGE]}
+        above[row, _column(name)] = scales(measure)[_column(name)]
+    below[0, _column("distance")] = scales(measure)[_column("distance")]
+    near = RANGE * measure.size
+    found = {"above": above, "constant": [0, 0, near], "below": below, "range": [near]}
     return {name: np.asarray(one, dtype=np.float32) for name, one in found.items()}
 
 
@@ -46,9 +48,9 @@ class TargetFeatures(BaseFeaturesExtractor):
     below: torch.Tensor
     range: torch.Tensor
 
-    def __init__(self, observation_space: Any) -> None:
+    def __init__(self, observation_space: Any, measure: Measure) -> None:
         super().__init__(observation_space, len(TABLE) + ADDED)
-        for name, matrix in _matrices().items():
+        for name, matrix in _matrices(measure).items():
             self.register_buffer(name, torch.as_tensor(matrix), persistent=False)
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:

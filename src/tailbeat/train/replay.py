@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
-from tailbeat.control.observation import SCALES, relative
+from tailbeat.control.measure import Measure
+from tailbeat.control.observation import relative, scales
 from tailbeat.env import reward
 from tailbeat.env.vector_env import FishVecEnv
 
 Single = NDArray[np.float32]
 FIRST = 12  # index of the first observed number that depends on the target
-AHEAD = 300  # steps: a position at most this much later becomes the target (chosen)
+AHEAD = 300  # steps of the paper's fish: a position so much later may become the target (chosen)
 EXTRA = ("frames", "next_frames", "place", "effort", "episode")
 
 
@@ -135,13 +136,15 @@ class RelabelBuffer(ReplayBuffer):
         lost = (found.ended > 0) & (found.reward < 0)
         chosen = np.isfinite(targets[:, 0]) & ~lost
         target, world = targets[chosen], self.source.world
-        found.seen[chosen, FIRST:] = _seen(found.frames[chosen], target)
-        found.next[chosen, FIRST:] = _seen(found.next_frames[chosen], target)
+        measure = world.settings.measure
+        found.seen[chosen, FIRST:] = _seen(found.frames[chosen], target, measure)
+        found.next[chosen, FIRST:] = _seen(found.next_frames[chosen], target, measure)
         away = np.linalg.norm(found.way[chosen] - target[:, None], axis=2)
         follows = self._following(len(away))[:, None]
         hit = (away < world.task.arrival) & ~follows  # NaN after an end is not a hit
         before = np.cumsum(hit, axis=1) - hit == 0
-        distance, bonus = reward.of_target(world.settings.reward, away, hit, follows)
+        apart = away / np.float32(measure.reach)
+        distance, bonus = reward.of_target(world.settings.reward, apart, hit, follows)
         earned = (distance + found.effort[chosen] + bonus) * before * self.powers
         found.reward[chosen] = self.source.reward_scale * np.nansum(earned, axis=1)
         found.ended[chosen] = hit.any(axis=1)
@@ -154,7 +157,8 @@ class RelabelBuffer(ReplayBuffer):
 
     def _later(self, at: Any) -> Single:
         """Position of each fish some time later in the same episode, else at this step's end."""
-        ahead = np.random.randint(0, AHEAD, size=len(at[0]))  # noqa: NPY002
+        longest = round(AHEAD * self.source.world.settings.measure.time)
+        ahead = np.random.randint(0, longest, size=len(at[0]))  # noqa: NPY002
         then = (at[0] + ahead) % self.buffer_size
         same = self.episode[then, at[1]] == self.episode[at]
         return self.place[np.where(same, then, at[0]), at[1]]
@@ -164,7 +168,8 @@ class RelabelBuffer(ReplayBuffer):
         if not self.misses:
             return place
         moved = np.random.random_sample(len(place)) < 0.5  # noqa: NPY002
-        offset = self.misses * np.random.standard_normal(place.shape)  # noqa: NPY002
+        misses = self.misses * self.source.world.settings.measure.size
+        offset = misses * np.random.standard_normal(place.shape)  # noqa: NPY002
         return (place + offset * moved[:, None]).astype(np.float32)
 
     def _anywhere(self, at: Any) -> Single:
@@ -176,10 +181,11 @@ class RelabelBuffer(ReplayBuffer):
         return np.asarray(self.place[at] + offset, dtype=np.float32)
 
 
-def _seen(frames: Single, target: Single) -> Single:
+def _seen(frames: Single, target: Single, measure: Measure) -> Single:
     """Observed numbers (n, 12) of frames (n, 3, 4) and targets (n, 2)."""
     full = np.empty((len(frames), 3, 6))
     full[..., :3], full[..., 5] = frames[..., :3], frames[..., 3]
     full[..., 3:5] = target[:, None]
-    found = relative(full).reshape(len(frames), len(SCALES) - FIRST) / SCALES[FIRST:]
+    divided = scales(measure)[FIRST:]
+    found = relative(full).reshape(len(frames), divided.size) / divided
     return np.asarray(found, dtype=np.float32)

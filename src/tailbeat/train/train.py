@@ -39,6 +39,7 @@ def train(
     writes `policy.onnx`, a checkpoint and `curve.json` into the folder. Raises BadInput for a bad
     config before anything is built, and if the disk is full.
     """
+    run = config.measured_run(run)
     config.check(run, resume)
     if stage is not None:
         config.check_stage(run, stage)
@@ -102,7 +103,7 @@ def learner(run: RunConfig, env: FishVecEnv) -> SAC:
     if recipe.relabel:
         kwargs = {
             "source": env,
-            "discount": recipe.discount,
+            "discount": run.discount,
             "returns": recipe.returns,
             "misses": recipe.misses,
         }
@@ -111,6 +112,7 @@ def learner(run: RunConfig, env: FishVecEnv) -> SAC:
     shape: dict[str, Any] = {"net_arch": [recipe.width] * DEPTH}
     if recipe.close_up:
         shape["features_extractor_class"] = TargetFeatures
+        shape["features_extractor_kwargs"] = {"measure": run.measure}
     if recipe.quick:
         shape["optimizer_kwargs"] = {"fused": True}
         more |= {"memory": recipe.memory, "rounded": recipe.rounded}
@@ -118,7 +120,7 @@ def learner(run: RunConfig, env: FishVecEnv) -> SAC:
         "MlpPolicy",
         env,
         learning_rate=recipe.rates[0],
-        gamma=recipe.discount,
+        gamma=run.discount,
         tau=recipe.tau,
         buffer_size=recipe.buffer,
         batch_size=recipe.batch,
