@@ -158,7 +158,7 @@ def as_runs(swims: list[Recording]) -> Runs:
         pose, np.zeros((count, clock.size, 2), np.float32), numbers[:, 0].astype(np.float32),
         np.zeros((count, clock.size - 1), np.float32), steps, none, none,
         np.full(count, np.nan, np.float32), np.zeros((0, clock.size, 9), np.float32),
-        np.zeros(count, np.int64),
+        np.zeros(count, np.int64), np.ones(count, np.float32), np.ones(count, np.float32),
     )  # fmt: skip
 
 

@@ -62,6 +62,8 @@ def swims(count: int = 40, steps: int = 50) -> Runs:
         energy=np.ones(count, np.float32),
         shape=shape,
         water=np.zeros(count, np.int64),
+        size=np.ones(count, np.float32),
+        reach=np.ones(count, np.float32),
     )
 
 

@@ -67,6 +67,7 @@ def runs(pose: Any, target: Any, **given: Any) -> Runs:
         "motor": np.zeros((n, k)), "setpoint": np.zeros((n, k - 1)), "steps": np.full(n, k - 1),
         "reached": np.zeros(n, bool), "lost": np.zeros(n, bool), "energy": np.zeros(n),
         "shape": np.zeros((0, k, 9)), "water": np.zeros(n, int),
+        "size": np.ones(n), "reach": np.ones(n),
     }  # fmt: skip
     return Runs(
         **{"pose": np.asarray(pose, float), "target": np.asarray(target, float), **values, **given}
@@ -89,11 +90,11 @@ def test_a_grid_has_one_target_in_every_stratum_of_bearing_and_of_range():
 
 
 def test_targets_inside_walls_lie_inside_and_where_none_fits_it_is_said():
-    scene = scenes.walled(FISH, 50, 1, 0.5, 3.0, POOL)
+    scene = scenes.walled(FISH, 50, 1, (0.5, 3.0), POOL)
     half = np.array(POOL) / 2
     assert (np.abs(scene.target[:, 0]) < half).all() and (np.abs(scene.start[:, :2]) < half).all()
     with pytest.raises(BadInput, match="no free target"):
-        scenes.walled(FISH, 2, 1, 0.5, 3.0, (0.9, 0.7))
+        scenes.walled(FISH, 2, 1, (0.5, 3.0), (0.9, 0.7))
 
 
 def test_the_eight_is_even_crosses_itself_and_fits_the_pool():

@@ -40,8 +40,12 @@ def evaluate(
         int, typer.Option(help="Number of swims under each condition of a task.")
     ] = 250,
     walls: Annotated[
-        str, typer.Option(help="Size of the pool in trials with walls: length x width [m].")
-    ] = "5.5x2.7",
+        str | None,
+        typer.Option(
+            help="Size of the pool in trials with walls: length x width [m]; default: the paper's"
+            " 5.5x2.7, in the fish's measure."
+        ),
+    ] = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -61,8 +65,10 @@ def evaluate(
     _page(out, fish, twin, done, json)
 
 
-def _walls(text: str) -> tuple[float, float]:
+def _walls(text: str | None) -> tuple[float, float] | None:
     """`length x width` in metres."""
+    if text is None:
+        return None
     try:
         length, width = map(float, text.split("x"))
     except ValueError:

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.cli.output import say, tables
+from tailbeat.control.measure import Measure, centimetres
 from tailbeat.files import leaves
 from tailbeat.report.tables import as_rows, percent
 
@@ -62,11 +63,11 @@ def differences(rows: list[dict[str, Any]]) -> None:
 def evaluated(done: "Evaluation") -> None:
     """Print success rates per condition, tracks and velocity power."""
     rows = [
-        {"condition": name, **_rates(row), "median time [s]": row.median_seconds}
+        {"condition": name, **_rates(row, done.run.measure), "median time [s]": row.median_seconds}
         for name, row in done.reach.items()
     ]
     rows += [
-        {"condition": row.condition, **_rates(row), "median time [s]": None}
+        {"condition": row.condition, **_rates(row, done.run.measure), "median time [s]": None}
         for row in (*done.disturb, *done.out_of_distribution)
     ]
     power = as_rows(done.spectrum, "cumulative")
@@ -75,12 +76,12 @@ def evaluated(done: "Evaluation") -> None:
         say(f"warning: cut off, and read up to their ends: {', '.join(done.cut_short)}")
 
 
-def _rates(row: "ReachResult | ConditionResult") -> dict[str, Any]:
+def _rates(row: "ReachResult | ConditionResult", m: Measure) -> dict[str, Any]:
     """Percentages with their intervals."""
     return {
         "swims": row.swims,
-        "within 5 cm [%]": percent(row.arrived, row.arrived_interval),
-        "within 20 cm [%]": percent(row.near, row.near_interval),
+        f"within {centimetres(m.arrival)} [%]": percent(row.arrived, row.arrived_interval),
+        f"within {centimetres(m.near)} [%]": percent(row.near, row.near_interval),
     }
 
 

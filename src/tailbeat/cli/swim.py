@@ -1,4 +1,4 @@
-"""Swim in the virtual pool or with the robot; run the poolside station."""
+"""Swim in the virtual pool or with the robot."""
 
 import math
 import sys
@@ -16,20 +16,16 @@ from tailbeat.cli.options import (
     PageOption,
     PolicyFile,
     PolicyOption,
-    ReplayOption,
-    ReplayPool,
     SeedOption,
-    TourJson,
     TwinOption,
 )
-from tailbeat.files import BadInput, need, refuse_existing, write_json
+from tailbeat.files import BadInput, refuse_existing, write_json
 from tailbeat.link.addresses import address
-from tailbeat.link.places import ANY_POOL, LENGTH, POOL, TARGET, WIDTH, place, pool_size
+from tailbeat.link.places import ANY_POOL, POOL, TARGET, place
 from tailbeat.robot.ports import Ports
 
 if TYPE_CHECKING:
     from tailbeat.evaluate.swim import Swum
-    from tailbeat.operator.leader import Leader
 
 EMULATED = "pulley-fish"  # fish of emulated devices, unless another is given
 Asked = tuple[str, str, str | None, int, int]  # policy, pool's fish, twin, targets, seed
@@ -67,7 +63,8 @@ def swim(
 ) -> None:
     """Swim to targets in the virtual pool, in real time. Fish, camera and station run as on a
     robot. Drag the target on the operator page. With --headless, or without a terminal: a tour of
-    random targets, then a report; exit code 1 if a target was missed by more than 20 cm."""
+    random targets, then a report; exit code 1 if a target was missed by more than 20 cm
+    (for another fish, in its measure)."""
     if json is not None:
         refuse_existing(json)
     if fish is not None:
@@ -120,12 +117,14 @@ def _live(asked: Asked, out: Path) -> "Swum":
 
 def _tour(swum: "Swum", out: Path, json: Path | None) -> None:
     """Write a tour's report and print its result; exit code 1 if a target was missed."""
+    from tailbeat.control.measure import centimetres
     from tailbeat.report import tour
 
     done = tour.write(swum, out, progress.counting)
     output.tables({f"{done.fish} in the virtual pool, {done.policy}": tour.rows(done.targets)})
     of = len(done.targets)
-    output.say(f"{done.arrived} of {of} within 5 cm; page: {out / 'report.html'}")
+    close = centimetres(done.arrival_m)
+    output.say(f"{done.arrived} of {of} within {close}; page: {out / 'report.html'}")
     if json is not None:
         write_json(json, done)
     if done.near < of:
@@ -216,85 +215,3 @@ def _given(servo: str, imu: str, listen: str, station: str, key: Path | None, pa
         raise BadInput("--page: the station shows it; see `tailbeat station --page`.")
     ends = address(listen, "--listen"), address(station, "--station")
     return nullcontext((Ports(servo, imu, *ends), key))
-
-
-def station(
-    robot: Annotated[str, typer.Option("--robot", help="host:port where the fish listens.")] = "",
-    key: Annotated[Path | None, typer.Option("--key", help="File of the shared key.")] = None,
-    listen: Annotated[
-        str, typer.Option("--listen", help="host:port on which to listen to the fish.")
-    ] = "",
-    page: PageOption = "127.0.0.1:8080",
-    camera: Annotated[
-        str, typer.Option("--camera", help="Camera: /dev/video0 or unix:/path.")
-    ] = "",
-    calibration: Annotated[
-        Path | None, typer.Option("--calibration", help="Calibration made by `tailbeat calibrate`.")
-    ] = None,
-    fish_tag: Annotated[int, typer.Option(help="Id of the fish's tag (family 36h11).")] = 0,
-    target_tag: Annotated[int, typer.Option(help="Id of the target's tag.")] = 1,
-    exposure: Annotated[float, typer.Option(help="Exposure time of the camera [s].")] = 0.002,
-    latency: Annotated[
-        float, typer.Option(help="Time from the end of the exposure to the time stamp [s].")
-    ] = 0.0,
-    fish: Annotated[
-        str, typer.Option("--fish", help="Fish to draw: a TOML file or a shipped fish's name.")
-    ] = "pulley-fish",
-    targets: Annotated[
-        int, typer.Option("--tour", help="Number of random targets to lead the fish to.")
-    ] = 0,
-    begin: Annotated[
-        str | None,
-        typer.Option(
-            "--begin", help="Arm the fish once, with the target at x,y [m]; drag it from there."
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the random targets.")] = 0,
-    json: TourJson = None,
-    replay: ReplayOption = None,
-    pool: ReplayPool = f"{LENGTH:g},{WIDTH:g}",
-) -> None:
-    """Run the poolside station: find the fish, send its pose, show the operator page. Exit code 1
-    if a tour was not finished. With --replay: play a finished run from its log on the page."""
-    given = {"--robot": robot, "--key": key, "--listen": listen, "--camera": camera,
-             "--tour": targets, "--begin": begin, "--json": json}  # fmt: skip
-    if replay is not None:
-        return _replay(replay, page, fish, pool, [name for name, value in given.items() if value])
-    if key is None or not (robot and listen):
-        raise BadInput("station: give --robot, --key and --listen, or a log to --replay.")
-    from tailbeat.operator import station as work
-    from tailbeat.operator.leader import chosen_leader
-
-    if json is not None:
-        refuse_existing(json)
-    ends = address(robot, "--robot"), address(listen, "--listen")
-    ids = fish_tag, target_tag
-    if targets and not camera:
-        raise BadInput("--tour: needs the fish's poses; give --camera and its --calibration.")
-    if camera:
-        need_camera()
-    with work.open_tracker(camera, calibration, ids, exposure, latency) as tracker:
-        leader = chosen_leader(targets, seed, begin, work.pool_of(tracker, lambda _: None))
-        config = work.StationConfig(*ends, key, page, fish)
-        work.work(config, tracker, leader, output.say)
-    _end_of_tour(leader, json)
-
-
-def _end_of_tour(leader: "Leader | None", json: Path | None) -> None:
-    """Write what came of a tour; exit code 1 if it was not finished."""
-    tour = leader.tour if leader else None
-    if json is not None:
-        rows = tour.rows if tour else []
-        write_json(json, {"targets": rows, "armed_anew": leader.rearmed if leader else 0})
-    if tour is not None and tour.target is not None:
-        raise typer.Exit(1)
-
-
-def _replay(log: Path, page: str, fish: str, pool: str, given: list[str]) -> None:
-    """Serve the operator page with a log behind it; `given` are options that need a fish."""
-    if given:
-        raise BadInput(f"{given[0]}: a replay has no fish and no camera; leave it out.")
-    need("a replay", "mcap", "fastapi", "uvicorn", "websockets")
-    from tailbeat.operator.replay_server import ReplayConfig, replay
-
-    replay(ReplayConfig(log, page, fish, pool_size(pool)), output.say)

@@ -179,7 +179,7 @@ PANELS = {
         ),
         Verb(
             "station",
-            "swim:station",
+            "station:station",
             "Run the poolside station: find the fish, send its pose, show the operator page.",
             "--robot 192.168.4.2:5151 --listen 192.168.4.1:5150 --key fish.key",
         ),

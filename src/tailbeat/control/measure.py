@@ -56,6 +56,11 @@ class Measure:
         return PATIENCE * self.time
 
 
+def centimetres(distance: float) -> str:
+    """A distance [m] as people say it."""
+    return f"{100 * distance:.2g} cm"
+
+
 def preferred(ratio: float) -> float:
     """The nearest number of the series R10: steps of 26 %. So a small change of a fish's speed
     does not change its task, and the paper's numbers come out for the paper's fish."""

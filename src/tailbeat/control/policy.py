@@ -217,6 +217,11 @@ def _check_golden(path: Path, policy: Policy) -> None:
         )
 
 
+def measure_in(name_or_path: str | None) -> Measure:
+    """The measure in a policy's contract; the paper's fish's for None. Raises BadInput."""
+    return Measure() if name_or_path is None else load_policy(name_or_path).contract.measure
+
+
 # ---- which fish it may run on -------------------------------------------------------------------
 
 

@@ -121,6 +121,7 @@ def swim(
         watch += ["--fish", fish, "--camera", ports["camera"], "--calibration", str(made)]
         watch += ["--page", page]
         tour = ["--tour", str(targets), "--seed", str(seed), "--json", str(out / "tour.json")]
+        tour += ["--policy", policy]
         watch += tour if targets else [f"--begin={TARGET}"]
         own = stack.enter_context(started(drive, out / "drive.log"))
         above = stack.enter_context(started(watch, out / "station.log", heard=True))

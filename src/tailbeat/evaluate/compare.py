@@ -20,7 +20,7 @@ from tailbeat.evaluate import store
 from tailbeat.evaluate.comparison import TWIN, Cell, Comparison, cell_path, read
 from tailbeat.evaluate.evaluation import ENSEMBLE_SEED, POOLS
 from tailbeat.evaluate.rates import success
-from tailbeat.evaluate.runs import NEAR, Runs, surge
+from tailbeat.evaluate.runs import Runs, surge
 from tailbeat.evaluate.scenes import grid
 from tailbeat.evaluate.spectrum import power_shares, windows
 from tailbeat.evaluate.trial import CHUNK, Condition, Progress, part, pools, swim
@@ -100,12 +100,13 @@ def _label(policy: str) -> str:
 def conditions_of(entrant: Entrant, field: Field) -> list[Condition]:
     """The conditions: the twin, the pool, and the pool without one piece of physics at a time."""
     fish, n = field.fish, field.count
-    scene = grid(fish, n, field.seed, 0.5, 2.5, float(np.radians(120)))
-    space = entrant.policy.contract.actions
-    full = Condition("full", fish, scene, space, pools([ablations()["full"]], n))
+    contract = entrant.policy.contract
+    space, m = contract.actions, contract.measure
+    scene = grid(fish, n, field.seed, 0.5 * m.reach, 2.5 * m.reach, float(np.radians(120)))
+    full = Condition("full", fish, scene, space, pools([ablations()["full"]], n), measure=m)
     own = fish.servos[fish.servo]
     prompt = own.model_copy(update={"delay": 0.0})
-    found = [Condition(TWIN, entrant.twin, scene, space, None), full]
+    found = [replace(full, name=TWIN, fish=entrant.twin, water=None), full]
     found += [
         replace(full, name=name, water=pools([water], n))
         for name, water in ablations().items()
@@ -149,7 +150,7 @@ def cell(entrant: Entrant, condition: Condition, field: Field) -> Cell:
         condition=condition.name,
         targets=condition.count,
         field=(field.fish.name, field.count, field.seed),
-        **vars(success(found.reached, found.nearest)),
+        **vars(success(found.reached, found.near)),
         speed=path_speed(found.pose),
         actuator_watts=actuator_watts(found),
         reversals_per_minute=reversals(found),
@@ -159,7 +160,7 @@ def cell(entrant: Entrant, condition: Condition, field: Field) -> Cell:
         share_above=power.share_above,
         speed_in_twin=None if condition.name == TWIN else replayed(found, entrant.twin),
         hits_arrived=tuple(found.reached.tolist()),
-        hits_near=tuple((found.nearest < NEAR).tolist()),
+        hits_near=tuple(found.near.tolist()),
     )
 
 

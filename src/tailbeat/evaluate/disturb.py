@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tailbeat.control.measure import Measure
 from tailbeat.env.task import Scene
 from tailbeat.evaluate.rates import ConditionResult, against
 from tailbeat.evaluate.runs import Runs
@@ -12,7 +13,7 @@ from tailbeat.evaluate.scenes import grid
 from tailbeat.evaluate.trial import Condition, Pool
 from tailbeat.pool.plant import Surroundings, stirred
 
-# Sizes are chosen: about the fish's speed and turning rate, and pokes with a finger.
+# Sizes are chosen for the paper's fish: about its speed and turning rate, and pokes with a finger.
 BACKWARD = -0.2  # m/s
 SPIN = 2.0  # rad/s
 POKES, POKE, TWIST, POKED = 4, 1.0, 0.05, 0.2  # number, N, N m, s
@@ -22,14 +23,16 @@ CALM = "disturb none"
 
 def conditions(pool: Pool) -> list[Condition]:
     """Targets within +-120 deg and 0.5-2.5 m: undisturbed, released moving, poked, stirred."""
-    scene = grid(pool.fish, pool.count, pool.seed + 1, 0.5, 2.5, float(np.radians(120)))
+    m = pool.measure
+    near, far = 0.5 * m.reach, 2.5 * m.reach
+    scene = grid(pool.fish, pool.count, pool.seed + 1, near, far, float(np.radians(120)))
     numbers = [[pool.seed, i] for i in range(pool.count)]
-    poked = tuple(_pokes(np.random.default_rng(number)) for number in numbers)
-    moved = tuple(stirred(1000 * pool.seed + i, STIRRED) for i in range(pool.count))
+    poked = tuple(_pokes(np.random.default_rng(number), m) for number in numbers)
+    moved = tuple(stirred(1000 * pool.seed + i, STIRRED * m.speed) for i in range(pool.count))
     return [
         pool.condition(CALM, scene),
-        pool.condition("disturb backward", _released(scene, BACKWARD, 0.0)),
-        pool.condition("disturb spinning", _released(scene, 0.0, SPIN)),
+        pool.condition("disturb backward", _released(scene, BACKWARD * m.speed, 0.0)),
+        pool.condition("disturb spinning", _released(scene, 0.0, SPIN / m.time)),
         pool.condition("disturb poked", scene, around=poked),
         pool.condition("disturb stirred", scene, around=moved),
     ]
@@ -44,11 +47,13 @@ def _released(scene: Scene, speed: float, spin: float) -> Scene:
     return replace(scene, velocity=velocity)
 
 
-def _pokes(rng: np.random.Generator) -> Surroundings:
+def _pokes(rng: np.random.Generator, m: Measure) -> Surroundings:
     angle = rng.uniform(-np.pi, np.pi, POKES)
-    when, twist = rng.uniform(0.5, 8.0, POKES), TWIST * rng.choice([-1.0, 1.0], POKES)
+    twist = TWIST * m.push * m.size  # a force at an arm
+    when, twists = m.time * rng.uniform(0.5, 8.0, POKES), twist * rng.choice([-1.0, 1.0], POKES)
+    poke = POKE * m.push
     rows = np.stack(
-        [when, np.full(POKES, POKED), POKE * np.cos(angle), POKE * np.sin(angle), twist], axis=1
+        [when, np.full(POKES, POKED), poke * np.cos(angle), poke * np.sin(angle), twists], axis=1
     )
     return Surroundings(pokes=tuple(tuple(row) for row in rows.tolist()))
 

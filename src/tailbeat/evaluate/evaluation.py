@@ -47,7 +47,8 @@ class EvaluationConfig:
 
     The pool's `fish`; the `twin` that the policy was trained in (None: the one that it names); the
     waters of the `pool` ("ensemble", or one of the ablations); the `tasks`; swims per condition
-    (`episodes`); `walls` (length, width) [m] of the walled trials; the seed.
+    (`episodes`); `walls` (length, width) [m] of the walled trials (None: the paper's pool in the
+    fish's measure); the seed.
     """
 
     fish: str = "pulley-fish"
@@ -55,7 +56,7 @@ class EvaluationConfig:
     pool: str = "ensemble"
     tasks: tuple[str, ...] = NAMES
     episodes: int = 250
-    walls: tuple[float, float] = POOL
+    walls: tuple[float, float] | None = None
     seed: int = 0
 
 
@@ -93,7 +94,9 @@ def pool_of(policy: Policy, config: EvaluationConfig) -> Pool:
     trained = check_swims(policy, config.twin, own)
     waters, actions = waters_of(config.pool), policy.contract.actions
     draws = _draws(config.twin or policy.contract.fish)
-    return Pool(own, trained, actions, waters, config.episodes, config.seed, config.walls, draws)
+    measure = policy.contract.measure
+    walls = config.walls or (POOL[0] * measure.reach, POOL[1] * measure.reach)
+    return Pool(own, trained, actions, waters, config.episodes, config.seed, walls, draws, measure)
 
 
 def _draws(fish: str) -> NDArray[np.float64] | None:
@@ -149,6 +152,7 @@ def describe(policy: Policy, pool: Pool) -> RunDescription:
         episodes=pool.count,
         walls=pool.walls,
         conditions=counts(pool),
+        measure=pool.measure,
     )
 
 

@@ -11,20 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.measure import ARRIVAL
 from tailbeat.evaluate.tour import Tour
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import guessed_shape
-from tailbeat.operator.tour import ARRIVAL, TargetResult
+from tailbeat.operator.tour import TargetResult
 
 Array = NDArray[np.float64]
 TARGET = slice(3, 5)  # of the newest frame in `decided_on`
 CLOSE = 1e-3  # m: the link sends float32
 
 
-def tour_of(log: Path, fish: Fish, targets: Array) -> Tour:
-    """The swim past targets (m, 2) [m]. Targets that it did not swim to count as missed. Raises
-    BadInput for a log without swimming, or with other targets."""
+def tour_of(log: Path, fish: Fish, targets: Array, arrival: float = ARRIVAL) -> Tour:
+    """The swim past targets (m, 2) [m], each reached within `arrival` [m]. Targets that it did not
+    swim to count as missed. Raises BadInput for a log without swimming, or with other targets."""
     from tailbeat.robot.log import read_rows  # needs the extra
 
     rows = [row for row in read_rows(log) if row["state"] == "run" and row["decided_on"]]
@@ -38,7 +39,7 @@ def tour_of(log: Path, fish: Fish, targets: Array) -> Tour:
     if not known.any():
         raise BadInput(f"{log}: the fish swam to other targets; give the seed of that swim.")
     reach = np.hypot(*(pose[:, :2] - targets[goal]).T)
-    ends = [_end(reach[goal == number]) for number in range(len(targets))]
+    ends = [_end(reach[goal == number], arrival) for number in range(len(targets))]
     reached, seconds, nearest = map(np.array, zip(*ends, strict=True))
     shape = np.stack([guessed_shape(fish, *one) for one in zip(pose, motor, strict=True)])
     return Tour(targets, shape, pose, goal, reached, seconds, nearest)
@@ -56,7 +57,7 @@ def as_seen(tour: Tour, rows: Sequence[TargetResult]) -> Tour:
     return replace(tour, reached=reached, nearest=nearest, seconds=seconds)
 
 
-def _end(reach: Array) -> tuple[bool, float, float]:
+def _end(reach: Array, arrival: float) -> tuple[bool, float, float]:
     """Whether a target was reached, the time [s] and the closest approach [m]."""
     nearest = float(reach.min()) if reach.size else np.inf
-    return nearest < ARRIVAL, PERIOD * reach.size, nearest
+    return nearest < arrival, PERIOD * reach.size, nearest

@@ -17,12 +17,12 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import savgol_filter
 
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.measure import ARRIVAL
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import MOTOR
 from tailbeat.fish.rollout import Start, replay_command, swim
 from tailbeat.fish.twin import Options, compile_twin
-from tailbeat.operator.tour import ARRIVAL
 
 if TYPE_CHECKING:  # a process that renders would wait for the pool's compiled code
     from tailbeat.evaluate.tour import Tour

@@ -16,7 +16,7 @@ from tailbeat.evaluate.trial import Condition, Pool
 from tailbeat.fish.description import Servo
 
 SCALES = (1.5, 2.7, 5.3)  # wrong scales of the paper's policy
-SPEEDS = (0.05, 0.10)  # m/s of moving targets
+SPEEDS = (0.05, 0.10)  # m/s of moving targets, of the paper's fish
 WEAK = 0.6  # factor on the servo's gain and torque
 LOST_FRAMES = (0.3, 0.6)  # fraction of frames without a tag
 SECONDS = 30.0
@@ -26,14 +26,16 @@ AS_TRAINED = f"{PREFIX}as trained"
 
 def conditions(pool: Pool) -> list[Condition]:
     """Rear, far and moving targets, wrong scales, a weak servo, lost frames."""
-    far = grid(pool.fish, pool.count, pool.seed + 2, 2.5, 4.0, float(np.radians(120)))
-    scene = grid(pool.fish, pool.count, pool.seed + 2, 0.5, 2.5, float(np.radians(120)))
-    rear = grid(pool.fish, pool.count, pool.seed + 2, 0.5, 2.5, np.pi)
+    m, side = pool.measure, float(np.radians(120))
+    spans = [(m.reach * a, m.reach * b) for a, b in ((2.5, 4.0), (0.5, 2.5))]
+    far = grid(pool.fish, pool.count, pool.seed + 2, *spans[0], side)
+    scene = grid(pool.fish, pool.count, pool.seed + 2, *spans[1], side)
+    rear = grid(pool.fish, pool.count, pool.seed + 2, *spans[1], np.pi)
     behind = replace(rear, target=_behind(rear.target, rear.start))
     found = [pool.condition(AS_TRAINED, scene), pool.condition(f"{PREFIX}rear", behind)]
     found.append(pool.condition(f"{PREFIX}far", far))
     for speed in SPEEDS:
-        gone = moving(scene, speed, SECONDS, pool.seed)
+        gone = moving(scene, speed * m.speed, SECONDS * m.time, pool.seed)
         found.append(pool.condition(f"{PREFIX}target {speed:g} m/s", gone))
     if isinstance(pool.actions, Generator):
         found += [

@@ -2,14 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 from scipy.stats import binomtest
 
-from tailbeat.evaluate.runs import NEAR, Runs
+from tailbeat.evaluate.runs import Runs
 
 Z95 = 1.96  # standard deviations on each side
 LEVEL = float(2 * ndtr(Z95) - 1)  # 95 %, computed from them
@@ -18,8 +17,8 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class SuccessRates:
-    """Fractions of targets that the fish came within 5 and 20 cm of, with 95 % Wilson intervals
-    (low, high)."""
+    """Fractions of targets that the fish `arrived` at (within 5 cm, for the paper's fish) or came
+    `near` (within 20 cm), with 95 % Wilson intervals (low, high)."""
 
     arrived: float
     arrived_interval: tuple[float, float]
@@ -47,9 +46,8 @@ class ConditionResult(SuccessRates):
     near_cost: Difference
 
 
-def success(reached: Flags, nearest: Any) -> SuccessRates:
-    """Success rates from arrivals (n,) and closest approaches (n,) [m]."""
-    near = nearest < NEAR
+def success(reached: Flags, near: Flags) -> SuccessRates:
+    """Success rates from arrivals (n,) and from who came near (n,)."""
     return SuccessRates(
         arrived=float(reached.mean()),
         arrived_interval=wilson(int(reached.sum()), reached.size),
@@ -65,14 +63,14 @@ def against(reference: Runs, conditions: Mapping[str, Runs]) -> tuple[ConditionR
 
 def _against(reference: Runs, name: str, runs: Runs) -> ConditionResult:
     both = min(reference.count, runs.count)
-    close, near = reference.reached[:both], reference.nearest[:both] < NEAR
+    close, near = reference.reached[:both], reference.near[:both]
     return ConditionResult(
         condition=name,
         swims=runs.count,
         lost=int(runs.lost.sum()),
-        **vars(success(runs.reached, runs.nearest)),
+        **vars(success(runs.reached, runs.near)),
         arrived_cost=paired(close, runs.reached[:both]),
-        near_cost=paired(near, runs.nearest[:both] < NEAR),
+        near_cost=paired(near, runs.near[:both]),
     )
 
 

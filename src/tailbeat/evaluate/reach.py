@@ -15,7 +15,7 @@ from tailbeat.env.task import Settings
 from tailbeat.env.world import World
 from tailbeat.evaluate.rates import Flags, SuccessRates, success
 from tailbeat.evaluate.runs import Runs
-from tailbeat.evaluate.scenes import grid, walled
+from tailbeat.evaluate.scenes import CLEAR, grid, walled
 from tailbeat.evaluate.trial import Condition, Pool
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
@@ -25,7 +25,7 @@ from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water, ensemble
 
 SECTOR = 30  # degrees of bearing, left and right together
-NEAREST, FARTHEST = 0.5, 3.0  # m
+NEAREST, TRAINED, FARTHEST = 0.5, 2.5, 3.0  # m, of the paper's fish; trained to the second
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,8 +113,9 @@ def in_pool(fish: Fish, settings: Settings, waters: Sequence[Water]) -> Build:
 def reach(policy: Policy, build: Build, count: int, seed: int) -> SeededTrial:
     """Swim a policy to `count` targets in worlds built from `seed`."""
     swims = assess(partial(decide, policy), build, count, seed)
-    sectors = by_sector(swims.bearing, swims.reached, swims.nearest, swims.seconds)
-    rates = vars(success(swims.reached, swims.nearest))
+    near = swims.nearest < policy.contract.measure.near
+    sectors = by_sector(swims.bearing, swims.reached, near, swims.seconds)
+    rates = vars(success(swims.reached, near))
     return SeededTrial(**vars(swims.summary()), **rates, sectors=sectors)
 
 
@@ -145,8 +146,10 @@ def conditions(pool: Pool) -> list[Condition]:
     """The conditions: bearings +-180 deg, 0.5-3 m, in open water, inside the paper's walls, in the
     twin, and in the twin over its posterior if it has one."""
     around = (Surroundings(walls=pool.walls),)
-    scene = grid(pool.fish, pool.count, pool.seed, NEAREST, FARTHEST, np.pi)
-    inside = walled(pool.fish, pool.count, pool.seed, NEAREST, FARTHEST, pool.walls)
+    near, far = NEAREST * pool.measure.reach, FARTHEST * pool.measure.reach
+    scene = grid(pool.fish, pool.count, pool.seed, near, far, np.pi)
+    clear = CLEAR * pool.measure.reach
+    inside = walled(pool.fish, pool.count, pool.seed, (near, far), pool.walls, clear)
     found = [
         pool.condition("reach open", scene),
         pool.condition("reach walled", inside, around=around),
@@ -161,36 +164,37 @@ def numbers(runs: Runs) -> ReachResult:
     """Results of the swims of one condition."""
     hits = runs.reached
     start = runs.distance[:, 0]
-    trained = (np.abs(runs.bearing) <= np.radians(120)) & (start <= 2.5)
+    trained = (np.abs(runs.bearing) <= np.radians(120)) & (start <= TRAINED * runs.reach)
     step = np.hypot(*np.moveaxis(np.diff(runs.pose[..., :2], axis=1), 2, 0))
     ratio = np.nansum(step, axis=1)[hits] / start[hits]
     return ReachResult(
         swims=runs.count,
-        **vars(success(hits, runs.nearest)),
-        trained_range=success(hits[trained], runs.nearest[trained]) if trained.any() else None,
+        **vars(success(hits, runs.near)),
+        trained_range=success(hits[trained], runs.near[trained]) if trained.any() else None,
         median_seconds=float(np.median(runs.seconds[hits])) if hits.any() else None,
         median_path_ratio=float(np.median(ratio)) if hits.any() else None,
         lost=int(runs.lost.sum()),
-        sectors=by_sector(runs.bearing, hits, runs.nearest, runs.seconds),
-        ranges=by_range(start, hits, runs.nearest, runs.seconds),
+        sectors=by_sector(runs.bearing, hits, runs.near, runs.seconds),
+        ranges=by_range(runs, start),
         waters=by_water(runs),
-        cells=by_cell(runs.bearing, start, hits, runs.nearest),
+        cells=by_cell(runs, start),
     )
 
 
-def by_sector(bearing: Any, reached: Flags, nearest: Any, seconds: Any) -> tuple[Group, ...]:
+def by_sector(bearing: Any, reached: Flags, near: Flags, seconds: Any) -> tuple[Group, ...]:
     """Success rates and times by bearing of the target at the start, left and right together."""
     groups = [(*edges, inside) for edges, inside in _sectors(bearing)]
-    return _groups(groups, reached, nearest, seconds)
+    return _groups(groups, reached, near, seconds)
 
 
-def by_range(start: Any, reached: Flags, nearest: Any, seconds: Any) -> tuple[Group, ...]:
-    """Success rates and times by distance of the target at the start, by half metres."""
-    groups = [(*edges, inside) for edges, inside in _ranges(start)]
-    return _groups(groups, reached, nearest, seconds)
+def by_range(runs: Runs, start: Any) -> tuple[Group, ...]:
+    """Success rates and times by distance of the target at the start [m], by half metres of the
+    paper's fish."""
+    groups = [(*edges, inside) for edges, inside in _ranges(runs, start)]
+    return _groups(groups, runs.reached, runs.near, runs.seconds)
 
 
-def by_cell(bearing: Any, start: Any, reached: Flags, nearest: Any) -> tuple[Cell, ...]:
+def by_cell(runs: Runs, start: Any) -> tuple[Cell, ...]:
     """Success rates by bearing [rad] and distance [m] of the target at the start; a cell without
     targets is left out."""
     return tuple(
@@ -198,10 +202,10 @@ def by_cell(bearing: Any, start: Any, reached: Flags, nearest: Any) -> tuple[Cel
             bearing=sector,
             distance=span,
             targets=int((there & far).sum()),
-            **vars(success(reached[there & far], nearest[there & far])),
+            **vars(success(runs.reached[there & far], runs.near[there & far])),
         )
-        for sector, there in _sectors(bearing)
-        for span, far in _ranges(start)
+        for sector, there in _sectors(runs.bearing)
+        for span, far in _ranges(runs, start)
         if (there & far).any()
     )
 
@@ -213,20 +217,22 @@ def _sectors(bearing: Any) -> list[tuple[tuple[float, float], Flags]]:
     return [((a, b), (away >= a) & (away < b + (b == 180))) for a, b in edges]
 
 
-def _ranges(start: Any) -> list[tuple[tuple[float, float], Flags]]:
-    """Edges [m] of each half metre, and which targets lie in it."""
-    edges = np.arange(NEAREST, FARTHEST, 0.5).tolist()
-    return [((a, a + 0.5), (start >= a - 1e-6) & (start < a + 0.5)) for a in edges]
+def _ranges(runs: Runs, start: Any) -> list[tuple[tuple[float, float], Flags]]:
+    """Edges [m] of each half metre of the paper's fish, and which targets lie in it."""
+    reach = float(runs.reach[0])
+    edges = np.arange(NEAREST, FARTHEST + 0.5, 0.5) * reach
+    pairs = zip(edges.tolist(), edges[1:].tolist(), strict=False)
+    return [((a, b), (start >= a - 1e-6) & (start < b)) for a, b in pairs]
 
 
 def by_water(runs: Runs) -> tuple[Group, ...]:
     """Success rates and times by water; empty if there is only one."""
     groups = [(number, number, runs.water == number) for number in np.unique(runs.water).tolist()]
-    return _groups(groups, runs.reached, runs.nearest, runs.seconds) if len(groups) > 1 else ()
+    return _groups(groups, runs.reached, runs.near, runs.seconds) if len(groups) > 1 else ()
 
 
 def _groups(
-    groups: Iterable[tuple[float, float, Flags]], reached: Flags, nearest: Any, seconds: Any
+    groups: Iterable[tuple[float, float, Flags]], reached: Flags, near: Flags, seconds: Any
 ) -> tuple[Group, ...]:
     taken = np.where(reached, seconds, np.inf)
     return tuple(
@@ -234,7 +240,7 @@ def _groups(
             low=low,
             high=high,
             targets=int(inside.sum()),
-            **vars(success(reached[inside], nearest[inside])),
+            **vars(success(reached[inside], near[inside])),
             median_s=_time(taken[inside], 0.5),
             p90_s=_time(taken[inside], 0.9),
         )

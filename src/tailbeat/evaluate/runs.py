@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.measure import NEAR
 from tailbeat.control.observation import bearing
 from tailbeat.recording import Recording
 
 Single = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 SHOWN = 8  # fish per chunk whose shape is stored
-NEAR = 0.2  # m, the paper's wider circle
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,8 @@ class Runs:
     `pose` (n, k + 1, 3) of the tag [m, m, rad]; `target` (n, k + 1, 2) [m]; `motor` (n, k + 1)
     angle and `setpoint` (n, k) [rad]; `steps` swum, `reached`, `lost` (diverged, or out of range)
     (n,); `energy` (n,) [J] from the actuator, NaN in a twin; `shape` (m, k + 1, nv) generalised
-    coordinates of the first m fish; `water` (n,) index of the pool.
+    coordinates of the first m fish; `water` (n,) index of the pool; the fish's `size` and `reach`
+    (n,) over the paper's fish (`control.measure`).
     """
 
     pose: Single
@@ -35,6 +36,8 @@ class Runs:
     energy: Single
     shape: Single
     water: NDArray[np.int64]
+    size: Single
+    reach: Single
 
     @property
     def count(self) -> int:
@@ -51,6 +54,11 @@ class Runs:
     def nearest(self) -> Single:
         """Closest approach (n,) [m]."""
         return np.asarray(np.nanmin(self.distance, axis=1))
+
+    @property
+    def near(self) -> Flags:
+        """Which swims came within the wider circle about their target (n,)."""
+        return np.asarray(self.nearest < NEAR * self.size)
 
     @property
     def seconds(self) -> NDArray[np.float64]:

@@ -8,13 +8,15 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.measure import Measure
 from tailbeat.env.task import Scene
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.runs import tracked_pose
 
 Array = NDArray[np.float64]
-CLEAR = 0.4  # m, least distance of a start from the walls; targets: half of it
+PAPER = Measure()
+CLEAR = 0.4  # m, least distance of a start from the walls, of the paper's fish; targets: half
 TRIES = 2000
 HALF_EIGHT = (
     1.6,
@@ -50,18 +52,23 @@ def still(start: Array, target: Array, velocity: Array | None = None) -> Scene:
 
 
 def walled(
-    fish: Fish, count: int, seed: int, near: float, far: float, walls: tuple[float, float]
+    fish: Fish,
+    count: int,
+    seed: int,
+    span: tuple[float, float],
+    walls: tuple[float, float],
+    clear: float = CLEAR,
 ) -> Scene:
-    """Starts anywhere inside walls (length, width) [m], and targets around them, also inside.
-    Raises BadInput if none is found."""
-    rng, half = np.random.default_rng(seed), np.array(walls) / 2
+    """Starts anywhere inside walls (length, width) [m], `clear` [m] of them, and targets `span`
+    (from, to) [m] away, also inside. Raises BadInput if none is found."""
+    rng, half, (near, far) = np.random.default_rng(seed), np.array(walls) / 2, span
     starts, targets = np.empty((count, 3)), np.empty((count, 2))
     for i in range(count):
         for _ in range(TRIES):
-            start = np.array([*rng.uniform(-1, 1, 2) * (half - CLEAR), rng.uniform(-np.pi, np.pi)])
+            start = np.array([*rng.uniform(-1, 1, 2) * (half - clear), rng.uniform(-np.pi, np.pi)])
             bearing, distance = rng.uniform(-np.pi, np.pi, 1), rng.uniform(near, far, 1)
             place = aim(fish, start[None], bearing, distance)[0]
-            if (half > CLEAR).all() and (np.abs(place) < half - CLEAR / 2).all():
+            if (half > clear).all() and (np.abs(place) < half - clear / 2).all():
                 break
         else:
             raise BadInput(
@@ -132,14 +139,17 @@ def follow(
     seconds: float,
     count: int,
     lead: float = np.inf,
+    measure: Measure = PAPER,
 ) -> Scene:
     """Targets that go round a path in `lap` [s], or longer if they wait for a fish that is more
-    than `lead` [m] away. Fish start behind them, on the tangent."""
-    steps, per_lap = round(seconds / PERIOD) + 1, round(lap / PERIOD)
-    way = even(path, per_lap)[np.arange(steps) % per_lap]
+    than `lead` [m] away. Fish start behind them, on the tangent. All of it is given for the paper's
+    fish, and taken in the `measure` of the fish."""
+    steps = round(seconds * measure.time / PERIOD) + 1
+    per_lap = round(lap * measure.time / PERIOD)
+    way = measure.reach * even(path, per_lap)[np.arange(steps) % per_lap]
     ahead = way[1] - way[0]
     heading = np.arctan2(ahead[1], ahead[0])
-    offset = tracked_pose(fish, np.zeros(3))[0] + BEHIND
+    offset = tracked_pose(fish, np.zeros(3))[0] + BEHIND * measure.reach
     start = np.array([*(way[0] - offset * ahead / np.hypot(*ahead)), heading])
     starts, ways = np.tile(start, (count, 1)), np.tile(way, (count, 1, 1))
-    return Scene(starts, np.zeros((count, 3)), ways, np.full(count, lead))
+    return Scene(starts, np.zeros((count, 3)), ways, np.full(count, lead * measure.reach))

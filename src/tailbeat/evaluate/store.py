@@ -7,13 +7,14 @@ short can be read up to its end.
 import json
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from tailbeat.control.measure import Measure
 from tailbeat.evaluate.runs import Runs
 from tailbeat.files import BadInput, leaves, new_file, plain, write_json
 from tailbeat.fish.description import Fish
@@ -32,8 +33,8 @@ class RunDescription:
 
     Digest of the `policy`, kind of its `actions`, its `band` [Hz] and `training` from its contract;
     the `twin` that it was trained in; `fish` and `water` of the pool with their digests; the seed,
-    swims per condition (`episodes`), walls (length, width) [m], and the number of swims of each of
-    the `conditions`.
+    swims per condition (`episodes`), walls (length, width) [m], the number of swims of each of the
+    `conditions`, and the fish's `measure`.
     """
 
     policy: str
@@ -49,6 +50,7 @@ class RunDescription:
     episodes: int
     walls: tuple[float, float]
     conditions: Mapping[str, int]
+    measure: Measure = field(default_factory=Measure)
 
 
 def begin(out: Path, wanted: RunDescription) -> None:
@@ -157,7 +159,9 @@ def read_chunk(path: Path) -> Runs:
         raise BadInput(f"{path}: no such file; give a chunk that `tailbeat evaluate` wrote.")
     try:
         with np.load(path) as held:
-            return Runs(**{field.name: held[field.name] for field in fields(Runs)})
+            ones = np.ones(len(held["steps"]), np.float32)  # older chunks are of the paper's fish
+            found = {**dict.fromkeys(("size", "reach"), ones), **held}
+            return Runs(**{field.name: found[field.name] for field in fields(Runs)})
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise BadInput(f"{path}: cannot be read; delete it and evaluate again.") from error
 

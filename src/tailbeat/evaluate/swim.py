@@ -74,7 +74,8 @@ def live(config: SwimConfig, out: Path, say: Say) -> Swum:
     seen.unlink(missing_ok=True)
     swim(config.policy, config.fish, config.targets, config.seed, "127.0.0.1:0", out, say)
     toured = read_record(Toured, seen)
-    swum = as_seen(tour_of(log, where.fish, drawn), toured.targets)
+    arrival = where.measure.arrival
+    swum = as_seen(tour_of(log, where.fish, drawn, arrival), toured.targets)
     return Swum(swum, loaded, where, config, log, toured.armed_anew)
 
 
@@ -104,4 +105,6 @@ def _entered(config: SwimConfig) -> tuple[Policy, Pool, NDArray[float64]]:
         raise BadInput(f"--targets {config.targets}: allowed are 1 to 100.")
     loaded = load_policy(config.policy)
     given = EvaluationConfig(config.fish, config.twin, "full", episodes=2, seed=config.seed)
-    return loaded, pool_of(loaded, given), draw_targets(config.targets, config.seed)
+    measure = loaded.contract.measure
+    drawn = draw_targets(config.targets, config.seed, measure=measure)
+    return loaded, pool_of(loaded, given), drawn

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.measure import PATIENCE
 from tailbeat.control.policy import Policy, decide
-from tailbeat.env.task import Settings, Task
+from tailbeat.env.task import Settings, Task, sized
 from tailbeat.env.world import World
 from tailbeat.evaluate.trial import Progress
 from tailbeat.fish.description import Fish
@@ -20,7 +21,6 @@ from tailbeat.pool.water import Water
 
 Array = NDArray[np.float64]
 WALLS = POOL
-PATIENCE = 30.0  # s for one target
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +53,10 @@ class Tour:
 def tour(
     policy: Policy, fish: Fish, water: Water, targets: Array, seed: int, progress: Progress
 ) -> Tour:
-    """Swim to each target until it is within 5 cm or its time is over; start in the pool's
-    middle."""
-    total = PATIENCE * len(targets)
-    settings = Settings(policy.contract.actions, Task(seconds=total))
+    """Swim to each target until it is reached or its time is over; start in the pool's middle."""
+    m = policy.contract.measure
+    task = sized(Task(seconds=PATIENCE * len(targets)), m)
+    settings = Settings(policy.contract.actions, task, measure=m)
     simulator = PoolSimulator(fish, [water], [Surroundings(walls=WALLS)])
     world, choose = World(fish, settings, [seed], simulator=simulator), partial(decide, policy)
     shape, pose, goal, ends = [], [], [], []
@@ -65,7 +65,7 @@ def tour(
     seen = world.reset(np.zeros(1, bool))
     for number, place in enumerate(targets):
         world.target[0], nearest = place, np.inf
-        for _ in range(round(PATIENCE / PERIOD)):
+        for _ in range(round(m.patience / PERIOD)):
             done = world.step(np.asarray(choose(seen), dtype=np.float64))
             seen = done.observation
             shape.append(world.simulator.qpos[0].copy())

@@ -65,6 +65,7 @@ def _target_paths() -> tuple[TargetPath, ...]:
 
 TARGET_PATHS = _target_paths()
 SETTLING = 5.0  # s at the start that do not count
+# Of the paper's fish, as are the paths and their times.
 KEPT = 0.6  # m: largest distance to the target of a swim that kept it
 CROSSING, ALIGNED = 0.15, np.radians(45)  # m, rad, of a clean pass through the eight's middle
 SWIMS = 10
@@ -75,21 +76,21 @@ MARGIN = 0.4  # m between a path and the walls
 def conditions(pool: Pool) -> list[Condition]:
     """Ten swims of 73 s per path, each with its own water and noise; one condition."""
     parts = [
-        follow(pool.fish, PATHS[one.path], one.lap, SECONDS, SWIMS, one.lead)
+        follow(pool.fish, PATHS[one.path], one.lap, SECONDS, SWIMS, one.lead, pool.measure)
         for one in TARGET_PATHS
     ]
     whole = Scene(*(np.concatenate([getattr(one, n) for one in parts]) for n in vars(parts[0])))
     water = len(TARGET_PATHS) * pools(pool.waters, SWIMS)
     around = (Surroundings(walls=pool.walls),)
-    _check_room(pool.walls)
+    _check_room(pool.walls, pool.measure.reach)
     given = {"water": water, "around": around, "seconds": SECONDS, "stop": False}
     return [pool.condition(TRACK, whole, **given)]
 
 
-def _check_room(walls: tuple[float, float]) -> None:
+def _check_room(walls: tuple[float, float], reach: float) -> None:
     """Check that no path is too close to a wall. Raises BadInput."""
     for path, way in PATHS.items():
-        length, width = 2 * np.abs(even(way, 360)).max(axis=0) + 2 * MARGIN
+        length, width = reach * (2 * np.abs(even(way, 360)).max(axis=0) + 2 * MARGIN)
         if length > walls[0] or width > walls[1]:
             raise BadInput(
                 f"walls of {walls[0]:g} x {walls[1]:g} m: the {path} needs {length:.1f} x"
@@ -110,7 +111,7 @@ def numbers(by_condition: Mapping[str, Runs]) -> tuple[TrackResult, ...]:
 
 
 def _result(name: str, runs: Runs, path: str) -> TrackResult:
-    first = round(SETTLING / PERIOD)
+    first, reach = round(SETTLING / PERIOD), float(runs.reach[0])
     away, off = runs.distance[:, first:], aside(runs, path)[:, first:]
     crossed = crossings(runs) if path == "eight" else None
     moved = np.hypot(*np.moveaxis(np.diff(runs.target, axis=1), -1, 0))
@@ -121,14 +122,14 @@ def _result(name: str, runs: Runs, path: str) -> TrackResult:
         median_distance=float(np.nanmedian(away)),
         p95_distance=float(np.nanpercentile(away, 95)),
         aside_rms=float(np.sqrt(np.nanmean(np.square(off)))),
-        kept=int((np.nanmax(away, axis=1) < KEPT).sum()),
+        kept=int((np.nanmax(away, axis=1) < KEPT * reach).sum()),
         two_crossings=None if crossed is None else int((crossed >= 2).sum()),
     )
 
 
 def aside(runs: Runs, path: str) -> NDArray[np.float64]:
     """Distance of each tag from the nearest point of the path (n, k + 1) [m]."""
-    way = even(PATHS[path], 720)
+    way = even(PATHS[path], 720) * float(runs.reach[0])
     return np.stack(
         [
             np.hypot(*(place[:, None] - way).transpose(2, 0, 1)).min(axis=1)
@@ -140,9 +141,9 @@ def aside(runs: Runs, path: str) -> NDArray[np.float64]:
 def crossings(runs: Runs) -> NDArray[np.int64]:
     """Clean passes of each swim (n,) through the middle of the eight: within 15 cm of it, moving
     within 45 deg of the target's direction there."""
-    return np.array(
-        [_passes(pose, target) for pose, target in zip(runs.pose, runs.target, strict=True)]
-    )
+    unit = runs.reach[:, None, None]
+    places = zip(runs.pose[..., :2] / unit, runs.target / unit, strict=True)
+    return np.array([_passes(place, target) for place, target in places])
 
 
 def _passes(pose: Any, target: Any) -> int:

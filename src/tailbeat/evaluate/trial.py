@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, ActionSpace
+from tailbeat.control.measure import PATIENCE, Measure
+from tailbeat.env import randomize
 from tailbeat.env.assess import Decide
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel
-from tailbeat.env.task import Scene, Settings, Task
+from tailbeat.env.task import Scene, Settings, Task, sized
 from tailbeat.env.world import World, seeds_from
 from tailbeat.evaluate import store
 from tailbeat.evaluate.runs import SHOWN, Runs
@@ -29,14 +31,15 @@ from tailbeat.pool.water import Water
 
 Array = NDArray[np.float64]
 CHUNK = 125  # swims in one batch, and in one file
-LIMIT = 9.0  # m from the start at which a fish is lost
+LIMIT = 9.0  # m from the start at which the paper's fish is lost
 Progress = Callable[[str, int, int], None]  # condition, swims done, all swims
 
 
 @dataclass(frozen=True, eq=False)
 class Condition:
     """n swims under one condition. Without `water` they are swum in the fish's own twin, with its
-    `physics` randomised; `draws` as in `Settings`. `stop` ends a swim at its arrival."""
+    `physics` randomised; `draws` as in `Settings`. `stop` ends a swim at its arrival. `physics` and
+    `seconds` are those of the paper's fish, and are taken in the fish's own `measure`."""
 
     name: str
     fish: Fish
@@ -48,13 +51,19 @@ class Condition:
     sensors: SensorModel = field(default_factory=SensorModel)
     physics: Randomisation = field(default_factory=Randomisation)
     draws: Array | None = None
-    seconds: float = 30.0
+    seconds: float = PATIENCE
     stop: bool = True
+    measure: Measure = field(default_factory=Measure)
 
     @property
     def count(self) -> int:
         """Number of swims."""
         return len(self.scene.start)
+
+    @property
+    def task(self) -> Task:
+        """Its times and limits."""
+        return sized(Task(seconds=self.seconds, limit=LIMIT), self.measure)
 
     @property
     def chunks(self) -> int:
@@ -67,9 +76,9 @@ class Pool:
     """The pool for a policy.
 
     The pool's `fish` and `waters`; the `twin` that the policy was trained in; the `actions` of its
-    contract; `count` swims per condition, drawn from `seed`; `walls` (length, width) [m] of the
-    walled trials, the paper's pool by default; `draws` of the twin's posterior as in `Settings`
-    (None: it has none).
+    contract, which has the fish's `measure`; `count` swims per condition, drawn from `seed`;
+    `walls` (length, width) [m] of the walled trials, the paper's pool by default; `draws` of the
+    twin's posterior as in `Settings` (None: it has none).
     """
 
     fish: Fish
@@ -80,16 +89,19 @@ class Pool:
     seed: int
     walls: tuple[float, float] = POOL
     draws: Array | None = None
+    measure: Measure = field(default_factory=Measure)
 
     def condition(self, name: str, scene: Scene, **changed: Any) -> Condition:
         """A condition in the pool's waters, used in turn."""
         water = changed.pop("water", pools(self.waters, len(scene.start)))
-        return replace(Condition(name, self.fish, scene, self.actions, water), **changed)
+        own = Condition(name, self.fish, scene, self.actions, water, measure=self.measure)
+        return replace(own, **changed)
 
     def in_twin(self, name: str, scene: Scene, draws: Array | None = None) -> Condition:
         """The same swims in the twin, with all noise and randomisation; with `draws`, the water's
         coefficients are drawn from these."""
-        return Condition(name, self.twin, scene, self.actions, None, draws=draws)
+        own = Condition(name, self.twin, scene, self.actions, None, measure=self.measure)
+        return replace(own, draws=draws)
 
 
 def part(condition: Condition, chunk: int) -> Condition:
@@ -119,7 +131,7 @@ def swim_all(
 
 def swim(decide: Decide, condition: Condition, seeds: list[int]) -> Runs:
     """All swims of a condition together."""
-    world, steps = _world(condition, seeds), round(condition.seconds / PERIOD)
+    world, steps = _world(condition, seeds), round(condition.task.seconds / PERIOD)
     log = _Log(world, steps)
     seen, going = world.reset(), np.ones(world.count, bool)
     log.note(world, going, 0)
@@ -143,9 +155,13 @@ def _world(one: Condition, seeds: list[int]) -> World:
     simulator: Any = None
     if one.water is not None:
         simulator = PoolSimulator(one.fish, one.water, one.around, one.servo)
-    task = Task(seconds=one.seconds, limit=LIMIT)
     settings = Settings(
-        one.actions, task, sensors=one.sensors, physics=one.physics, draws=one.draws
+        one.actions,
+        one.task,
+        sensors=one.sensors,
+        physics=randomize.sized(one.physics, one.measure),
+        draws=one.draws,
+        measure=one.measure,
     )
     return World(one.fish, settings, seeds, simulator=simulator, scene=one.scene)
 
@@ -179,15 +195,17 @@ class _Log:
     def away(self, world: World) -> Any:
         """Which fish are out of range of their starts."""
         offset = world.pose[:, :2] - self.pose[:, 0, :2]
-        return np.hypot(offset[:, 0], offset[:, 1]) > LIMIT
+        return np.hypot(offset[:, 0], offset[:, 1]) > world.task.limit
 
     def runs(self, world: World, condition: Condition) -> Runs:
         """The stored arrays, cut after the end of the last swim."""
         end, kinds = self.last + 1, list(dict.fromkeys(condition.water or ()))
+        m = condition.measure
         water = np.array([kinds.index(one) for one in condition.water or ()] or [-1] * world.count)
         return Runs(
             self.pose[:, :end], self.target[:, :end], self.motor[:, :end], self.setpoint[:, 1:end],
             self.steps, self.reached, self.lost, self.energy, self.shape[:, :end], water,
+            *(np.full(world.count, ratio, np.float32) for ratio in (m.size, m.reach)),
         )  # fmt: skip
 
 

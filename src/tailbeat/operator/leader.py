@@ -5,12 +5,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from tailbeat.control.measure import Measure
 from tailbeat.files import BadInput
 from tailbeat.link.datagrams import Order
 from tailbeat.link.places import POOL, place
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import State, Status
-from tailbeat.operator.tour import Pose, Tour, draw_targets
+from tailbeat.operator.tour import PAPER, Pose, Tour, draw_targets
 
 Say = Callable[[str], None]
 STARTING, STUCK, AGAIN = 30.0, 15.0, 2.0  # s to start, without swimming, between orders
@@ -81,21 +82,28 @@ class Leader:
         return self.tour.target is None or time.monotonic() - self.ran > STUCK
 
 
-def drawn_tour(count: int, seed: int, pool: tuple[float, float] = POOL) -> Tour | None:
-    """A tour of `count` targets in a pool of this length and width [m]; None for 0. Raises
-    BadInput."""
+def drawn_tour(
+    count: int, seed: int, pool: tuple[float, float] = POOL, measure: Measure = PAPER
+) -> Tour | None:
+    """A tour of `count` targets in a pool of this length and width [m], in a fish's measure; None
+    for 0. Raises BadInput."""
     if not 0 <= count <= 1000:
         raise BadInput(f"--tour {count}: allowed are 0 to 1000 targets.")
     if not count:
         return None
-    return Tour([(float(x), float(y)) for x, y in draw_targets(count, seed, pool)])
+    places = draw_targets(count, seed, pool, measure).tolist()
+    return Tour([(x, y) for x, y in places], measure.patience, measure.arrival)
 
 
 def chosen_leader(
-    targets: int, seed: int, begin: str | None, pool: tuple[float, float]
+    targets: int,
+    seed: int,
+    begin: str | None,
+    pool: tuple[float, float],
+    measure: Measure = PAPER,
 ) -> Leader | None:
     """A leader through so many drawn targets, or to `begin` (x,y [m] as typed); None for neither.
     Raises BadInput."""
-    tour = drawn_tour(targets, seed, pool)
+    tour = drawn_tour(targets, seed, pool, measure)
     aim = None if begin is None else place(begin, "--begin", pool)
     return Leader(tour, aim) if tour or aim else None

@@ -11,28 +11,33 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control.measure import ARRIVAL, PATIENCE, Measure
 from tailbeat.files import BadInput
 from tailbeat.link.places import POOL
 
-ARRIVAL = 0.05  # m (paper)
-PATIENCE = 30.0  # s for one target
+# Of the paper's fish:
 APART = 0.8  # m, least distance of successive targets
 MARGIN = 0.65  # m, least distance of targets from the walls: the fish must be able to turn
+PAPER = Measure()
 TRIES = 2000  # most draws per target
 Place = tuple[float, float]
 Pose = tuple[float, float, float]
 
 
-def draw_targets(count: int, seed: int, pool: tuple[float, float] = POOL) -> NDArray[np.float64]:
+def draw_targets(
+    count: int, seed: int, pool: tuple[float, float] = POOL, measure: Measure = PAPER
+) -> NDArray[np.float64]:
     """Draw positions (count, 2) inside a pool of this length and width [m], each far enough from
-    the last. Raises BadInput."""
-    if min(pool) <= 2 * MARGIN:
+    the last; a small fish stays about the pool's middle. Raises BadInput."""
+    margin, apart = MARGIN * measure.reach, APART * measure.reach
+    if min(pool) <= 2 * margin:
         raise BadInput(f"--tour: the pool of {pool[0]:g} by {pool[1]:g} m is too small to turn in.")
-    rng, room = np.random.default_rng(seed), np.array(pool) / 2 - MARGIN
+    used = np.minimum(pool, np.array(POOL) * measure.reach)
+    rng, room = np.random.default_rng(seed), used / 2 - margin
     places = [np.zeros(2)]
     for _ in range(TRIES * count):
         place = rng.uniform(-room, room)
-        if np.hypot(*(place - places[-1])) > APART:
+        if np.hypot(*(place - places[-1])) > apart:
             places.append(place)
         if len(places) > count:
             return np.array(places[1:])

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from tailbeat.control.measure import ARRIVAL
 from tailbeat.evaluate.motion import Motion
-from tailbeat.operator.tour import ARRIVAL
 from tailbeat.report.pool_scene import DEPTH, SUN
 
 Array = NDArray[np.float64]

@@ -7,12 +7,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from tailbeat.control.measure import Measure, centimetres
 from tailbeat.evaluate import comparison, evaluation, spectrum, store, track
 from tailbeat.evaluate.comparison import Comparison
 from tailbeat.evaluate.evaluation import Evaluation
 from tailbeat.evaluate.fresh_recordings import FreshResult
 from tailbeat.evaluate.rates import ConditionResult, Difference
-from tailbeat.evaluate.reach import ReachResult
+from tailbeat.evaluate.reach import TRAINED, ReachResult
 from tailbeat.evaluate.trial import CHUNK
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
@@ -95,7 +96,7 @@ def _warnings(data: Evaluation) -> list[Block]:
 def _costs(out: Path, rows: tuple[ConditionResult, ...], heading: str, name: str) -> list[Section]:
     if not rows:
         return []
-    drawn = swim_figures.costs(rows, "within 5 cm")
+    drawn = swim_figures.costs(rows, heading)
     return [Section(heading, (table(_plain(rows)), figure(drawn, out, name)))]
 
 
@@ -121,7 +122,7 @@ def _reach(out: Path, data: Evaluation, fish: Fish) -> list[Section]:
     for name, row in data.reach.items():
         swims, _ = store.load(out, name, -(-data.run.conditions[name] // CHUNK))
         stem = name.replace(" ", "-")
-        blocks += [Block("heading", name), table([_reach_row(row)])]
+        blocks += [Block("heading", name), table([_reach_row(row, data.run.measure)])]
         blocks.append(figure(swim_figures.heat_map(row.cells, name), out, f"{stem}-rates"))
         blocks.append(figure(swim_figures.reach_map(swims, name), out, f"{stem}-map"))
         if not name.endswith("twin"):
@@ -130,14 +131,15 @@ def _reach(out: Path, data: Evaluation, fish: Fish) -> list[Section]:
     return [Section("Reaching", tuple(blocks))]
 
 
-def _reach_row(row: ReachResult) -> dict[str, Any]:
-    trained = row.trained_range
+def _reach_row(row: ReachResult, m: Measure) -> dict[str, Any]:
+    trained, span = row.trained_range, f"±120°, to {TRAINED * m.reach:.3g} m"
+    close, wide = centimetres(m.arrival), centimetres(m.near)
     return {
         "swims": row.swims,
-        "5 cm [%]": arrived(row),
-        "20 cm [%]": near(row),
-        "±120°, to 2.5 m: 5 cm [%]": arrived(trained),
-        "±120°, to 2.5 m: 20 cm [%]": near(trained),
+        f"{close} [%]": arrived(row),
+        f"{wide} [%]": near(row),
+        f"{span}: {close} [%]": arrived(trained),
+        f"{span}: {wide} [%]": near(trained),
         "median time [s]": row.median_seconds,
         "path length over distance": row.median_path_ratio,
     }

@@ -7,11 +7,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control.measure import ARRIVAL
 from tailbeat.fish.description import Fish
 from tailbeat.fish.looks import Colours, add_hulls
 from tailbeat.fish.twin import Options, build_spec
 from tailbeat.link.places import POOL
-from tailbeat.operator.tour import ARRIVAL
 from tailbeat.report import pool_pictures as pictures
 
 Array = NDArray[np.float64]

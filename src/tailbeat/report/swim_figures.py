@@ -13,10 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.measure import ARRIVAL, NEAR, centimetres
 from tailbeat.evaluate.comparison import Kind
 from tailbeat.evaluate.rates import ConditionResult
 from tailbeat.evaluate.reach import Cell, Group, ReachResult
-from tailbeat.evaluate.runs import NEAR, Runs, surge
+from tailbeat.evaluate.runs import Runs, surge
 from tailbeat.evaluate.spectrum import SpectrumRow
 from tailbeat.evaluate.track import TrackResult
 from tailbeat.files import new_file
@@ -62,15 +63,12 @@ def reach_map(runs: Runs, title: str = "") -> Figure:
     """Targets in the fish's frame at its start, with the paths swum to them (paper's map)."""
     figure = _figure(5.5, 5.2)
     axes = figure.subplots()
-    for way, place, hit, near in zip(
-        *_in_start_frame(runs), runs.reached, runs.nearest, strict=True
-    ):
-        colour = REACHED if hit else NEARLY if near < NEAR else MISSED
+    for way, place, hit, near in zip(*_in_start_frame(runs), runs.reached, runs.near, strict=True):
+        colour = REACHED if hit else NEARLY if near else MISSED
         axes.plot(way[:, 1], way[:, 0], color=colour, lw=0.4, alpha=0.35)
-        axes.plot(
-            place[1], place[0], "o" if hit else "s" if near < NEAR else "x", ms=4, color=colour
-        )
-    names = ("o", REACHED, "within 5 cm"), ("s", NEARLY, "within 20 cm"), ("x", MISSED, "missed")
+        axes.plot(place[1], place[0], "o" if hit else "s" if near else "x", ms=4, color=colour)
+    ends = [f"within {centimetres(one * float(runs.size[0]))}" for one in (ARRIVAL, NEAR)]
+    names = ("o", REACHED, ends[0]), ("s", NEARLY, ends[1]), ("x", MISSED, "missed")
     for marker, colour, label in names:
         axes.plot([], [], marker, ms=4, color=colour, label=label)
     axes.annotate("", (0, 0.3), (0, -0.2), arrowprops={"arrowstyle": "-|>", "lw": 1.5})
@@ -111,7 +109,7 @@ def sectors(report: Mapping[str, ReachResult]) -> Figure:
 
 @styled
 def heat_map(cells: Sequence[Cell], title: str = "") -> Figure:
-    """Success rate within 5 cm over bearing and distance of the target at the start. Each cell has
+    """Success rate over bearing and distance of the target at the start. Each cell has
     its 95 % Wilson interval and the number of targets; a cell without targets is empty."""
     bearings = sorted({cell.bearing for cell in cells})
     distances = sorted({cell.distance for cell in cells})
@@ -127,7 +125,7 @@ def heat_map(cells: Sequence[Cell], title: str = "") -> Figure:
     axes.set_yticks(range(len(distances)), [f"{low:g}–{high:g}" for low, high in distances])
     axes.set(title=title, xlabel="bearing, either side [deg]", ylabel="distance [m]")
     axes.grid(visible=False)
-    figure.colorbar(drawn, label="success rate within 5 cm [%]")
+    figure.colorbar(drawn, label="success rate [%]")
     return figure
 
 
@@ -166,8 +164,9 @@ def _draw_path(axes: Axes, runs: Runs, fish: Fish, number: int) -> None:
         body = outline(fish, runs.shape[number, step])
         axes.plot(*body.T, color=POOL, alpha=shade, lw=2, solid_capstyle="round")
     x, y = runs.target[number, 0].tolist()
-    axes.add_patch(Circle((x, y), 0.05, color=TARGET, zorder=3))
-    axes.add_patch(Circle((x, y), NEAR, fill=False, color=TARGET, lw=0.8))
+    size = float(runs.size[number])
+    axes.add_patch(Circle((x, y), ARRIVAL * size, color=TARGET, zorder=3))
+    axes.add_patch(Circle((x, y), NEAR * size, fill=False, color=TARGET, lw=0.8))
     ends = "reached" if runs.reached[number] else f"{100 * runs.nearest[number]:.0f} cm"
     axes.set(title=f"{ends}, {runs.seconds[number]:.1f} s", xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal", adjustable="datalim")
@@ -236,7 +235,7 @@ def gaits(runs: Runs, seconds: float = 6.0) -> Figure:
 
 @styled
 def costs(rows: Sequence[ConditionResult], title: str) -> Figure:
-    """Success rate within 5 cm per condition with its interval, and the difference to the first
+    """Success rate per condition with its interval, and the difference to the first
     condition on the same targets."""
     figure = _figure(9, 0.4 * len(rows) + 1.4)
     shares, differences = figure.subplots(1, 2, sharey=True)
@@ -253,7 +252,7 @@ def costs(rows: Sequence[ConditionResult], title: str) -> Figure:
     )
     differences.axvline(0, color=LIMIT, lw=0.8)
     shares.set_yticks(place, [row.condition for row in rows])
-    shares.set(xlabel="success rate within 5 cm [%]", xlim=(0, 102), title=title)
+    shares.set(xlabel="success rate [%]", xlim=(0, 102), title=title)
     differences.set(xlabel="difference to the first, same targets [percentage points]")
     return figure
 
@@ -278,6 +277,6 @@ def transfer(rows: Sequence[Kind]) -> Figure:
         )
     axes.axhline(0, color=LIMIT, lw=0.8)
     axes.set_xticks(range(len(conditions)), conditions)
-    axes.set(ylabel="twin minus pool, success rate\nwithin 20 cm [percentage points]")
+    axes.set(ylabel="twin minus pool, success rate\nnear the target [percentage points]")
     axes.legend(fontsize="small")
     return figure

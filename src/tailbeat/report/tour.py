@@ -13,7 +13,6 @@ from matplotlib.patches import Circle, Rectangle
 from tailbeat.control.actions import PERIOD
 from tailbeat.evaluate.motion import Span, of_log, of_tour
 from tailbeat.evaluate.provenance import Provenance, provenance
-from tailbeat.evaluate.runs import NEAR
 from tailbeat.evaluate.swim import Counting, Swum
 from tailbeat.evaluate.tour import WALLS, Tour
 from tailbeat.evaluate.trial import Progress
@@ -35,8 +34,9 @@ class TourReport:
     """Summary of a tour.
 
     Its configuration; the fish and the pool's water; the result of each target; how many the fish
-    came within 5 and 20 cm of; the time of the whole tour and the median time of the targets
-    reached [s]; the provenance of policy and numbers.
+    `arrived` at (within `arrival_m`, 5 cm for the paper's fish) and how many it came `near` (within
+    four times that); the time of the whole tour and the median time of the targets reached [s]; the
+    provenance of policy and numbers.
     """
 
     policy: str
@@ -48,6 +48,7 @@ class TourReport:
     targets: tuple[TargetResult, ...]
     arrived: int
     near: int
+    arrival_m: float
     seconds: float
     median_seconds: float | None
     training: Mapping[str, object]
@@ -88,7 +89,7 @@ def _film(swum: Swum, path: Path, seconds: float, progress: Progress) -> Block:
 
 def summary(swum: Swum) -> TourReport:
     """Summarise a swim."""
-    tour, hits = swum.tour, swum.tour.reached
+    tour, hits, m = swum.tour, swum.tour.reached, swum.pool.measure
     return TourReport(
         policy=swum.asked.policy,
         seed=swum.asked.seed,
@@ -98,7 +99,8 @@ def summary(swum: Swum) -> TourReport:
         water=fingerprint(swum.pool.waters),
         targets=tour.results(),
         arrived=int(hits.sum()),
-        near=int((tour.nearest < NEAR).sum()),
+        near=int((tour.nearest < m.near).sum()),
+        arrival_m=m.arrival,
         seconds=PERIOD * len(tour.goal),
         median_seconds=float(np.median(tour.seconds[hits])) if hits.any() else None,
         training=swum.policy.contract.training,
