@@ -30,7 +30,7 @@ from websockets.exceptions import InvalidStatus
 
 from browser import shown, visit
 from support import command, until
-from tailbeat.cli import swim
+from tailbeat.cli import station, swim
 from tailbeat.control.policy import load_policy
 from tailbeat.emulators import rig as bench
 from tailbeat.files import BadInput
@@ -520,6 +520,6 @@ def test_what_a_console_cannot_have_is_one_sentence(tmp_path: Path):
     with pytest.raises(BadInput, match="the station shows it"):
         swim.drive("p", tmp_path / "a", page="127.0.0.1:0", **words)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="--camera needs --calibration"):
-        swim.station("127.0.0.1:1", tmp_path, "127.0.0.1:2", camera="/dev/video0")
+        station.station("127.0.0.1:1", tmp_path, "127.0.0.1:2", camera="/dev/video0")
     with pytest.raises(BadInput, match="give host:port"):
         open_page("8080")
