@@ -8,14 +8,14 @@ from tailbeat.files import EXTRA_OF, BadInput, missing
 
 INTERRUPTED = 130  # exit code of a verb that Ctrl-C ended
 
-# Options that take several values, with their verb. Of other verbs, `--servo` is one port.
+# Options that take several values, with their verbs. Of other verbs, `--servo` is one port.
 LISTS = {
     "--fit": "identify",
     "--validate": "identify",
     "--check": "identify",
     "--commands": "record",
 }
-LISTS |= {"--servo": "speed-map", "--tasks": "evaluate", "--only": "faults"}
+LISTS |= {"--servo": "speed-map", "--tasks": "evaluate", "--only": "faults zoo"}
 LISTS |= {"--against": "coverage", "--fitted-on": "predict"}
 
 
@@ -25,7 +25,7 @@ def spread_lists(arguments: list[str]) -> list[str]:
     option = None
     for word in arguments:
         if word.startswith("-"):
-            option = word if LISTS.get(word) == arguments[0] else None
+            option = word if arguments[0] in LISTS.get(word, "").split() else None
         elif option is not None and spread[-1] != option:
             spread.append(option)
         spread.append(word)

@@ -5,13 +5,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tailbeat.train.progress import Report, TrainingRow
 
 SHARE_OF_SEARCH = 0.6  # fraction of a seed's time; the polish takes the rest
-EVERY = 30.0  # s between two lines in a pipe
+EVERY, MINUTE = 30.0, 60.0  # s between two lines in a pipe, and between two signs of life
 
 
 def now_and_then(
@@ -47,9 +48,10 @@ def search_progress() -> Iterator[Callable[[int, str, float, float], None]]:
     """Progress of a search: seed, stage, fraction of the stage done, best cost so far."""
     if not sys.stderr.isatty():
         lines = now_and_then()
-        yield lambda seed, stage, share, best: lines(
-            f"seed {seed} {stage}, cost {best:.2f}", _of_seed(stage, share)
-        )
+        with _alive():
+            yield lambda seed, stage, share, best: lines(
+                f"seed {seed} {stage}, cost {best:.2f}", _of_seed(stage, share)
+            )
         return
     who = "seed {task.fields[seed]} {task.fields[stage]:>6}"
     with _bars(who, "cost {task.fields[best]:8.2f}") as bars:
@@ -62,6 +64,25 @@ def search_progress() -> Iterator[Callable[[int, str, float, float], None]]:
             bars.update(tasks[seed], completed=done, stage=stage, best=best)
 
         yield report
+
+
+@contextmanager
+def _alive() -> Iterator[None]:
+    """Print a line a minute, whatever the work reports: a first generation takes minutes."""
+    began, over = time.monotonic(), Event()
+
+    def tell() -> None:
+        while not over.wait(MINUTE):
+            said = f"at work: {_clock(time.monotonic() - began)} elapsed"
+            print(said, file=sys.stderr, flush=True)
+
+    teller = Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        over.set()
+        teller.join()
 
 
 def _of_seed(stage: str, share: float) -> float:

@@ -152,6 +152,12 @@ PANELS = {
             "runs/a/policy.onnx runs/b/policy.onnx --twin mine.toml --out runs/comparison",
         ),
         Verb(
+            "zoo",
+            "zoo:zoo",
+            "Take eight fish of all sizes from a wrong first guess to targets in the pool.",
+            "--out zoo --only 0",
+        ),
+        Verb(
             "speed-map",
             "evaluate:speed_map",
             "Compare the speeds of twin and virtual pool over frequency and stroke.",

@@ -1,0 +1,63 @@
+"""Take a zoo of fish from a first guess to targets in the pool."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tailbeat.cli import output
+from tailbeat.cli.extras import need_training
+from tailbeat.cli.options import JsonOption, SeedOption
+from tailbeat.files import refuse_existing, write_json
+
+if TYPE_CHECKING:
+    from tailbeat.evaluate.zoo_run import Outcome
+
+WANTED = 0.95  # of the targets
+
+
+def zoo(
+    out: Annotated[Path, typer.Option("--out", help="Folder of all fish.")],
+    only: Annotated[list[int] | None, typer.Option(help="Numbers of fish; default: all.")] = None,
+    seed: SeedOption = 0,
+    targets: Annotated[int, typer.Option(help="Number of targets of every fish.")] = 100,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A short search and the smoke recipe, for a first look.")
+    ] = False,
+    json: JsonOption = None,
+) -> None:
+    """Take eight fish of all sizes from a wrong first guess to targets in the virtual pool: record,
+    identify, train, evaluate. The same command resumes. Exit code 1 if a fish missed."""
+    if json is not None:
+        refuse_existing(json)
+    need_training()
+    from tailbeat.evaluate.zoo_run import QUICK_IDENTIFY, QUICK_TRAIN, ZooConfig
+    from tailbeat.evaluate.zoo_run import zoo as take
+
+    short = (QUICK_IDENTIFY, QUICK_TRAIN) if quick else ((), ())
+    found = take(ZooConfig(out, seed, tuple(only) if only else None, targets, *short), output.say)
+    output.tables({f"zoo, seed {seed}": [_row(one) for one in found]})
+    if json is not None:
+        write_json(json, {"fish": found})
+    if any(one.reached is None or one.reached < WANTED for one in found):
+        raise typer.Exit(1)
+
+
+def _row(one: "Outcome") -> dict[str, Any]:
+    minutes = {f"{name} [min]": step.seconds / 60 for name, step in one.steps.items()}
+    last = list(one.steps.values())[-1]
+    return {
+        "fish": one.name,
+        "mass [kg]": one.mass,
+        "hinges": one.hinges,
+        "servo": one.servo,
+        "decided": one.decided,
+        "in their intervals": one.held,
+        "identify [min]": minutes.get("identify [min]"),
+        "train [min]": minutes.get("train [min]"),
+        "stages": one.stages,
+        "updates": one.updates,
+        "reached [%]": None if one.reached is None else 100 * one.reached,
+        "within [cm]": None if one.arrival_m is None else 100 * one.arrival_m,
+        "said": "" if last.code == 0 else last.said,
+    }

@@ -1,0 +1,192 @@
+"""The way of every fish of a zoo, from a wrong first guess to targets in the pool, unattended.
+
+A fish stands in the virtual pool. It is recorded, identified, trained and evaluated by the verbs
+that a user types, each with its defaults. What a verb refuses stays in the table with its sentence.
+"""
+
+import time
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from tailbeat.control.policy import load_policy
+from tailbeat.evaluate.evaluation import read
+from tailbeat.evaluate.store import read_record
+from tailbeat.evaluate.zoo import SERVO, Animal, animals, guess
+from tailbeat.files import write_json
+from tailbeat.fish.proportions import Given
+from tailbeat.fish.store import load_fish
+from tailbeat.processes import end, start_verb
+
+Say = Callable[[str], None]
+STEPS = ("new-fish", "record", "identify", "train", "evaluate")
+QUICK_IDENTIFY = ("--seeds", "1", "--generations", "2", "--draws", "0")
+QUICK_TRAIN = ("--recipe", "smoke")
+UNDECIDED = "not decided"  # in the source of an identified number
+
+
+@dataclass(frozen=True)
+class ZooConfig:
+    """Which fish of a `seed` (None: all), into which folder `out`; swims of the evaluation; further
+    words of `identify all` and `train` for a quick look."""
+
+    out: Path
+    seed: int = 0
+    only: tuple[int, ...] | None = None
+    targets: int = 100
+    identify: tuple[str, ...] = ()
+    train: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step: time that it took [s], exit code, and the last line that it printed."""
+
+    seconds: float
+    code: int
+    said: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a fish.
+
+    The steps by name; its length [m], mass [kg], hinges and servo; how many numbers of tail and
+    servo were called decided, and how many of these intervals hold the fish's own number; stages
+    passed, updates; of the targets in the pool the fraction reached (None: not swum) within
+    `arrival_m`.
+    """
+
+    name: str
+    steps: dict[str, Step]
+    length: float | None = None
+    mass: float | None = None
+    hinges: int | None = None
+    servo: str = ""
+    decided: int = 0
+    held: int = 0
+    stages: int = 0
+    updates: int = 0
+    reached: float | None = None
+    interval: tuple[float, float] | None = None
+    arrival_m: float | None = None
+
+
+def zoo(config: ZooConfig, say: Say) -> tuple[Outcome, ...]:
+    """Take every fish along the whole way; a finished step is not repeated, and the table is
+    written after every fish."""
+    chosen = [
+        (number, one)
+        for number, one in enumerate(animals(config.seed))
+        if config.only is None or number in config.only
+    ]
+    found: list[Outcome] = []
+    for number, animal in chosen:
+        found.append(_taken(animal, config, number, say))
+        write_json(config.out / "zoo.json", {"fish": found}, overwrite=True)
+    return tuple(found)
+
+
+def _taken(animal: Animal, config: ZooConfig, number: int, say: Say) -> Outcome:
+    folder, steps = config.out / animal.name, {}
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in STEPS if animal.given else ("train",):  # the crank fish is described already
+        steps[name] = _step(animal, name, config, number, folder)
+        say(f"{animal.name} {name}: {steps[name].seconds:.0f} s, exit code {steps[name].code}")
+        if steps[name].code == 2:
+            break
+    return outcome(animal, folder, steps)
+
+
+def _step(animal: Animal, name: str, config: ZooConfig, number: int, folder: Path) -> Step:
+    """Take one step, or read what came of it before."""
+    kept = folder / f"{name}.json"
+    if kept.is_file():
+        return read_record(Step, kept)
+    began, last = time.monotonic(), Step(0.0, 0, "")
+    for words in commands(animal, name, config, folder):
+        code, said = _typed(words, folder / f"{name}.log")
+        last = Step(time.monotonic() - began, code, said)
+        if code:
+            break
+    if name == "new-fish" and not last.code:
+        guess(folder / "lab.toml", folder / "guess.toml", 100 * config.seed + number)
+    write_json(kept, last, overwrite=True)
+    return last
+
+
+def commands(animal: Animal, name: str, config: ZooConfig, folder: Path) -> list[list[str]]:
+    """What a user types in a step."""
+    lab, mine, data = (str(folder / one) for one in ("lab.toml", "mine.toml", "data"))
+    run, policy = folder / "train", str(folder / "train" / "policy.onnx")
+    again = ["--resume"] if (run / "run.json").is_file() else []
+    first = str(folder / "guess.toml")
+    return {
+        "new-fish": [_new_fish(animal.given, lab)] if animal.given else [],
+        "record": [["record", kind, "--fish", lab, "--out", data]
+                   for kind in ("tail", "servo", "fluid")],
+        "identify": [["identify", "all", "--fish", first, "--from", data, "--out", mine,
+                      *config.identify]],
+        "train": [["train", "--fish", mine if animal.given else "crank-fish", "--out", str(run),
+                   *again, *config.train]],
+        "evaluate": [["evaluate", policy, "--fish", lab, "--tasks", "reach", "--episodes",
+                      str(config.targets), "--out", str(folder / "evaluation")]],
+    }[name]  # fmt: skip
+
+
+def _new_fish(one: Given, path: str) -> list[str]:
+    words = ["--length", f"{one.length:g}", "--mass", f"{one.mass:g}", "--hinges", f"{one.hinges}"]
+    words += ["--servo", one.servo]
+    return ["new-fish", path, *words, *(["--k-eff", f"{one.k_eff:g}"] if one.k_eff else [])]
+
+
+def _typed(words: Sequence[str], log: Path) -> tuple[int, str]:
+    """Run a verb; returns its exit code and the last line of its output, which goes to `log`."""
+    with log.open("a", encoding="utf-8") as kept:
+        kept.write(f"$ tailbeat {' '.join(words)}\n")
+        kept.flush()
+        process = start_verb(words, stdout=kept, stderr=kept)
+        try:
+            code = process.wait()
+        finally:
+            end(process)
+    lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
+    return code, next((one.strip() for one in reversed(lines) if one.strip()), "")
+
+
+# ---- what came of it ----------------------------------------------------------------------------
+
+
+def outcome(animal: Animal, folder: Path, steps: dict[str, Step]) -> Outcome:
+    """Read what came of a fish from its folder."""
+    found = Outcome(animal.name, steps)
+    if (one := animal.given) is not None:
+        found = Outcome(animal.name, steps, one.length, one.mass, one.hinges, one.servo)
+    if (folder / "mine.toml").is_file():
+        decided, held = counted(folder)
+        found = replace(found, decided=decided, held=held)
+    if (folder / "train" / "policy.onnx").is_file():
+        contract = load_policy(folder / "train" / "policy.onnx").contract
+        passed, updates = (int(contract.training[name]) for name in ("stages_passed", "updates"))
+        found = replace(found, stages=passed, updates=updates, arrival_m=contract.measure.arrival)
+    if steps.get("evaluate") and steps["evaluate"].code == 0:
+        rates = read(folder / "evaluation").reach["reach open"]
+        found = replace(found, reached=rates.arrived, interval=rates.arrived_interval)
+    return found
+
+
+def counted(folder: Path) -> tuple[int, int]:
+    """How many numbers of tail and servo are called decided, and how many of their 95 % intervals
+    hold the number of the fish in the pool."""
+    lab = load_fish(folder / "lab.toml")
+    mine = tomllib.loads((folder / "mine.toml").read_text(encoding="utf-8"))
+    servo = mine["servos"][lab.servo]
+    pairs = [(servo.get(name), getattr(lab.servos[lab.servo], name)) for name in SERVO]
+    pairs.append((mine["tail"].get("k_eff"), lab.tail.k_eff))
+    spans = [
+        (one["interval"], true)
+        for one, true in pairs
+        if isinstance(one, dict) and "interval" in one and UNDECIDED not in one["source"]
+    ]
+    return len(spans), sum(low <= true <= high for (low, high), true in spans)
