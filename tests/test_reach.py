@@ -34,7 +34,7 @@ def test_sectors_take_both_sides_and_every_target_once():
     bearing = np.radians([-179.9, 180.0, 10.0, -10.0, 95.0, 30.0])
     reached = np.array([True, False, True, True, False, True])
     seconds = np.array([8.0, 30.0, 4.0, 5.0, 30.0, 6.0])
-    rows = by_sector(bearing, reached, np.where(reached, 0.04, 0.1), seconds)
+    rows = by_sector(bearing, reached, np.ones(6, bool), seconds)
     assert {(row.low, row.high): row.targets for row in rows} == {
         (0, 30): 2, (30, 60): 1, (90, 120): 1, (150, 180): 2,
     }  # fmt: skip

@@ -47,7 +47,7 @@ def closed_form(fish: Fish, frequency: float) -> complex:
     own = full[motor + 1 :, motor + 1 :]
     k = np.diag([link.stiffness for link in fish.tail.links]) * fish.tail.stiffness_scale
     hinges = (1 + 1j * omega * fish.tail.damping_time) * k - omega**2 * own
-    rotor = full[motor, motor] - fish.servos[fish.servo].armature
+    rotor = full[motor, motor] - float(twin.model.dof_armature[motor])
     ties = 2 * (TIE + 1j * omega * TIE_DAMPING)  # in series
     yielding = (arms @ np.linalg.solve(hinges, arms) + 1 / ties) / radius**2
     return complex(1 / yielding - rotor * omega**2)

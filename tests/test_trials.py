@@ -325,9 +325,9 @@ def test_the_page_shows_what_its_json_holds(evaluated):
     rows = cells_of((out / "report.html").read_text())
     for row in held["reach"].values():
         shown = [
-            f"{100 * row[f'within_{key}']:.1f} ({100 * low:.1f} … {100 * high:.1f})"
-            for key in ("5cm", "20cm")
-            for low, high in (row[f"interval_{key}"],)
+            f"{100 * row[key]:.1f} ({100 * low:.1f} … {100 * high:.1f})"
+            for key in ("arrived", "near")
+            for low, high in (row[f"{key}_interval"],)
         ]
         assert any(cells[:3] == ["6", *shown] for cells in rows), shown
     for row in held["spectrum"]:

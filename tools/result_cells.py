@@ -41,11 +41,11 @@ def off(value: float, truth: float) -> str:
     return per_cent(abs(value / truth - 1))
 
 
-def rate(row: Any, centimetres: int = 5) -> str:
+def rate(row: Any, key: str = "arrived") -> str:
     """A success rate: how many of how many, and its 95 % interval in per cent."""
     count = row["swims" if "swims" in row else "targets"]
-    low, high = (100 * end for end in row[f"interval_{centimetres}cm"])
-    hits = round(row[f"within_{centimetres}cm"] * count)
+    low, high = (100 * end for end in row[f"{key}_interval"])
+    hits = round(row[key] * count)
     return f"{hits:,} of {count:,} ({_end(low)}–{_end(high)} %)"
 
 
@@ -76,9 +76,9 @@ def error(value: float | None, unit: str) -> str:
     return f"{fix(value, digits, by)}{name}"
 
 
-def hits(row: Any, centimetres: int = 5) -> int:
+def hits(row: Any, key: str = "arrived") -> int:
     """How many targets were reached."""
-    return round(row[f"within_{centimetres}cm"] * row["targets"])
+    return round(row[key] * row["targets"])
 
 
 def unique(rows: Any, name: str) -> list[Any]:

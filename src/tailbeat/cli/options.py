@@ -25,6 +25,18 @@ TargetOption = Annotated[str, typer.Option("--target", help="Place of the target
 TourJson = Annotated[
     Path | None, typer.Option("--json", help="Write the tour's result here as JSON.")
 ]
+TourPolicy = Annotated[
+    str | None,
+    typer.Option(
+        "--policy", help="Policy of the fish: it says how near and how soon a tour must arrive."
+    ),
+]
+TourBegin = Annotated[
+    str | None,
+    typer.Option(
+        "--begin", help="Arm the fish once, with the target at x,y [m]; drag it from there."
+    ),
+]
 ReplayOption = Annotated[
     Path | None,
     typer.Option("--replay", help="Show this log on the operator page, without a fish: .mcap."),

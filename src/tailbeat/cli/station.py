@@ -7,7 +7,14 @@ import typer
 
 from tailbeat.cli import output
 from tailbeat.cli.extras import need_camera
-from tailbeat.cli.options import PageOption, ReplayOption, ReplayPool, TourJson
+from tailbeat.cli.options import (
+    PageOption,
+    ReplayOption,
+    ReplayPool,
+    TourBegin,
+    TourJson,
+    TourPolicy,
+)
 from tailbeat.files import BadInput, need, refuse_existing, write_json
 from tailbeat.link.addresses import address
 from tailbeat.link.places import LENGTH, WIDTH, pool_size
@@ -41,19 +48,9 @@ def station(
     targets: Annotated[
         int, typer.Option("--tour", help="Number of random targets to lead the fish to.")
     ] = 0,
-    begin: Annotated[
-        str | None,
-        typer.Option(
-            "--begin", help="Arm the fish once, with the target at x,y [m]; drag it from there."
-        ),
-    ] = None,
+    begin: TourBegin = None,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the random targets.")] = 0,
-    policy: Annotated[
-        str | None,
-        typer.Option(
-            "--policy", help="Policy of the fish; it says how close and how quick a tour must be."
-        ),
-    ] = None,
+    policy: TourPolicy = None,
     json: TourJson = None,
     replay: ReplayOption = None,
     pool: ReplayPool = f"{LENGTH:g},{WIDTH:g}",

@@ -97,7 +97,7 @@ def sectors(report: Mapping[str, ReachResult]) -> Figure:
     for axes, (name, row) in zip(
         np.atleast_1d(figure.subplots(1, len(report), sharey=True)), report.items(), strict=True
     ):
-        for shift, key, colour in ((-0.2, "5cm", REACHED), (0.2, "20cm", NEARLY)):
+        for shift, key, colour in ((-0.2, "arrived", REACHED), (0.2, "near", NEARLY)):
             _bars(axes, row.sectors, key, shift, colour)
         axes.set_xticks(range(len(row.sectors)), [f"{r.low:g}-{r.high:g}" for r in row.sectors])
         axes.set(title=name, xlabel="bearing, either side [deg]", ylim=(0, 102))
@@ -138,11 +138,10 @@ def _write_cell(axes: Axes, cell: Cell, column: int, row: int) -> None:
 
 def _bars(axes: Axes, rows: Sequence[Group], key: str, shift: float, colour: str) -> None:
     place = np.arange(len(rows)) + shift
-    share = 100 * np.array([getattr(row, f"within_{key}") for row in rows])
-    low, high = 100 * np.array([getattr(row, f"interval_{key}") for row in rows]).T
+    share = 100 * np.array([getattr(row, key) for row in rows])
+    low, high = 100 * np.array([getattr(row, f"{key}_interval") for row in rows]).T
     reach = np.clip([share - low, high - share], 0, None)
-    label = f"within {key.removesuffix('cm')} cm"
-    axes.bar(place, share, 0.38, yerr=reach, color=colour, ecolor=LIMIT, label=label)
+    axes.bar(place, share, 0.38, yerr=reach, color=colour, ecolor=LIMIT, label=key)
 
 
 @styled
