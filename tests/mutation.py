@@ -57,7 +57,7 @@ class Room:
 
 ROOMS = {
     "search": Room(
-        ("identify/search.py", "identify/intervals.py"),
+        ("identify/search.py", "identify/polish.py", "identify/space.py", "identify/intervals.py"),
         ("test_fit.py", "test_search.py"),
         needs=("numpy", "scipy.stats", "cma"),
     ),

@@ -6,7 +6,8 @@ from scipy import stats
 
 from tailbeat.identify.doubt import by_swims, draw, plausible
 from tailbeat.identify.intervals import intervals
-from tailbeat.identify.search import Fit, Parameter, covariance
+from tailbeat.identify.search import Fit
+from tailbeat.identify.space import Parameter, covariance
 
 SWIMS, SAMPLES, FREE = 16, 60, 3
 OWNER = np.repeat(np.arange(SWIMS), SAMPLES)

@@ -51,7 +51,7 @@ def write_log(path: Path, rows: list[dict]) -> Path:
 def toured():
     """Four seconds of the shipped policy in the pool's plant, in process."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tailbeat.evaluate.tour.PATIENCE", 4.0)
+        patch.setattr("tailbeat.control.measure.PATIENCE", 4.0)
         config = swim.SwimConfig("pulley-fish-pool-generator", FISH.name, targets=1)
         return swim.direct(config, progress.counting)
 

@@ -11,7 +11,8 @@ from broken_sensors import glitched
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.intervals import estimates
-from tailbeat.identify.search import Fit, polish
+from tailbeat.identify.polish import polish
+from tailbeat.identify.search import Fit
 from tailbeat.identify.servo import (
     as_bench,
     blocks,

@@ -13,7 +13,8 @@ from tailbeat.fish.store import load_fish, with_values
 from tailbeat.identify import stages, step_check
 from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.intervals import estimates
-from tailbeat.identify.search import Fit, Parameter
+from tailbeat.identify.search import Fit
+from tailbeat.identify.space import Parameter
 from tailbeat.identify.tail import identify_tail
 from tailbeat.identify.tail_report import combine, toml_values
 from tailbeat.recording import write_recording

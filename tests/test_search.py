@@ -4,14 +4,8 @@ import numpy as np
 import pytest
 
 from tailbeat.identify.intervals import estimates, intervals, trade_offs
-from tailbeat.identify.search import (
-    Effort,
-    Fit,
-    Parameter,
-    covariance,
-    search,
-    values,
-)
+from tailbeat.identify.search import Effort, Fit, search
+from tailbeat.identify.space import Parameter, covariance, values
 
 SPACE = (
     Parameter("a", "1", 0.1, 10, 1.0, 0.7),

@@ -10,8 +10,10 @@ from scipy import stats
 
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.fluid import SIGMA, fluid_space, owners, residual_function
+from tailbeat.identify.polish import polish
 from tailbeat.identify.runs import Run, as_runs
-from tailbeat.identify.search import Effort, cost, polish, search
+from tailbeat.identify.search import Effort, search
+from tailbeat.identify.space import cost
 from tailbeat.importers.fishsim import import_fishsim
 
 FISH = load_fish("crank-fish")

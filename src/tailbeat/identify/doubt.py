@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from tailbeat.identify.search import Fit, Parameter, Residuals, bounds, cost, noise_level
+from tailbeat.identify.search import Fit, noise_level
+from tailbeat.identify.space import Parameter, Residuals, bounds, cost
 
 Array = NDArray[np.float64]
 FEWEST = 3  # degrees of freedom at least, chosen: two swims say little about how swims differ

@@ -19,7 +19,7 @@ from tailbeat.fish.rollout import Swim
 from tailbeat.fish.store import value_at, with_values
 from tailbeat.identify.gait import Track, measure_gait, surge
 from tailbeat.identify.runs import Cruise, Run, camera_track, last_beats, repeat
-from tailbeat.identify.search import Parameter, sensitivity
+from tailbeat.identify.space import Parameter, sensitivity
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,8 @@ import numpy as np
 from scipy import stats
 
 from tailbeat.identify.estimate import Estimate
-from tailbeat.identify.search import Fit, Parameter, bounds, values
+from tailbeat.identify.search import Fit
+from tailbeat.identify.space import Parameter, bounds, values
 
 
 def intervals(

@@ -31,15 +31,11 @@ from tailbeat.identify.launch import Launched, check_launches
 from tailbeat.identify.predict import Prediction, predict, speed_mae
 from tailbeat.identify.protocol import largest, limits
 from tailbeat.identify.runs import Run
-from tailbeat.identify.search import (
-    Effort,
-    Fit,
-    Parameter,
-    search_once,
-    values,
-)
+from tailbeat.identify.search import Effort, Fit, search_once
+from tailbeat.identify.space import Parameter, values
 
 Array = NDArray[np.float64]
+THIRD, MANY = 3, 12  # CMA-ES sees every third swim where there are so many; the polish sees all
 BANDED = 32  # draws that swim the held-out swims
 Progress = Callable[[int, str, float, float], None]  # seed, stage, fraction done, best cost
 
@@ -143,9 +139,11 @@ def identify_fluid(
         raise BadInput("--fit is empty; give at least one recording to fit.")
     space, idle = _sensitive_space(fish, fit, config)
     residuals = residual_function(fish, fit, space, config.start_weight)
+    many = len(fit) >= MANY
+    cheap = residual_function(fish, fit[::THIRD], space, config.start_weight) if many else None
     key = _key(fish, fit, config)
     fits = [
-        search_once(residuals, space, seed, config.effort, scratch / key, progress)
+        search_once(residuals, space, seed, config.effort, scratch / key, progress, cheap)
         for seed in range(config.first_seed, config.first_seed + config.seeds)
     ]
     fits.sort(key=lambda found: found.cost)

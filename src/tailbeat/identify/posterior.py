@@ -24,7 +24,7 @@ from tailbeat.identify.bands import Discrepancy, Drawn, discrepancy
 from tailbeat.identify.estimate import Estimate, as_row
 from tailbeat.identify.fluid import with_row
 from tailbeat.identify.runs import Run
-from tailbeat.identify.search import Parameter
+from tailbeat.identify.space import Parameter
 
 Array = NDArray[np.float64]
 SUFFIX = "-posterior.parquet"

@@ -15,8 +15,9 @@ from tailbeat.identify.fluid import fluid_space, owners, residual_function, with
 from tailbeat.identify.job import BANDED, FluidConfig, check
 from tailbeat.identify.posterior import Posterior
 from tailbeat.identify.runs import Run, as_runs
-from tailbeat.identify.search import WIDE_STEP, Fit, Parameter, cost, covariance, sensitivity
-from tailbeat.identify.search import values as values_at
+from tailbeat.identify.search import Fit
+from tailbeat.identify.space import WIDE_STEP, Parameter, cost, covariance, sensitivity
+from tailbeat.identify.space import values as values_at
 from tailbeat.recording import read_recording
 
 

@@ -18,8 +18,9 @@ from tailbeat.fish.show import stiffening
 from tailbeat.identify.glitches import SHAFT, find
 from tailbeat.identify.hinges import tail_inertia
 from tailbeat.identify.response import STILL
-from tailbeat.identify.search import Fit, Parameter, sensitivity
+from tailbeat.identify.search import Fit
 from tailbeat.identify.shaft import Bench, Load, free_run
+from tailbeat.identify.space import Parameter, sensitivity
 from tailbeat.identify.stretches import stretches
 from tailbeat.recording import Recording, require
 

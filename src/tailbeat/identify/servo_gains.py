@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.identify.search import Parameter
 from tailbeat.identify.servo import as_servos
 from tailbeat.identify.shaft import Bench, free_run
+from tailbeat.identify.space import Parameter
 
 Array = NDArray[np.float64]
 FACTORS = np.geomspace(1 / 3, 3, 41)  # of the fitted gain

@@ -16,13 +16,7 @@ from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.intervals import estimates
 from tailbeat.identify.naive_servo import Naive, naive_servos
 from tailbeat.identify.response import drive_frequency
-from tailbeat.identify.search import (
-    Effort,
-    Fit,
-    Parameter,
-    search_once,
-    values,
-)
+from tailbeat.identify.search import Effort, Fit, search_once
 from tailbeat.identify.servo import (
     GEARS,
     IDEALISED,
@@ -38,6 +32,7 @@ from tailbeat.identify.servo import (
 )
 from tailbeat.identify.servo_gains import contradictions
 from tailbeat.identify.shaft import Bench, free_run
+from tailbeat.identify.space import Parameter, values
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, str, float, float], None]  # seed, stage, fraction done, best cost

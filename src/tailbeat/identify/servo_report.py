@@ -13,7 +13,7 @@ from tailbeat.fish.description import Fish
 from tailbeat.identify.estimate import as_row
 from tailbeat.identify.glitch_report import as_rows
 from tailbeat.identify.intervals import trade_offs
-from tailbeat.identify.search import Fit, Parameter, values
+from tailbeat.identify.search import Fit
 from tailbeat.identify.servo import BLOCK, load_doubt
 from tailbeat.identify.servo_job import (
     LeftOut,
@@ -24,6 +24,7 @@ from tailbeat.identify.servo_job import (
     identify_servo,
 )
 from tailbeat.identify.shaft import Bench
+from tailbeat.identify.space import Parameter, values
 from tailbeat.identify.trust import Contest, Errors, Verdict, doubts, share_left_out, verdict
 
 # What to record if the data do not separate two numbers.
