@@ -200,7 +200,7 @@ def identify_all(
     ],
     out: OutFish,
     zones: Annotated[int, typer.Option(help="1: one set of coefficients; 3: one per zone.")] = 3,
-    seeds: Annotated[int, typer.Option(help="Number of independent searches per stage.")] = 3,
+    seeds: Annotated[int, typer.Option(help="Number of independent searches per stage.")] = 1,
     seed: SeedOption = 0,
     generations: Annotated[int, typer.Option(help="CMA-ES generations of the fluid.")] = 15,
     added_inertia: AddedOption = None,

@@ -23,6 +23,7 @@ from tailbeat.identify.space import (
 )
 
 NOISE_FLOOR = 0.3
+STARTS, APART = 3, 1000  # starts of a cheap exploration (chosen), and the distance of their seeds
 RESCALINGS = 2  # rounds of polish with the noise estimated from the residuals
 
 
@@ -62,9 +63,10 @@ def search(
     progress: Progress = lambda stage, share, best: None,
     cheap: Residuals | None = None,
 ) -> Fit:
-    """CMA-ES on `cheap` residuals (None: on all of them), then polish, from one seed. Resumes from
-    `checkpoint` and the polish beside it, if these files exist."""
-    z = _explore(cheap or residuals, space, seed, effort, checkpoint, progress)
+    """CMA-ES, then polish, from one seed. With `cheap` residuals CMA-ES runs on these, from
+    `STARTS` starts, and the best goes on: one alone may stop far from the others. Resumes from
+    `checkpoint` and the files beside it, if they exist."""
+    z = _best_start(cheap or residuals, space, seed, effort, checkpoint, progress, bool(cheap))
     begun = [Polished(checkpoint, part) for part in range(1 + RESCALINGS)]
     z = polish(residuals, space, z, effort.polish, progress, begun=begun[0])
     total = float(cost(residuals(z[None]), z[None])[0])
@@ -124,6 +126,28 @@ def _divided(residuals: Residuals, noise: float) -> Residuals:
     return lambda z: residuals(z) / noise
 
 
+def _best_start(
+    residuals: Residuals,
+    space: tuple[Parameter, ...],
+    seed: int,
+    effort: Effort,
+    checkpoint: Path | None,
+    progress: Progress,
+    several: bool,
+) -> Array:
+    """The best candidate of one start or of `STARTS`."""
+    starts = STARTS if several else 1
+    found = []
+    for k in range(starts):
+        kept = checkpoint and checkpoint.with_name(f"{checkpoint.name}{k or ''}")
+
+        def tell(stage: str, share: float, best: float, k: int = k) -> None:
+            progress(stage, (k + share) / starts, best)
+
+        found.append(_explore(residuals, space, seed + APART * k, effort, kept, tell))
+    return min(found, key=lambda one: one[0])[1]
+
+
 def _explore(
     residuals: Residuals,
     space: tuple[Parameter, ...],
@@ -131,7 +155,8 @@ def _explore(
     effort: Effort,
     checkpoint: Path | None,
     progress: Progress,
-) -> Array:
+) -> tuple[float, Array]:
+    """Cost of the best candidate, and the candidate."""
     strategy = _restore(checkpoint) or _strategy(residuals, space, seed, effort)
     while strategy.countiter < effort.generations and not strategy.stop():
         candidates = strategy.ask()
@@ -141,7 +166,7 @@ def _explore(
             with new_file(checkpoint, overwrite=True) as path:
                 path.write_bytes(pickle.dumps(strategy))
         progress("search", strategy.countiter / effort.generations, strategy.best.f)
-    return np.array(strategy.best.x)
+    return float(strategy.best.f), np.array(strategy.best.x)
 
 
 def _strategy(
