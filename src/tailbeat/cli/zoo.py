@@ -22,7 +22,8 @@ def zoo(
     seed: SeedOption = 0,
     targets: Annotated[int, typer.Option(help="Number of targets of every fish.")] = 100,
     quick: Annotated[
-        bool, typer.Option("--quick", help="A short search and the smoke recipe, for a first look.")
+        bool,
+        typer.Option("--quick", help="Four swims, a short search, the smoke recipe."),
     ] = False,
     json: JsonOption = None,
 ) -> None:
@@ -31,11 +32,11 @@ def zoo(
     if json is not None:
         refuse_existing(json)
     need_training()
-    from tailbeat.evaluate.zoo_run import QUICK_IDENTIFY, QUICK_TRAIN, ZooConfig
+    from tailbeat.evaluate.zoo_run import ZooConfig
     from tailbeat.evaluate.zoo_run import zoo as take
 
-    short = (QUICK_IDENTIFY, QUICK_TRAIN) if quick else ((), ())
-    found = take(ZooConfig(out, seed, tuple(only) if only else None, targets, *short), output.say)
+    config = ZooConfig(out, seed, tuple(only) if only else None, targets, quick)
+    found = take(config, output.say)
     output.tables({f"zoo, seed {seed}": [_row(one) for one in found]})
     if json is not None:
         write_json(json, {"fish": found})

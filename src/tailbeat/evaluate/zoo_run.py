@@ -21,8 +21,9 @@ from tailbeat.processes import end, start_verb
 
 Say = Callable[[str], None]
 STEPS = ("new-fish", "record", "identify", "train", "evaluate")
-QUICK_IDENTIFY = ("--seeds", "1", "--generations", "2", "--draws", "0")
-QUICK_TRAIN = ("--recipe", "smoke")
+# For a first look: four swims, a short search, and the recipe of a minute.
+QUICK_SWIMS = ("02", "06", "14-launch", "28-turn")
+QUICK_IDENTIFY, QUICK_TRAIN = ("--generations", "2", "--draws", "4"), ("--recipe", "smoke")
 UNDECIDED = "not decided"  # in the source of an identified number
 
 
@@ -35,8 +36,7 @@ class ZooConfig:
     seed: int = 0
     only: tuple[int, ...] | None = None
     targets: int = 100
-    identify: tuple[str, ...] = ()
-    train: tuple[str, ...] = ()
+    quick: bool = False
 
 
 @dataclass(frozen=True)
@@ -124,15 +124,24 @@ def commands(animal: Animal, name: str, config: ZooConfig, folder: Path) -> list
     first = str(folder / "guess.toml")
     return {
         "new-fish": [_new_fish(animal.given, lab)] if animal.given else [],
-        "record": [["record", kind, "--fish", lab, "--out", data]
-                   for kind in ("tail", "servo", "fluid")],
+        "record": _record(lab, data, folder / "commands" if config.quick else None),
         "identify": [["identify", "all", "--fish", first, "--from", data, "--out", mine,
-                      *config.identify]],
+                      *(QUICK_IDENTIFY if config.quick else ())]],
         "train": [["train", "--fish", mine if animal.given else "crank-fish", "--out", str(run),
-                   *again, *config.train]],
+                   *again, *(QUICK_TRAIN if config.quick else ())]],
         "evaluate": [["evaluate", policy, "--fish", lab, "--tasks", "reach", "--episodes",
                       str(config.targets), "--out", str(folder / "evaluation")]],
     }[name]  # fmt: skip
+
+
+def _record(lab: str, data: str, commands: Path | None) -> list[list[str]]:
+    """All three recordings; with `commands` only a few swims."""
+    typed = [["record", kind, "--fish", lab, "--out", data] for kind in ("tail", "servo", "fluid")]
+    if commands is None:
+        return typed
+    chosen = [str(commands / f"fluid-{name}.csv") for name in QUICK_SWIMS]
+    protocol = ["protocol", "fluid", "--fish", lab, "--out", str(commands)]
+    return [*typed[:2], protocol, [*typed[2], "--commands", *chosen]]
 
 
 def _new_fish(one: Given, path: str) -> list[str]:
@@ -181,7 +190,7 @@ def counted(folder: Path) -> tuple[int, int]:
     hold the number of the fish in the pool."""
     lab = load_fish(folder / "lab.toml")
     mine = tomllib.loads((folder / "mine.toml").read_text(encoding="utf-8"))
-    servo = mine["servos"][lab.servo]
+    servo = mine["servos"][mine["servo"]]
     pairs = [(servo.get(name), getattr(lab.servos[lab.servo], name)) for name in SERVO]
     pairs.append((mine["tail"].get("k_eff"), lab.tail.k_eff))
     spans = [

@@ -1,0 +1,101 @@
+"""A zoo's fish are possible ones, its guesses are wrong, and a small one goes the whole way."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
+
+from support import tailbeat
+from tailbeat.evaluate.zoo import COUNT, SERVOS, WRONG, animals, guess
+from tailbeat.evaluate.zoo_run import STEPS, ZooConfig, commands, counted
+from tailbeat.fish import first_draft
+from tailbeat.fish.proportions import sketch
+from tailbeat.fish.store import load_fish
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_zoo_spans_sizes_servos_and_hinges_and_every_fish_is_possible(seed):
+    found = animals(seed)
+    assert found == animals(seed) and len(found) == COUNT and found[-1].given is None
+    given = [one.given for one in found if one.given is not None]
+    assert given[0].length < 0.21 and given[-1].length > 0.89
+    assert sorted(one.hinges for one in given) == [2, 3, 4, 5, 6, 7, 8]
+    assert {one.servo for one in given} <= set(SERVOS) and len({one.servo for one in given}) > 2
+    assert all(0.1 <= one.mass <= 20 for one in given)
+    for one in given:
+        sketch(one)  # raises for an impossible fish
+
+
+def test_a_zoo_uses_every_servo_and_soft_and_stiff_tails():
+    given = [one.given for seed in range(20) for one in animals(seed) if one.given is not None]
+    assert {one.servo for one in given} == set(SERVOS)
+    usual = [sketch(one).k_eff / sketch(replace(one, k_eff=None)).k_eff for one in given]
+    assert min(usual) < 0.6 and max(usual) > 1.3
+
+
+def test_a_guess_is_wrong_by_40_percent_in_stiffness_and_servo_and_right_elsewhere(tmp_path):
+    given = animals(0)[2].given
+    assert given is not None
+    first_draft.new_fish(tmp_path / "lab.toml", given)
+    guess(tmp_path / "lab.toml", tmp_path / "guess.toml", 3)
+    lab, wrong = load_fish(tmp_path / "lab.toml"), load_fish(tmp_path / "guess.toml")
+    assert wrong.tail.k_eff is not None and lab.tail.k_eff is not None
+    ratios = {wrong.tail.k_eff / lab.tail.k_eff}
+    ratios |= {b.stiffness / a.stiffness for a, b in pairs(lab, wrong)}
+    mine, theirs = wrong.servos[wrong.servo], lab.servos[lab.servo]
+    for name in ("kp", "armature", "damping", "force_limit", "delay"):
+        ratios.add(getattr(mine, name) / getattr(theirs, name))
+    assert all(min(abs(one - 1 - WRONG), abs(one - 1 + WRONG)) < 1e-4 for one in ratios)
+    assert wrong.zones == lab.zones and wrong.head == lab.head and wrong.name == "guess"
+
+
+def pairs(lab, wrong):
+    return zip(lab.tail.links, wrong.tail.links, strict=True)
+
+
+def test_the_verbs_of_a_step_have_only_defaults(tmp_path):
+    animal, config = animals(0)[0], ZooConfig(tmp_path)
+    typed = [commands(animal, name, config, tmp_path) for name in STEPS]
+    assert [words[0][0] for words in typed] == list(STEPS)
+    guessed, data, out = (str(tmp_path / name) for name in ("guess.toml", "data", "mine.toml"))
+    assert typed[2][0][2:] == ["--fish", guessed, "--from", data, "--out", out]
+    assert "--twin" not in typed[4][0]
+    assert sum(len(words) for words in typed[:3]) + 1 <= 10  # commands until the training starts
+
+
+def test_a_decided_number_counts_as_held_only_inside_its_interval(tmp_path):
+    given = animals(0)[0].given
+    assert given is not None
+    first_draft.new_fish(tmp_path / "lab.toml", given)
+    lab = load_fish(tmp_path / "lab.toml")
+    true, k = lab.servos[lab.servo].kp, lab.tail.k_eff
+    assert k is not None
+    (tmp_path / "mine.toml").write_text(
+        'servo = "mine"\n'
+        f'[tail]\nk_eff = {{value = 1.0, interval = [{0.9 * k}, {1.1 * k}], source = "found"}}\n'
+        "[servos.mine]\n"
+        f'kp = {{value = 1.0, interval = [{1.1 * true}, {1.2 * true}], source = "identified"}}\n'
+        f'delay = {{value = 1.0, interval = [0.0, 1.0], source = "x; not decided by the data"}}\n'
+    )
+    assert counted(tmp_path) == (2, 1)
+
+
+def test_a_crank_ends_with_the_sentence_that_says_why(tmp_path):
+    done = tailbeat("zoo", "--out", tmp_path / "zoo", "--only", 7)
+    assert done.returncode == 1 and "a crank turns without end" in done.stdout.replace("\n", " ")
+    held = json.loads((tmp_path / "zoo" / "zoo.json").read_text())["fish"]
+    assert [one["name"] for one in held] == ["7-crank"]
+    assert held[0]["steps"]["train"]["code"] == 2 and held[0]["reached"] is None
+
+
+def test_a_small_fish_goes_the_whole_way(tmp_path):
+    """From new-fish to targets with four swims, a short search and the recipe of a minute."""
+    done = tailbeat("zoo", "--out", tmp_path / "zoo", "--only", 2, "--quick", "--targets", 8)
+    held = json.loads((tmp_path / "zoo" / "zoo.json").read_text())["fish"][0]
+    codes = {name: step["code"] for name, step in held["steps"].items()}
+    assert set(codes) == set(STEPS) and done.returncode in (0, 1), done.stdout
+    assert codes["new-fish"] == codes["record"] == codes["evaluate"] == 0, codes
+    assert held["decided"] >= 5 and held["held"] >= held["decided"] - 1
+    assert held["reached"] is not None and held["arrival_m"] == pytest.approx(0.025, rel=0.05)
