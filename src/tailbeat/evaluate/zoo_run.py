@@ -23,14 +23,17 @@ Say = Callable[[str], None]
 STEPS = ("new-fish", "record", "identify", "train", "evaluate")
 # For a first look: four swims, a short search, and the recipe of a minute.
 QUICK_SWIMS = ("02", "06", "14-launch", "28-turn")
-QUICK_IDENTIFY, QUICK_TRAIN = ("--generations", "2", "--draws", "4"), ("--recipe", "smoke")
+QUICK_IDENTIFY, QUICK_TRAIN = (
+    ("--zones", "1", "--generations", "2", "--draws", "4"),
+    ("--recipe", "smoke"),
+)
 UNDECIDED = "not decided"  # in the source of an identified number
 
 
 @dataclass(frozen=True)
 class ZooConfig:
-    """Which fish of a `seed` (None: all), into which folder `out`; swims of the evaluation; further
-    words of `identify all` and `train` for a quick look."""
+    """Which fish of a `seed` (None: all), into which folder `out`; swims of the evaluation; `quick`:
+    with few swims, a short search and a small recipe."""
 
     out: Path
     seed: int = 0
