@@ -131,9 +131,29 @@ def show(
             output.tables({"identified numbers": identified.parameters(posterior.as_rows(known))})
     except BadInput as error:  # the numbers of the file were changed since
         output.say(f"warning: {error}")
+    _say_task(fish)
     output.say(f"picture ({shown.how}): {shown.picture}")
     if strict and shown.tables["warnings"]:
         raise typer.Exit(1)
+
+
+def _say_task(fish: str) -> None:
+    """Print the task that a training would give this fish, or why none would."""
+    from tailbeat.env.measured import measure_of
+    from tailbeat.env.task import Task, sized
+    from tailbeat.fish.store import load_fish
+
+    described = load_fish(fish)
+    if described.motor.range is None:
+        return
+    try:
+        task = sized(Task(), measure_of(described))
+    except BadInput as error:
+        output.say(f"no task: {error}")
+        return
+    row = {"nearest_m": task.nearest, "farthest_m": task.farthest, "arrival_m": task.arrival,
+           "time_s": task.seconds, "limit_m": task.limit}  # fmt: skip
+    output.tables({"targets of a training": [headed(row)]})
 
 
 # Units of what `show` prints: by the end of a name, the longest first, and by the name itself.

@@ -32,8 +32,8 @@ UNDECIDED = "not decided"  # in the source of an identified number
 
 @dataclass(frozen=True)
 class ZooConfig:
-    """Which fish of a `seed` (None: all), into which folder `out`; swims of the evaluation; `quick`:
-    with few swims, a short search and a small recipe."""
+    """Which fish of a `seed` (None: all), into which folder `out`; swims of the evaluation; with
+    `quick` few swims, a short search and a small recipe."""
 
     out: Path
     seed: int = 0
