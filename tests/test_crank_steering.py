@@ -55,7 +55,7 @@ def test_a_crank_that_turns_evenly_swims_straight(turned):
 @pytest.mark.parametrize("psi", PHASES)
 def test_half_a_turn_more_turns_to_the_other_side(turned, psi):
     (_, one), (_, other) = turned[0.8, psi], turned[0.8, psi + 180]
-    assert other == pytest.approx(-one, rel=0.05) and abs(one) > 0.05
+    assert other == pytest.approx(-one, rel=0.1) and abs(one) > 0.05  # a few beats only
 
 
 def test_it_turns_within_three_lengths(turned):
