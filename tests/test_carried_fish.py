@@ -1,6 +1,7 @@
 """A policy carries the fish that it was trained on: nobody has to keep that file at hand."""
 
 import json
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from tailbeat.control.actions import Generator
 from tailbeat.control.policy import KEY, Policy, _digests, as_text, load_policy
 from tailbeat.evaluate import store
 from tailbeat.evaluate.evaluation import EvaluationConfig, describe, pool_of
+from tailbeat.evaluate.reach import TrialConfig, try_policy
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish, with_values
 from tailbeat.report.page import trained_on
@@ -123,3 +125,27 @@ def test_golden_pairs_still_hold_for_a_policy_that_carries_its_fish(own):
     path, policy = own
     seen = np.array(policy.contract.golden[0], np.float32)
     assert np.isfinite(seen).all() and KEY in {p.key for p in onnx.load(str(path)).metadata_props}
+
+
+def test_a_newer_identification_can_be_tried_and_another_body_cannot(own):
+    """The same policy in the fish as it was identified later, and in one of another mass."""
+    path, _ = own
+    later = with_values(OWN, {"zones.fin.kutta": 2.4})
+    config = TrialConfig(targets=4, exact=True)
+    with patched_fish(later), pytest.raises(BadInput, match="description has changed since"):
+        try_policy(str(path), "later.toml", config)
+    with patched_fish(later):
+        assert try_policy(str(path), "later.toml", replace(config, newer=True)).targets == 4
+    heavier = with_values(later, {"motor.mass": 0.3})
+    with patched_fish(heavier), pytest.raises(BadInput, match=r"motor\.mass is"):
+        try_policy(str(path), "later.toml", replace(config, newer=True))
+    with pytest.raises(BadInput, match="omit --pools"):
+        try_policy(str(path), "later.toml", replace(config, newer=True, pools=2))
+
+
+@contextmanager
+def patched_fish(fish):
+    """Read this fish instead of a file."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tailbeat.evaluate.reach.load_fish", lambda name: fish)
+        yield

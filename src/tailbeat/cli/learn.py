@@ -128,6 +128,12 @@ def try_(
             " --fish is the fish in the pool."
         ),
     ] = 0,
+    newer: Annotated[
+        bool,
+        typer.Option(
+            "--newer", help="--fish is a newer identification of the fish it was trained on."
+        ),
+    ] = False,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -138,7 +144,7 @@ def try_(
     need_training()
     from tailbeat.evaluate.reach import TrialConfig, try_policy
 
-    done = try_policy(file, fish, TrialConfig(arc, targets, seed, exact, pools))
+    done = try_policy(file, fish, TrialConfig(arc, targets, seed, exact, pools, newer))
     where = "in the virtual pool" if pools else "in the twin"
     sectors = [
         {"bearing [deg]": f"{row.low:g}-{row.high:g}", **one}

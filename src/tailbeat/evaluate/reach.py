@@ -23,6 +23,7 @@ from tailbeat.fish.store import digest, load_fish
 from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water, ensemble
+from tailbeat.robot.fits import check_same_body, twin_of
 
 SECTOR = 30  # degrees of bearing, left and right together
 NEAREST, TRAINED, FARTHEST = 0.5, 2.5, 3.0  # m, of the paper's fish; trained to the second
@@ -85,13 +86,15 @@ class ReachResult(SuccessRates):
 @dataclass(frozen=True)
 class TrialConfig:
     """`targets` targets within `arc` [deg] to either side, drawn from `seed`: in the twin with all
-    noise and randomisation (`exact`: without), or in `pools` waters of the pool."""
+    noise and randomisation (`exact`: without), or in `pools` waters of the pool. With `newer` the
+    twin is a newer identification of the fish that the policy was trained on."""
 
     arc: float = 120.0
     targets: int = 1000
     seed: int = 0
     exact: bool = False
     pools: int = 0
+    newer: bool = False
 
 
 def in_twin(fish: Fish, settings: Settings) -> Build:
@@ -120,17 +123,23 @@ def reach(policy: Policy, build: Build, count: int, seed: int) -> SeededTrial:
 
 
 def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:
-    """Swim a policy to seeded targets. Raises BadInput if it was not trained for this fish."""
+    """Swim a policy to seeded targets. Raises BadInput if it was not trained for this fish, or, for
+    a newer identification, on another body."""
     if not 0 < config.arc <= 180 or config.targets < 1 or config.pools < 0:
         raise BadInput(
             f"--arc {config.arc:g}, --targets {config.targets}, --pools {config.pools}: allowed are"
             f" above 0 to 180, 1 or more, 0 or more."
         )
+    if config.newer and config.pools:
+        raise BadInput("--newer: it is about the twin; omit --pools.")
     policy, described = load_policy(path), load_fish(fish)
     held = policy.contract
-    own = (described.name, digest(described))
-    who = (held.fish, held.fish_digest) if config.pools else own
-    check_fits(held, *who, described.band, PERIOD)
+    if config.newer:
+        check_same_body(twin_of(policy, None), described)
+    else:
+        own = (described.name, digest(described))
+        who = (held.fish, held.fish_digest) if config.pools else own
+        check_fits(held, *who, described.band, PERIOD)
     noise = 0.0 if config.exact else 1.0
     stage = Stage("trial", 3, noise, noise, float(np.radians(config.arc)))
     settings = settings_of(stage, held.actions, measure=held.measure)
