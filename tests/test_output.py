@@ -80,6 +80,17 @@ def test_a_pipe_gets_a_line_at_once_one_now_and_then_and_the_last(capsys):
     ]
 
 
+def test_the_time_of_other_work_counts_from_its_own_begin(capsys):
+    now = [0.0]
+    report = now_and_then(0.0, lambda: now[0])
+    for time, done in ((0.0, 0.1), (100.0, 1.0), (110.0, 0.1), (120.0, 0.2)):
+        now[0] = time
+        report("search", done)
+    said = capsys.readouterr().err.splitlines()
+    assert said[1].endswith("100 %, 0:01:40 elapsed")
+    assert said[3].endswith("20 %, 0:00:10 elapsed, 0:00:40 left")
+
+
 def test_counting_and_a_search_say_in_a_pipe_where_they_are(capsys):
     with counting() as count:
         count("reach", 1, 4)

@@ -19,14 +19,18 @@ def now_and_then(
     every: float = EVERY, clock: Callable[[], float] = time.monotonic
 ) -> Callable[..., None]:
     """Print `text`, the fraction done and an ETA to standard error: at once, then `every` so many
-    seconds, and when all is done. NaN means that the fraction is not known."""
-    began, due = clock(), [-math.inf]
+    seconds, and when all is done. NaN means that the fraction is not known; a smaller one than
+    before begins other work, with a time of its own."""
+    due, began, before = [-math.inf], [clock()], [0.0]
 
     def report(text: str, done: float = math.nan) -> None:
         now = clock()
+        if done < before[0]:
+            began[0] = now
+        before[0] = done
         if now >= due[0] or done >= 1:
             due[0] = now + every
-            print(text + _eta(now - began, done), file=sys.stderr, flush=True)
+            print(text + _eta(now - began[0], done), file=sys.stderr, flush=True)
 
     return report
 
