@@ -27,8 +27,10 @@ def zoo(
     ] = False,
     json: JsonOption = None,
 ) -> None:
-    """Take eight fish of all sizes from a wrong first guess to targets in the pool. Each is recorded,
-    identified, trained and evaluated. The same command resumes. Exit code 1 if a fish missed."""
+    """Take eight fish of all sizes from a wrong first guess to targets in the pool.
+
+    Each is recorded, identified, trained and evaluated. The same command resumes. Exit code 1 if a
+    fish missed."""
     if json is not None:
         refuse_existing(json)
     need_training()
