@@ -319,3 +319,22 @@ def test_a_polish_on_updated_jacobians_ends_where_one_on_new_ones_does(monkeypat
         calls.append(asked)
     assert ends[1] == pytest.approx(ends[0], abs=2e-3)
     assert calls[0][:4] == [21, 5, 21, 5] and calls[1][:5] == [21, 5, 5, 5, 5]
+
+
+def test_a_cheap_search_explores_from_three_starts_and_is_judged_on_all_residuals(tmp_path):
+    """What is best on the cheap residuals diverges on all: then all of them are explored."""
+
+    def cheap(z: np.ndarray) -> np.ndarray:
+        return 10 * (z - 0.5)
+
+    def diverging(z: np.ndarray) -> np.ndarray:
+        near = (np.abs(z - 0.5) < 0.3).all(axis=1, keepdims=True)
+        return np.where(near, np.inf, 10 * (z + 0.5))
+
+    space, effort = (PLAIN, PLAIN), Effort(generations=12, population=8, polish=6)
+    found = search(cheap, space, 0, effort, tmp_path / "a", cheap=cheap)
+    kept = sorted(path.name for path in tmp_path.iterdir() if "start" in path.name)
+    assert kept == ["a-start0", "a-start1", "a-start2"]
+    assert found.z == pytest.approx([0.5, 0.5], abs=0.02)
+    found = search(diverging, space, 0, effort, tmp_path / "b", cheap=cheap)
+    assert found.z == pytest.approx([-0.5, -0.5], abs=0.02)

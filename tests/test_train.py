@@ -369,7 +369,7 @@ def test_a_resumed_run_goes_on_where_it_was(run):
 def test_exploring_fish_pass_no_stage_that_greedy_ones_fail(tmp_path, monkeypatch, greedy):
     """All exploring fish are said to arrive, and the network without its noise never has."""
     monkeypatch.setattr(TrainingCallback, "_judged", lambda self: [True] * self.run.recipe.window)
-    plan = planned_for(tmp_path / "run", hours=0.0003)
+    plan = planned_for(tmp_path / "run", hours=0.0003 if greedy else 0.01)
     plan = replace(plan, recipe=replace(plan.recipe, greedy=greedy, stages=STAGES[:1]))
     done = train(plan, False, print)
     assert done.finished == (not greedy) and bool(done.promotions) == (not greedy)

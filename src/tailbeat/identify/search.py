@@ -11,6 +11,7 @@ import numpy as np
 from tailbeat.files import new_file
 from tailbeat.identify.polish import Polished, polish
 from tailbeat.identify.space import (
+    FAILED,
     WIDE_STEP,
     Array,
     Parameter,
@@ -66,7 +67,7 @@ def search(
     """CMA-ES, then polish, from one seed. With `cheap` residuals CMA-ES runs on these, from
     `STARTS` starts, and the best goes on: one alone may stop far from the others. Resumes from
     `checkpoint` and the files beside it, if they exist."""
-    z = _best_start(cheap or residuals, space, seed, effort, checkpoint, progress, bool(cheap))
+    z = _best_start(residuals, cheap, space, seed, effort, checkpoint, progress)
     begun = [Polished(checkpoint, part) for part in range(1 + RESCALINGS)]
     z = polish(residuals, space, z, effort.polish, progress, begun=begun[0])
     total = float(cost(residuals(z[None]), z[None])[0])
@@ -128,24 +129,29 @@ def _divided(residuals: Residuals, noise: float) -> Residuals:
 
 def _best_start(
     residuals: Residuals,
+    cheap: Residuals | None,
     space: tuple[Parameter, ...],
     seed: int,
     effort: Effort,
     checkpoint: Path | None,
     progress: Progress,
-    several: bool,
 ) -> Array:
-    """The best candidate of one start or of `STARTS`."""
-    starts = STARTS if several else 1
+    """The best candidate of one start, or with `cheap` residuals of `STARTS`. What is good on the
+    cheap ones may diverge on all; if every start does, one explores on all."""
+    if cheap is None:
+        return _explore(residuals, space, seed, effort, checkpoint, progress)
     found = []
-    for k in range(starts):
-        kept = checkpoint and checkpoint.with_name(f"{checkpoint.name}{k or ''}")
+    for k in range(STARTS):
+        kept = checkpoint and checkpoint.with_name(f"{checkpoint.name}-start{k}")
 
         def tell(stage: str, share: float, best: float, k: int = k) -> None:
-            progress(stage, (k + share) / starts, best)
+            progress(stage, (k + share) / STARTS, best)
 
-        found.append(_explore(residuals, space, seed + APART * k, effort, kept, tell))
-    return min(found, key=lambda one: one[0])[1]
+        found.append(_explore(cheap, space, seed + APART * k, effort, kept, tell))
+    costs = cost(residuals(np.array(found)), np.array(found))
+    if costs.min() >= FAILED:
+        return _explore(residuals, space, seed, effort, checkpoint, progress)
+    return found[int(np.argmin(costs))]
 
 
 def _explore(
@@ -155,8 +161,7 @@ def _explore(
     effort: Effort,
     checkpoint: Path | None,
     progress: Progress,
-) -> tuple[float, Array]:
-    """Cost of the best candidate, and the candidate."""
+) -> Array:
     strategy = _restore(checkpoint) or _strategy(residuals, space, seed, effort)
     while strategy.countiter < effort.generations and not strategy.stop():
         candidates = strategy.ask()
@@ -166,7 +171,7 @@ def _explore(
             with new_file(checkpoint, overwrite=True) as path:
                 path.write_bytes(pickle.dumps(strategy))
         progress("search", strategy.countiter / effort.generations, strategy.best.f)
-    return float(strategy.best.f), np.array(strategy.best.x)
+    return np.array(strategy.best.x)
 
 
 def _strategy(
