@@ -18,7 +18,7 @@ from tailbeat.env import randomize
 from tailbeat.env.curriculum import STAGES, settings_of
 from tailbeat.env.measured import measure_of
 from tailbeat.env.randomize import Randomisation
-from tailbeat.env.task import Scene, Task, sized
+from tailbeat.env.task import Scene, Settings, Task, settings_for, sized
 from tailbeat.env.world import World, seeds_from
 from tailbeat.evaluate import disturb, out_of_distribution, reach, track
 from tailbeat.evaluate.trial import Pool
@@ -192,3 +192,12 @@ def test_a_tour_of_a_small_fish_stays_about_the_middle():
     large = Measure(2.0, 2.5, 1.0, 8.0)
     with pytest.raises(BadInput, match="too small to turn in"):
         draw_targets(3, 0, measure=large)
+
+
+def test_a_policy_is_not_tried_in_worlds_of_another_measure(written):
+    policy = load_policy(written[0])
+    with pytest.raises(BadInput, match=r"take settings_for\(policy.contract\)"):
+        reach.reach(policy, reach.in_twin(FISH, Settings(policy.contract.actions)), 2, 0)
+    own = settings_for(policy.contract)
+    assert own.task.arrival == 0.05 * HALF.size and own.measure == HALF
+    assert reach.reach(policy, reach.in_twin(FISH, own), 2, 0).targets == 2

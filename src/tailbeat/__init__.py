@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from tailbeat.env.reward import Reward as Reward
     from tailbeat.env.task import Settings as Settings
     from tailbeat.env.task import Task as Task
+    from tailbeat.env.task import settings_for as settings_for
     from tailbeat.env.vector_env import FishEnv as FishEnv
     from tailbeat.env.vector_env import FishVectorEnv as FishVectorEnv
     from tailbeat.evaluate.reach import in_pool as in_pool
@@ -70,6 +71,7 @@ _HOMES = {
     "reach": "evaluate.reach:reach",
     "read_recording": "recording:read_recording",
     "recipe_of": "train.recipes:recipe_of",
+    "settings_for": "env.task:settings_for",
     "simulate": "fish.simulate:simulate",
     "train_policy": "train.train:train",
     "with_values": "fish.store:with_values",

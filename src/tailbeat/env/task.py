@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, ActionSpace, Generator
 from tailbeat.control.measure import ARRIVAL, PATIENCE, Measure
+from tailbeat.control.policy import Contract
 from tailbeat.env import randomize
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.reward import Reward
@@ -74,6 +75,12 @@ class Settings:
     physics: Randomisation = field(default_factory=Randomisation)
     draws: Array | None = field(default=None, compare=False)
     measure: Measure = field(default_factory=Measure)  # of rewards and observations
+
+
+def settings_for(contract: Contract) -> Settings:
+    """The settings that a policy's contract asks for: its actions, and targets in its measure."""
+    measure = contract.measure
+    return Settings(contract.actions, sized(Task(), measure), measure=measure)
 
 
 def sized(task: Task, measure: Measure) -> Task:

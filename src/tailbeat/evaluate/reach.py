@@ -114,12 +114,25 @@ def in_pool(fish: Fish, settings: Settings, waters: Sequence[Water]) -> Build:
 
 
 def reach(policy: Policy, build: Build, count: int, seed: int) -> SeededTrial:
-    """Swim a policy to `count` targets in worlds built from `seed`."""
-    swims = assess(partial(decide, policy), build, count, seed)
+    """Swim a policy to `count` targets in worlds built from `seed`. Raises BadInput for worlds in
+    another measure than the policy's."""
+    swims = assess(partial(decide, policy), partial(_fitting, policy, build), count, seed)
     near = swims.nearest < policy.contract.measure.near
     sectors = by_sector(swims.bearing, swims.reached, near, swims.seconds)
     rates = vars(success(swims.reached, near))
     return SeededTrial(**vars(swims.summary()), **rates, sectors=sectors)
+
+
+def _fitting(policy: Policy, build: Build, seeds: list[int]) -> World:
+    """A world in the policy's measure."""
+    world = build(seeds)
+    own, wanted = world.settings.measure, policy.contract.measure
+    if own != wanted:
+        raise BadInput(
+            f"settings: their measure is {own}, the policy's is {wanted}, so it would see other"
+            f" distances; take settings_for(policy.contract)."
+        )
+    return world
 
 
 def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:
