@@ -9,7 +9,8 @@ pytest.importorskip("stable_baselines3", reason="the train extra is not installe
 
 from support import tailbeat
 from tailbeat.evaluate.zoo import COUNT, SERVOS, WRONG, animals, guess
-from tailbeat.evaluate.zoo_run import STEPS, ZooConfig, commands, counted
+from tailbeat.evaluate.zoo_run import STEPS, Step, ZooConfig, commands, counted, zoo
+from tailbeat.files import BadInput, write_json
 from tailbeat.fish import first_draft
 from tailbeat.fish.proportions import sketch
 from tailbeat.fish.store import load_fish
@@ -80,6 +81,25 @@ def test_a_decided_number_counts_as_held_only_inside_its_interval(tmp_path):
         f'delay = {{value = 1.0, interval = [0.0, 1.0], source = "x; not decided by the data"}}\n'
     )
     assert counted(tmp_path) == (2, 1)
+
+
+def test_an_interrupted_recording_begins_anew_and_a_finished_step_is_kept(tmp_path):
+    animal, config = animals(0)[0], ZooConfig(tmp_path)
+    said: list[str] = []
+    folder = tmp_path / animal.name
+    (folder / "data").mkdir(parents=True)
+    (folder / "data" / "tail-sweep.csv").write_text("half of a")
+    (folder / "lab.toml").write_text("half of a")
+    done = {name: Step(1.0, 0, "done") for name in STEPS[2:4]}
+    for name, step in done.items():
+        write_json(folder / f"{name}.json", step)
+    (found,) = zoo(replace(config, only=(0,)), said.append)  # its policy is missing
+    assert found.steps["record"].code == 0 and found.steps["new-fish"].code == 0
+    assert found.steps["train"] == done["train"] and found.steps["evaluate"].code == 2
+    assert "no such file" in found.steps["evaluate"].said and found.reached is None
+    assert "half" not in (folder / "data" / "tail-sweep.csv").read_text()
+    with pytest.raises(BadInput, match="allowed are 0 to 7"):
+        zoo(replace(config, only=(8,)), said.append)
 
 
 def test_a_crank_ends_with_the_sentence_that_says_why(tmp_path):

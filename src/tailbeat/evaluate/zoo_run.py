@@ -4,6 +4,7 @@ A fish stands in the virtual pool. It is recorded, identified, trained and evalu
 that a user types, each with its defaults. What a verb refuses stays in the table with its sentence.
 """
 
+import shutil
 import time
 import tomllib
 from collections.abc import Callable, Sequence
@@ -13,8 +14,8 @@ from pathlib import Path
 from tailbeat.control.policy import load_policy
 from tailbeat.evaluate.evaluation import read
 from tailbeat.evaluate.store import read_record
-from tailbeat.evaluate.zoo import SERVO, Animal, animals, guess
-from tailbeat.files import write_json
+from tailbeat.evaluate.zoo import COUNT, SERVO, Animal, animals, guess
+from tailbeat.files import BadInput, write_json
 from tailbeat.fish.proportions import Given
 from tailbeat.fish.store import load_fish
 from tailbeat.processes import end, start_verb
@@ -78,7 +79,9 @@ class Outcome:
 
 def zoo(config: ZooConfig, say: Say) -> tuple[Outcome, ...]:
     """Take every fish along the whole way; a finished step is not repeated, and the table is
-    written after every fish."""
+    written after every fish. Raises BadInput for a number that no fish has."""
+    if wrong := sorted(set(config.only or ()) - set(range(COUNT))):
+        raise BadInput(f"--only {wrong[0]}: allowed are 0 to {COUNT - 1}.")
     chosen = [
         (number, one)
         for number, one in enumerate(animals(config.seed))
@@ -92,7 +95,8 @@ def zoo(config: ZooConfig, say: Say) -> tuple[Outcome, ...]:
 
 
 def _taken(animal: Animal, config: ZooConfig, number: int, say: Say) -> Outcome:
-    folder, steps = config.out / animal.name, {}
+    folder = config.out / (f"{animal.name}-quick" if config.quick else animal.name)
+    steps: dict[str, Step] = {}
     folder.mkdir(parents=True, exist_ok=True)
     for name in STEPS if animal.given else ("train",):  # the crank fish is described already
         steps[name] = _step(animal, name, config, number, folder)
@@ -107,6 +111,7 @@ def _step(animal: Animal, name: str, config: ZooConfig, number: int, folder: Pat
     kept = folder / f"{name}.json"
     if kept.is_file():
         return read_record(Step, kept)
+    _clear(name, folder)
     began, last = time.monotonic(), Step(0.0, 0, "")
     for words in commands(animal, name, config, folder):
         code, said = _typed(words, folder / f"{name}.log")
@@ -117,6 +122,15 @@ def _step(animal: Animal, name: str, config: ZooConfig, number: int, folder: Pat
         guess(folder / "lab.toml", folder / "guess.toml", 100 * config.seed + number)
     write_json(kept, last, overwrite=True)
     return last
+
+
+def _clear(name: str, folder: Path) -> None:
+    """Remove what an interrupted step has left, if its verbs would not go on from it."""
+    if name == "new-fish":
+        (folder / "lab.toml").unlink(missing_ok=True)
+    if name == "record":
+        for left in ("data", "commands"):
+            shutil.rmtree(folder / left, ignore_errors=True)
 
 
 def commands(animal: Animal, name: str, config: ZooConfig, folder: Path) -> list[list[str]]:
