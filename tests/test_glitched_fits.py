@@ -13,14 +13,8 @@ from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.intervals import estimates
 from tailbeat.identify.polish import polish
 from tailbeat.identify.search import Fit
-from tailbeat.identify.servo import (
-    as_bench,
-    blocks,
-    load_doubt,
-    residual_function,
-    servo_space,
-    with_honest_intervals,
-)
+from tailbeat.identify.servo import as_bench, blocks, residual_function, servo_space
+from tailbeat.identify.servo_doubt import load_doubt, with_honest_intervals
 from tailbeat.identify.servo_job import ServoConfig, identify_servo
 from tailbeat.identify.servo_report import as_report
 from tailbeat.identify.shaft import Bench

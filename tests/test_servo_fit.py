@@ -10,7 +10,8 @@ from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.protocol import RATE, fluid_runs, limits, servo_commands, tail_sweep
 from tailbeat.identify.search import Effort
-from tailbeat.identify.servo import as_bench, described_servo
+from tailbeat.identify.servo import as_bench, described_servo, servo_space
+from tailbeat.identify.servo_doubt import load_doubt
 from tailbeat.identify.servo_job import ServoConfig, identify_servo
 from tailbeat.identify.servo_report import as_report
 from tailbeat.identify.shaft import Bench, Load, free_run
@@ -222,3 +223,23 @@ def test_protocols_stay_inside_the_servo_s_limits():
 def test_a_crank_has_no_protocol():
     with pytest.raises(BadInput, match="cannot swing to both sides"):
         limits(load_fish("crank-fish"))
+
+
+def test_a_soft_tail_gives_the_torques_scale_less_well():
+    """The servo gives way by 10 % of the angle, and by 1 %: an error of 0.1 deg counts as more."""
+    time = np.arange(0, 1, 0.01)
+    angle = np.sin(time)
+    kp = TRUTH.kp
+    doubts = []
+    for share in (0.1, 0.01):
+        load = Load("tail", stiffness=share * kp)
+        bench = Bench("b", time, angle, angle, np.ones_like(time), load)
+        space = servo_space([bench], gears=False)
+        z = np.array([p.to_z(getattr(TRUTH, p.path)) if p.log else 0.0 for p in space])
+        row = [p.path for p in space].index("kp")
+        doubts.append(np.sqrt(load_doubt(space, z, [bench])[row, row]) * space[row].spread)
+    widest = np.sin(0.99)
+    expected = [np.hypot(0.01, np.radians(0.1) / (share * widest)) for share in (0.1, 0.01)]
+    assert doubts == pytest.approx(expected, rel=1e-6)
+    bare = replace(bench, load=Load("nothing"))
+    assert not load_doubt(space, z, [bare]).any()

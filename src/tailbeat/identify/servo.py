@@ -18,9 +18,8 @@ from tailbeat.fish.show import stiffening
 from tailbeat.identify.glitches import SHAFT, find
 from tailbeat.identify.hinges import tail_inertia
 from tailbeat.identify.response import STILL
-from tailbeat.identify.search import Fit
 from tailbeat.identify.shaft import Bench, Load, free_run
-from tailbeat.identify.space import Parameter, sensitivity
+from tailbeat.identify.space import Parameter
 from tailbeat.identify.stretches import stretches
 from tailbeat.recording import Recording, require
 
@@ -33,11 +32,6 @@ WIDE = 2 * np.pi  # rad: largest allowed angle; no position servo turns further 
 MANY = 0.1  # fraction of an angle's samples beyond `WIDE`; above it the column is in degrees
 BLOCK = 0.5  # s over which residuals are correlated, chosen: the time of a slip or a stroke
 STEP = 0.02  # finite difference of the intervals in z; the model has kinks at every standstill
-HINGES = 1e-4  # s, deviation of the delay: up to 0.15 ms with noise-free fish of 0.28 to 1 m
-# Uncertainty of the load: 1 %, chosen. A free run gives the servo's torques only in proportion to
-# the load's, so each of them has this uncertainty.
-LOAD_DOUBT = 0.01
-IN_PROPORTION = "gain_scale kp kv armature damping damping_off friction force_limit".split()
 GEARS = ("load_friction", "stiction")  # fitted on the test bench; the twin cannot compile them
 
 # The paper trained with this ideal servo.
@@ -258,37 +252,3 @@ def blocks(benches: Sequence[Bench]) -> NDArray[np.int_]:
         found.append(first + own)
         first += int(own[-1]) + 1
     return np.concatenate(found)
-
-
-def with_honest_intervals(
-    fit: Fit, residuals: Callable[[Array], Array], groups: NDArray[np.int_]
-) -> Fit:
-    """The fit with a covariance that allows for correlated residuals and an inexact model.
-
-    Sandwich estimate over blocks of time (White 1982; Liang and Zeger 1986); the prior counts as
-    one more observation. So the fifty samples of one standstill count as one observation.
-    """
-    found, slope = sensitivity(residuals, fit.z, step=STEP)
-    bread = np.linalg.inv(slope.T @ slope + np.eye(fit.z.size))
-    gradients = np.zeros((groups.max() + 1, fit.z.size))
-    np.add.at(gradients, groups, slope * found[:, None])
-    many = len(gradients)
-    meat = gradients.T @ gradients * many / max(many - fit.z.size, 1)
-    covariance = bread @ (meat + np.eye(fit.z.size)) @ bread
-    return replace(fit, residuals=found, jacobian=slope, covariance=covariance)
-
-
-def delay_doubt(space: tuple[Parameter, ...]) -> Array:
-    """Covariance (p, p) in z of the delay, because a tail of several hinges has more than one
-    degree of freedom."""
-    return np.diag([(HINGES / p.spread if p.path == "delay" else 0.0) ** 2 for p in space])
-
-
-def load_doubt(space: tuple[Parameter, ...], z: Array, benches: Sequence[Bench]) -> Array:
-    """Covariance (p, p) in z from the load's uncertainty, which scales all torques together."""
-    shift = np.zeros(z.size)
-    if any(bench.load.kind != "nothing" for bench in benches):
-        for i, p in enumerate(space):
-            if p.path in IN_PROPORTION:
-                shift[i] = 1.0 / p.spread if p.log else p.from_z(float(z[i])) / p.spread
-    return LOAD_DOUBT**2 * np.outer(shift, shift)

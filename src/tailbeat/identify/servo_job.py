@@ -22,14 +22,12 @@ from tailbeat.identify.servo import (
     IDEALISED,
     as_servos,
     blocks,
-    delay_doubt,
     described_servo,
     gain_reference,
-    load_doubt,
     residual_function,
     servo_space,
-    with_honest_intervals,
 )
+from tailbeat.identify.servo_doubt import delay_doubt, load_doubt, with_honest_intervals
 from tailbeat.identify.servo_gains import contradictions
 from tailbeat.identify.shaft import Bench, free_run
 from tailbeat.identify.space import Parameter, values

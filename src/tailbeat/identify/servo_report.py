@@ -14,7 +14,8 @@ from tailbeat.identify.estimate import as_row
 from tailbeat.identify.glitch_report import as_rows
 from tailbeat.identify.intervals import trade_offs
 from tailbeat.identify.search import Fit
-from tailbeat.identify.servo import BLOCK, load_doubt
+from tailbeat.identify.servo import BLOCK
+from tailbeat.identify.servo_doubt import load_doubt
 from tailbeat.identify.servo_job import (
     LeftOut,
     Overlay,
