@@ -142,6 +142,8 @@ def test_the_contract_carries_the_measure_and_the_robot_observes_in_it(written):
     [
         ({**asdict(HALF), "reach": -1.0}, "impossible ratios"),
         ({"size": 1.0}, "missing, unknown or impossible"),
+        ({**asdict(HALF), "reach": "far"}, "impossible ratios"),
+        ([1.0, 2.0], "missing, unknown or impossible"),
         ({**asdict(HALF), "reach": 0.5}, "observation 3 is"),
     ],
 )

@@ -168,16 +168,21 @@ def _contract(path: Path, text: str) -> Contract:
     return contract
 
 
-def _measure(path: Path, held: dict[str, float]) -> Measure:
+def _measure(path: Path, held: Any) -> Measure:
     """The measure in a contract. Raises BadInput."""
-    wrong = set(held) ^ set(vars(Measure())) if held else set()
-    bad = [name for name, ratio in held.items() if not 0 < ratio < 1000]
+    numbers = held if isinstance(held, dict) else {"measure": held}
+    wrong = set(numbers) ^ set(vars(Measure())) if numbers else set()
+    bad = [k for k, ratio in numbers.items() if not (_is_number(ratio) and 0 < ratio < 1000)]
     if wrong or bad:
         raise BadInput(
             f"{path}: measure has missing, unknown or impossible ratios {sorted(wrong) or bad};"
             f" export the policy again."
         )
     return Measure(**held)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _check_observation(path: Path, contract: Contract) -> None:
