@@ -17,7 +17,8 @@ import onnx
 from policies import POLICIES
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, Direct, Generator
-from tailbeat.control.observation import PAPER, TABLE, Samples, observe, scales
+from tailbeat.control.measure import PAPER
+from tailbeat.control.observation import TABLE, Samples, observe, scales
 from tailbeat.control.policy import (
     KEY,
     _digests,

@@ -21,8 +21,8 @@ from tailbeat.control.actions import (
     targets,
 )
 from tailbeat.control.band import share_below
+from tailbeat.control.measure import PAPER
 from tailbeat.control.observation import (
-    PAPER,
     TABLE,
     Samples,
     as_markdown,

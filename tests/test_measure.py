@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
-from tailbeat.control.measure import Measure, measure, preferred
+from tailbeat.control.measure import PAPER, Measure, measure, preferred
 from tailbeat.control.observation import TABLE, Samples, observe, scales, table
 from tailbeat.control.policy import KEY, _digests, load_policy
 from tailbeat.control.runner import Readings, begin, steer
@@ -33,7 +33,6 @@ from tailbeat.train.config import RunConfig, action_space, measured_run
 from tailbeat.train.export import export
 from test_policy import FISH, sights, untrained
 
-PAPER = Measure()
 HALF = Measure(size=0.5, reach=0.4, speed=0.5, mass=0.3)
 SMALL = described(sketch(Given(0.28, 0.35, 4, "xl330")))
 

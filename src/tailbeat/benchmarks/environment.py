@@ -20,7 +20,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD
-from tailbeat.control.measure import Measure
 from tailbeat.control.observation import Samples, observe
 from tailbeat.env.task import Settings, check_settings
 from tailbeat.env.vector_env import FishVectorEnv, action_space, observation_space
@@ -69,7 +68,7 @@ class OrdinaryFish(MujocoEnv):
     def _seen(self) -> Any:
         angle, rate, yaw_rate = self.data.qpos[3:4], self.data.qvel[3:4], self.data.qvel[2:3]
         samples = Samples(angle, rate, yaw_rate, self.tail.phase, self.commands, self.frames)
-        return observe(samples, Measure())[0]
+        return observe(samples)[0]
 
 
 @dataclass(frozen=True)

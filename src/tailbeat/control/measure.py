@@ -56,6 +56,9 @@ class Measure:
         return PATIENCE * self.time
 
 
+PAPER = Measure()  # of the paper's fish
+
+
 def centimetres(distance: float) -> str:
     """A distance [m] as people say it."""
     return f"{100 * distance:.2g} cm"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.control.measure import Measure
+from tailbeat.control.measure import PAPER, Measure
 
 Array = NDArray[np.float64]
 FRAMES = 3  # most recent camera frames
@@ -76,7 +76,6 @@ def _table() -> tuple[Entry, ...]:
     return tuple(rows)
 
 
-PAPER = Measure()
 TABLE = _table()  # of the paper's fish
 
 

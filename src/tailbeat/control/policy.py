@@ -18,7 +18,7 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from tailbeat.control.actions import ActionSpace, Direct, Filtered, Generator, check_space, size
-from tailbeat.control.measure import Measure
+from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.observation import TABLE, Entry, table
 from tailbeat.files import BadInput, leaves
 
@@ -171,7 +171,7 @@ def _contract(path: Path, text: str) -> Contract:
 def _measure(path: Path, held: Any) -> Measure:
     """The measure in a contract. Raises BadInput."""
     numbers = held if isinstance(held, dict) else {"measure": held}
-    wrong = set(numbers) ^ set(vars(Measure())) if numbers else set()
+    wrong = set(numbers) ^ set(vars(PAPER)) if numbers else set()
     bad = [k for k, ratio in numbers.items() if not (_is_number(ratio) and 0 < ratio < 1000)]
     if wrong or bad:
         raise BadInput(
@@ -224,7 +224,7 @@ def _check_golden(path: Path, policy: Policy) -> None:
 
 def measure_in(name_or_path: str | None) -> Measure:
     """The measure in a policy's contract; the paper's fish's for None. Raises BadInput."""
-    return Measure() if name_or_path is None else load_policy(name_or_path).contract.measure
+    return PAPER if name_or_path is None else load_policy(name_or_path).contract.measure
 
 
 # ---- which fish it may run on -------------------------------------------------------------------

@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from tailbeat.control.actions import ActionSpace
-from tailbeat.control.measure import Measure
+from tailbeat.control.measure import PAPER, Measure
 from tailbeat.env import randomize
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel
@@ -58,7 +58,7 @@ STAGES = (
 )
 
 
-OPEN_WATER, PAPER = Task(), Measure()  # the paper's targets and its fish
+OPEN_WATER = Task()  # the paper's targets
 
 
 def settings_of(

@@ -6,7 +6,7 @@ from tailbeat.control.measure import Measure, measure
 from tailbeat.files import BadInput
 from tailbeat.fish.buoyancy import buoyancy
 from tailbeat.fish.description import Fish, length_of
-from tailbeat.fish.quick_swims import Quick, quick_swims
+from tailbeat.fish.quick_swims import quick_swims
 
 SLOWEST = 0.03  # lengths per second; below it a policy has nothing to steer with (chosen)
 
@@ -15,11 +15,7 @@ def measure_of(fish: Fish) -> Measure:
     """The measure of a fish from quick swims of its twin: best speed and tightest circle over its
     band. Raises BadInput for a fish that hardly swims or never turns."""
     length = length_of(fish)
-    return measured(fish, quick_swims(fish, length), length)
-
-
-def measured(fish: Fish, swims: tuple[Quick, ...], length: float) -> Measure:
-    """`measure_of` from swims at hand, of a fish of a `length` [m]."""
+    swims = quick_swims(fish, length)
     speeds = [one.speed for one in swims if math.isfinite(one.speed)]
     circles = [abs(one.circle) for one in swims if math.isfinite(one.circle)]
     best = max(speeds, default=0.0)

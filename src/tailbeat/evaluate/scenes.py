@@ -8,14 +8,13 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from tailbeat.control.actions import PERIOD
-from tailbeat.control.measure import Measure
+from tailbeat.control.measure import PAPER, Measure
 from tailbeat.env.task import Scene
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.runs import tracked_pose
 
 Array = NDArray[np.float64]
-PAPER = Measure()
 CLEAR = 0.4  # m, least distance of a start from the walls, of the paper's fish; targets: half
 TRIES = 2000
 HALF_EIGHT = (

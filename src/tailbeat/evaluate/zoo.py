@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tailbeat.control.measure import MASS
 from tailbeat.fish.catalogue import profiles
 from tailbeat.fish.proportions import BEND_SHARE, K_EFF, LENGTH, STROKE, Given
 from tailbeat.fish.store import load_fish, write_identified
@@ -14,7 +15,6 @@ from tailbeat.fish.store import load_fish, write_identified
 COUNT = 8  # fish; the last one is the shipped crank fish
 SHORTEST, LONGEST = 0.15, 1.2  # m
 LIGHTEST, HEAVIEST = 0.1, 20.0  # kg
-PAPER_MASS = 1.218  # kg at `LENGTH`
 SERVOS = ("xl330", "xl430", "xw430", "xm430", "xm540")  # from the weakest to the strongest
 WRONG = 0.4  # share by which the user's first numbers err, up or down
 SERVO = ("kp", "armature", "damping", "force_limit", "delay")
@@ -50,7 +50,7 @@ def _drawn(length: float, hinges: int, rng: np.random.Generator) -> Given:
     """A fish of a length [m]: its mass within 40 % of the paper's fish's, grown with the length; a
     servo that bends its tail; a tail from half to one and a half times as stiff as usual."""
     scale = length / LENGTH
-    mass = np.clip(PAPER_MASS * scale**3 * np.exp(rng.uniform(-0.35, 0.35)), LIGHTEST, HEAVIEST)
+    mass = np.clip(MASS * scale**3 * np.exp(rng.uniform(-0.35, 0.35)), LIGHTEST, HEAVIEST)
     needed = K_EFF * scale**3 * STROKE / BEND_SHARE
     strong = [name for name in SERVOS if profiles()[name].stall_nm >= needed] or [SERVOS[-1]]
     servo = strong[0]

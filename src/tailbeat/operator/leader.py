@@ -5,13 +5,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from tailbeat.control.measure import Measure
+from tailbeat.control.measure import PAPER, Measure
 from tailbeat.files import BadInput
 from tailbeat.link.datagrams import Order
 from tailbeat.link.places import POOL, place
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import State, Status
-from tailbeat.operator.tour import PAPER, Pose, Tour, draw_targets
+from tailbeat.operator.tour import Pose, Tour, draw_targets
 
 Say = Callable[[str], None]
 STARTING, STUCK, AGAIN = 30.0, 15.0, 2.0  # s to start, without swimming, between orders

@@ -11,14 +11,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.control.measure import ARRIVAL, PATIENCE, Measure
+from tailbeat.control.measure import ARRIVAL, PAPER, PATIENCE, Measure
 from tailbeat.files import BadInput
 from tailbeat.link.places import POOL
 
 # Of the paper's fish:
 APART = 0.8  # m, least distance of successive targets
 MARGIN = 0.65  # m, least distance of targets from the walls: the fish must be able to turn
-PAPER = Measure()
 TRIES = 2000  # most draws per target
 Place = tuple[float, float]
 Pose = tuple[float, float, float]

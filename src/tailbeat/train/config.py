@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import cuda
 
 from tailbeat.control.actions import ActionSpace, Direct, Filtered, generator
-from tailbeat.control.measure import Measure
+from tailbeat.control.measure import PAPER, Measure
 from tailbeat.env.curriculum import settings_of
 from tailbeat.env.measured import measure_of
 from tailbeat.env.task import Settings, check_settings
@@ -183,7 +183,7 @@ def _check_same(run: RunConfig) -> None:
         held.setdefault("actions.floor", 0.0)  # older runs have no floor
     held.setdefault("physics", "ranges")  # and no posterior
     held.setdefault("recipe.greedy", run.recipe.greedy)  # and no verdict by greedy swims
-    for name, ratio in vars(Measure()).items():
+    for name, ratio in vars(PAPER).items():
         held.setdefault(f"measure.{name}", ratio)  # and the paper's measure
     asked = leaves("", json.loads(json.dumps(asdict(run.record()))))
     wrong = [
