@@ -8,8 +8,11 @@ from typing import Any
 
 from tailbeat.emulators.line import close_line, open_line
 from tailbeat.emulators.servo import Dynamixel, serve
+from tailbeat.fish.description import Hardware
+from tailbeat.fish.store import hardware_of, load_fish
 from tailbeat.robot.servo import connect
 
+XW430 = hardware_of(load_fish("pulley-fish"))
 PATIENT = 0.25  # s: the emulator is a thread of this process and waits for the interpreter
 
 
@@ -43,7 +46,7 @@ class Bench:
         return bool(self.device.get(64))
 
     def armed(self) -> None:
-        servo = connect(self.path, deadline=PATIENT)
+        servo = connect(self.path, XW430, deadline=PATIENT)
         servo.prepare(-1.4, 1.4)
         servo.arm(2.5)
         servo.port.close()
@@ -51,7 +54,7 @@ class Bench:
 
 
 @contextmanager
-def servo_bench() -> Iterator[Bench]:
-    device = Dynamixel()
+def servo_bench(hardware: Hardware = XW430) -> Iterator[Bench]:
+    device = Dynamixel(hardware=hardware)
     with served(serve, device) as (path, pull):
         yield Bench(device, path, pull)

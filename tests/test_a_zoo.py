@@ -102,12 +102,14 @@ def test_an_interrupted_recording_begins_anew_and_a_finished_step_is_kept(tmp_pa
         zoo(replace(config, only=(8,)), said.append)
 
 
-def test_a_crank_ends_with_the_sentence_that_says_why(tmp_path):
-    done = tailbeat("zoo", "--out", tmp_path / "zoo", "--only", 7)
-    assert done.returncode == 1 and "a crank turns without end" in done.stdout.replace("\n", " ")
-    held = json.loads((tmp_path / "zoo" / "zoo.json").read_text())["fish"]
-    assert [one["name"] for one in held] == ["7-crank"]
-    assert held[0]["steps"]["train"]["code"] == 2 and held[0]["reached"] is None
+def test_a_crank_is_trained_and_tried_as_it_is_described(tmp_path):
+    crank, config = animals(0)[-1], ZooConfig(tmp_path)
+    typed = [commands(crank, name, config, tmp_path)[0] for name in ("train", "evaluate")]
+    assert [words[words.index("--fish") + 1] for words in typed] == ["crank-fish"] * 2
+    for name in ("train", "evaluate"):
+        write_json(tmp_path / crank.name / f"{name}.json", Step(1.0, 2, "done"))
+    (found,) = zoo(replace(config, only=(7,)), lambda said: None)
+    assert list(found.steps) == ["train"] and found.reached is None
 
 
 def test_a_small_fish_goes_the_whole_way(tmp_path):

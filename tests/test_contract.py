@@ -129,7 +129,7 @@ def test_a_contract_that_cannot_be_read_or_lacks_a_field_is_refused(tmp_path):
 
 def test_a_contract_s_action_space_and_table_must_be_possible_ones(tmp_path):
     for other, refusal in (
-        (replace(CONTRACT, actions=replace(CONTRACT.actions, low=9.0)), "a low below the high"),
+        (replace(CONTRACT, actions=Direct(9.0, 1.0)), "a low below the high"),
         (replace(CONTRACT, observation=TABLE[:-1]), "23 observations; this tailbeat makes 24"),
     ):
         with pytest.raises(BadInput, match=refusal):

@@ -56,7 +56,8 @@ def test_every_number_of_a_shipped_fish_has_a_unit(name):
     walk(tomllib.loads(fish_path(name).read_text()))
     free = {p for p in bare if p[0] in ("zones", "uncertain", "added_inertia", "added_along")}
     rest = {p for p in bare - free if p[-1] not in ("value", "body")}
-    assert rest <= {("tail", "stiffness_scale")}
+    registers = {("hardware", "number"), ("hardware", "gain")}
+    assert rest <= {("tail", "stiffness_scale"), *registers}
 
 
 def test_texts_tables_and_bare_numbers_mean_the_same(tmp_path):

@@ -15,7 +15,7 @@ import pytest
 
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
-from lines import served
+from lines import XW430, served
 from support import tailbeat, tailbeat_process
 from tailbeat.emulators.imu import Bno055
 from tailbeat.emulators.imu import serve as serve_imu
@@ -55,10 +55,10 @@ def of_servo(bench: Bench) -> dict[str, Finding]:
 
 
 def _asked(bench: Bench) -> dict[str, Finding]:
-    servo, answer = doctor_devices.find_servo(bench.servo, deadline=PATIENT)
+    servo, answer = doctor_devices.find_servo(bench.servo, XW430, deadline=PATIENT)
     if servo is None:
         return {answer.name: answer}
-    found = doctor_devices.check_servo(servo)
+    found = doctor_devices.check_servo(servo, XW430)
     servo.port.close()
     return {one.name: one for one in [answer, *found]}
 
@@ -108,7 +108,7 @@ def test_a_servo_at_another_baud_rate_is_found_there_and_one_without_power_is_no
     assert "register 8" in found.do
     bench.device.put(8, 3)
     bench.device.faults.mute = 10**6
-    servo, answer = doctor_devices.find_servo(bench.servo, deadline=0.01)
+    servo, answer = doctor_devices.find_servo(bench.servo, XW430, deadline=0.01)
     assert servo is None and answer.verdict == BAD and "no reply within" in answer.found
     bench.device.faults.mute = 0
 

@@ -19,6 +19,7 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 pytest.importorskip("mcap", reason="the robot extra is not installed")
 
+from lines import XW430
 from support import tailbeat, tailbeat_process
 from tailbeat.control import runner as runner
 from tailbeat.control.policy import load_policy
@@ -86,7 +87,7 @@ def swimming() -> Iterator[Bench]:
     thread = threading.Thread(target=bench.serve, args=(made, ended.is_set), daemon=True)
     thread.start()
     servo, imu = (
-        connect_servo(made.ports[0], deadline=PATIENT),
+        connect_servo(made.ports[0], XW430, deadline=PATIENT),
         connect_imu(made.ports[1], None, PATIENT),
     )
     imu.prepare()

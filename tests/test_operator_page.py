@@ -29,6 +29,7 @@ from selenium.webdriver.common.by import By
 from websockets.exceptions import InvalidStatus
 
 from browser import shown, visit
+from lines import XW430
 from support import command, until
 from tailbeat.cli import station, swim
 from tailbeat.control.policy import load_policy
@@ -147,7 +148,7 @@ def lab() -> Iterator[Lab]:
     serving = threading.Thread(target=bench.serve, args=(rig, over), daemon=True)
     serving.start()
     servo, imu = (
-        connect_servo(rig.ports[0], deadline=PATIENT),
+        connect_servo(rig.ports[0], XW430, deadline=PATIENT),
         connect_imu(rig.ports[1], None, PATIENT),
     )
     imu.prepare()

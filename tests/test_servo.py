@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
-from lines import PATIENT, Bench, servo_bench
+from lines import PATIENT, XW430, Bench, servo_bench
 from support import until
 from tailbeat.emulators import packet as emulated_packet
 from tailbeat.emulators import servo as emulated
@@ -106,7 +106,7 @@ def bench() -> Iterator[Bench]:
 
 @pytest.fixture
 def servo(bench) -> Iterator[Servo]:
-    opened = connect(bench.path, deadline=PATIENT)
+    opened = connect(bench.path, XW430, deadline=PATIENT)
     yield opened
     opened.close()
 
@@ -124,7 +124,7 @@ def test_the_maker_s_library_pings_reads_writes_and_reboots_the_emulator(bench):
                 break
         return answer
 
-    assert heard(packets.ping, 1) == (driver.MODEL, 0, 0)
+    assert heard(packets.ping, 1) == (XW430.number, 0, 0)
     assert heard(packets.write4ByteTxRx, 1, 116, 2300) == (0, 0)
     assert heard(packets.read4ByteTxRx, 1, 116) == (2300, 0, 0)
     assert heard(packets.write1ByteTxRx, 1, 64, 1) == (0, 0)
@@ -151,7 +151,7 @@ def test_the_shaft_follows_and_is_read_in_radians(bench, servo):
 
 
 def test_a_mirrored_servo_counts_the_other_way(bench):
-    servo = connect(bench.path, sign=-1, deadline=PATIENT)
+    servo = connect(bench.path, XW430, sign=-1, deadline=PATIENT)
     servo.prepare(-1.0, 1.4)
     bench.device.shaft.angle = -0.3
     until(lambda: servo.read().angle == pytest.approx(0.3, abs=COUNT))
@@ -168,7 +168,7 @@ def test_a_tail_that_drifts_backwards_needs_stuffing_and_is_read_right(bench, se
     bench.device.put(128, -3)
     state = servo.read()
     assert state.velocity == pytest.approx(-3 * driver.VELOCITY)
-    assert state.current == pytest.approx(-driver.CURRENT)
+    assert state.current == pytest.approx(-XW430.current_unit)
 
 
 def test_arming_holds_where_the_shaft_stands_and_never_jumps(bench, servo):
@@ -252,7 +252,7 @@ def test_a_pulled_cable_is_one_kind_of_fault_and_closing_does_not_raise(bench, s
 
 
 def test_closing_lets_go(bench):
-    servo = connect(bench.path, deadline=PATIENT)
+    servo = connect(bench.path, XW430, deadline=PATIENT)
     servo.prepare(-1.4, 1.4)
     servo.arm(5.0)  # more than it can count: 2.54 s
     assert bench.device.get(64) == 1
@@ -262,18 +262,14 @@ def test_closing_lets_go(bench):
 
 def test_a_port_that_is_someone_else_s_is_refused(bench, tmp_path):
     with pytest.raises(BadInput, match="give the servo's port"):
-        connect(str(tmp_path / "nothing"))
+        connect(str(tmp_path / "nothing"), XW430)
     bench.device.put(7, 9)  # another id
     with pytest.raises(BadInput, match="no servo 1 answers"):
-        connect(bench.path, deadline=0.05)
+        connect(bench.path, XW430, deadline=0.05)
     bench.device.put(7, 1)
-    monkey = emulated.MODEL
-    emulated.MODEL = 1060  # an XL430
-    try:
-        with pytest.raises(BadInput, match="model 1060 answers, an XW430-T200 has 1280"):
-            connect(bench.path, deadline=PATIENT)
-    finally:
-        emulated.MODEL = monkey
+    bench.device.put(0, 1060)  # an XL430
+    with pytest.raises(BadInput, match="number 1060 answers, the fish's XW430-T200-R has 1280"):
+        connect(bench.path, XW430, deadline=PATIENT)
 
 
 def test_units_are_the_manual_s():

@@ -22,7 +22,7 @@ from stable_baselines3.common.buffers import NStepReplayBuffer
 
 from support import complaint, until
 from tailbeat.benchmarks import update as update_bench
-from tailbeat.control.actions import Direct, Generator
+from tailbeat.control.actions import Direct, Generator, Turning
 from tailbeat.control.measure import Measure
 from tailbeat.control.observation import TABLE
 from tailbeat.control.policy import decide, load_policy
@@ -302,7 +302,8 @@ def planned_for(out: Path, **changes: Any) -> RunConfig:
     ("changes", "complaint"),
     [
         ({"hours": 0.0}, "--hours 0"),
-        ({"fish": load_fish("crank-fish")}, "a crank turns without end, and every action space"),
+        ({"fish": load_fish("crank-fish")}, "generator for crank-fish, whose motor is a crank"),
+        ({"actions": Turning(2.0)}, "turning for pulley-fish-pool, whose motor is a pulley"),
         ({"device": "tpu"}, "--device tpu"),
         ({"actions": Generator(-9.0, 9.0)}, "motor allows"),
         ({"actions": Generator(-1.0, 1.0, ceiling=6.0)}, "band ends at 4 Hz"),

@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
-from lines import PATIENT, Bench, servo_bench
+from lines import PATIENT, XW430, Bench, servo_bench
 from support import complaint, tailbeat_process
 from tailbeat.files import BadInput
 from tailbeat.robot import watchdog as watchdog
@@ -24,8 +24,9 @@ pytestmark = pytest.mark.realtime
 # A loop in miniature: it arms, keeps the servo's watchdog at bay, and tells the watchdog.
 LOOP = """
 import sys, time
+from tailbeat.fish.store import hardware_of, load_fish
 from tailbeat.robot import servo, watchdog
-motor = servo.connect(sys.argv[1], deadline=0.25)
+motor = servo.connect(sys.argv[1], hardware_of(load_fish("pulley-fish")), deadline=0.25)
 with watchdog.guard(sys.argv[1]) as watcher:
     motor.prepare(-1.4, 1.4)
     watcher.beat(True)
@@ -137,7 +138,7 @@ def test_the_verb_lets_go(bench):
 
 
 def test_a_release_goes_on_from_where_the_servo_stopped_itself(bench):
-    servo = connect(bench.path, deadline=PATIENT)
+    servo = connect(bench.path, XW430, deadline=PATIENT)
     servo.prepare(-1.4, 1.4)
     servo.arm(2.5)
     bench.device.shaft.angle = 0.4

@@ -25,8 +25,12 @@ def train(
     fish: FishOption,
     out: Annotated[Path, typer.Option("--out", help="Folder of the run.")],
     actions: Annotated[
-        str, typer.Option(help="Action space: generator, direct or filtered.")
-    ] = "generator",
+        str | None,
+        typer.Option(
+            help="Action space: generator, direct or filtered of a pulley, turning of a crank;"
+            " default: the first."
+        ),
+    ] = None,
     recipe: Annotated[str, typer.Option(help="Recipe: quick, paper or smoke.")] = "quick",
     seed: SeedOption = 0,
     hours: Annotated[
@@ -71,7 +75,7 @@ def train(
         room = run.recipe.buffer_bytes / 1e6
         output.say(f"replay buffer: {room:.0f} MB in memory and in every checkpoint")
         course = learn(run, resume, report, stage)
-        courses({f"{actions}, seed {seed}": course.history}, out / "curve.png")
+        courses({f"{space.kind}, seed {seed}": course.history}, out / "curve.png")
     done = result(run, course)
     results.trained(done)
     if json is not None:

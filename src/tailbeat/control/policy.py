@@ -17,7 +17,15 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from tailbeat.control.actions import ActionSpace, Direct, Filtered, Generator, check_space, size
+from tailbeat.control.actions import (
+    ActionSpace,
+    Direct,
+    Filtered,
+    Generator,
+    Turning,
+    check_space,
+    size,
+)
 from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.observation import TABLE, Entry, table
 from tailbeat.files import BadInput, leaves
@@ -27,7 +35,7 @@ VERSION = 1
 LATER = {"description", "measure"}  # fields that older files lack
 KEY = "tailbeat"  # of the file's metadata
 CLOSE = 1e-5  # golden actions agree to this on any machine; 1e-6 was measured here
-SPACES = {"generator": Generator, "direct": Direct, "filtered": Filtered}
+SPACES = {"generator": Generator, "direct": Direct, "filtered": Filtered, "turning": Turning}
 
 
 @dataclass(frozen=True)

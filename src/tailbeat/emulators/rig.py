@@ -24,6 +24,7 @@ from tailbeat.emulators.servo import Dynamixel, Shaft, hears
 from tailbeat.env.sensors import SensorModel
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import outline
+from tailbeat.fish.store import hardware_of
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import Frame
@@ -178,14 +179,20 @@ def open_rig(
     made = link.bind("127.0.0.1", 0)
     station = Station(Sender(key, made, robot), target, np.random.default_rng(seed))
     station.sender.clock = station.clock
-    return Rig(shaft, Dynamixel(shaft=shaft), Bno055(), (open_line(), open_line()), station)
+    lines = open_line(), open_line()
+    return Rig(shaft, _servo_of(fish, shaft), Bno055(), lines, station)
 
 
 def open_filmed_rig(fish: Fish, camera: CameraProcess, target: tuple[float, float]) -> Rig:
     """Open a rig that gives pictures instead of poses."""
     shaft = PlantShaft(fish=fish)
     lines = open_line(), open_line()
-    return Rig(shaft, Dynamixel(shaft=shaft), Bno055(), lines, Above(camera, target))
+    return Rig(shaft, _servo_of(fish, shaft), Bno055(), lines, Above(camera, target))
+
+
+def _servo_of(fish: Fish, shaft: PlantShaft) -> Dynamixel:
+    """The fish's servo, as its hardware says."""
+    return Dynamixel(shaft=shaft, hardware=hardware_of(fish))
 
 
 def serve(rig: Rig, stop: Callable[[], bool]) -> None:

@@ -1,8 +1,9 @@
-"""An emulated XW430-T200 on a pseudo-terminal: control table, packets, faults, a turning shaft.
+"""An emulated X-series servo on a pseudo-terminal: control table, packets, faults, a turning shaft.
 
-Its packets have their own encoder and parser (`packet`). Both these and the driver's are tested
-with the maker's vectors, and the emulator with the maker's library. What the manual leaves open was
-not checked on a real servo.
+The table is the XW430-T200's; model number, supply, limits and gain are those of the fish's
+hardware. Its packets have their own encoder and parser (`packet`). Both these and the driver's are
+tested with the maker's vectors, and the emulator with the maker's library. What the manual leaves
+open was not checked on a real servo.
 """
 
 import os
@@ -15,9 +16,10 @@ from dataclasses import dataclass, field
 
 from tailbeat.emulators.line import Line
 from tailbeat.emulators.packet import status, take
+from tailbeat.fish.description import Hardware
 
 MODEL, FIRMWARE = 1280, 45
-UNIT_V, UNIT_I = 0.02398, 2.69e-3  # rad/s, A
+UNIT_V = 0.02398  # rad/s
 TICK, WATCHDOG = 1e-3, 0.020  # s
 NO_LOAD = 5.55  # rad/s at 12 V
 STEPS = 4096
@@ -79,12 +81,16 @@ class Dynamixel:
 
     shaft: Shaft = field(default_factory=Shaft)
     faults: Faults = field(default_factory=Faults)
-    table: bytearray = field(default_factory=lambda: _fresh(bytearray(256), 0))
+    hardware: Hardware | None = None  # None: an XW430-T200 at 12 V
+    table: bytearray = field(default_factory=lambda: bytearray(256))
     stream: bytearray = field(default_factory=bytearray)
     registered: bytes = b""
     quiet_until: float = 0.0  # while it restarts
     heard: float = 0.0  # time of the last packet
     now: float = 0.0
+
+    def __post_init__(self) -> None:
+        _fresh(self.table, 0, self.hardware)
 
     def get(self, address: int, signed: bool = False) -> int:
         """Read a register."""
@@ -130,7 +136,7 @@ class Dynamixel:
 
     def reboot(self) -> None:
         """Restart: RAM as at power-up; no replies for a tenth of a second."""
-        _fresh(self.table, RAM)
+        _fresh(self.table, RAM, self.hardware)
         self.quiet_until = self.now + 0.1
 
     # ---- packets --------------------------------------------------------------------------------
@@ -150,7 +156,7 @@ class Dynamixel:
     def _execute(self, ident: int, instruction: int, body: bytes) -> bytes:
         own, level = self.get(7), self.get(68)
         if instruction == 0x01:
-            return self._status(0, struct.pack("<HB", MODEL, FIRMWARE))
+            return self._status(0, struct.pack("<HB", self.get(0), FIRMWARE))
         if instruction == 0x82:
             address, length = struct.unpack_from("<HH", body)
             error, data = self._read(address, length)
@@ -230,12 +236,27 @@ class Dynamixel:
         return garbage + reply
 
 
-def _fresh(table: bytearray, first: int) -> bytearray:
-    """Write factory values from address `first` on."""
-    for address, (size, value) in REGISTERS.items():
+def _fresh(table: bytearray, first: int, hardware: Hardware | None) -> None:
+    """Write factory values from address `first` on; a fish's own servo differs in a few."""
+    own = {} if hardware is None else _own(hardware)
+    for address, (size, usual) in REGISTERS.items():
         if address >= first:
+            value = own.get(address, usual)
             table[address : address + size] = value.to_bytes(size, "little")
-    return table
+
+
+def _own(hardware: Hardware) -> dict[int, int]:
+    """Registers of a servo that differ from the table above: model, temperature's and supply's
+    limits, gain, present supply."""
+    low, high = hardware.supply_range
+    return {
+        0: hardware.number,
+        31: round(hardware.temperature_limit),
+        32: round(10 * high),
+        34: round(10 * low),
+        84: hardware.gain,
+        144: round(10 * hardware.supply),
+    }
 
 
 # ---- the pseudo-terminal ------------------------------------------------------------------------

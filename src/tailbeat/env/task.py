@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
-from tailbeat.control.actions import PERIOD, ActionSpace, Generator
+from tailbeat.control.actions import PERIOD, ActionSpace, Generator, Turning
 from tailbeat.control.measure import ARRIVAL, PATIENCE, Measure
 from tailbeat.control.policy import Contract
 from tailbeat.env import randomize
@@ -68,7 +68,7 @@ class Settings:
     """Settings of an environment, except the fish. `draws` (d, zones, 5): coefficients of a
     posterior over the fish's own, drawn instead of `physics.fluid` (None: without)."""
 
-    actions: ActionSpace | None = None  # None: the generator over the motor's range
+    actions: ActionSpace | None = None  # None: the motor's own, over its range
     task: Task = field(default_factory=Task)
     reward: Reward = field(default_factory=Reward)
     sensors: SensorModel = field(default_factory=SensorModel)
@@ -101,9 +101,16 @@ def sized(task: Task, measure: Measure) -> Task:
 def check_settings(fish: Fish, settings: Settings) -> ActionSpace:
     """Check the settings; returns the action space. Raises BadInput for settings that
     contradict."""
-    low, high = fish.motor.range or (-np.pi, np.pi)
-    space = settings.actions or Generator(low, high)
+    low, high = fish.motor.range or (-np.inf, np.inf)
+    turns = fish.motor.kind == "crank"
+    space = settings.actions or (Turning(fish.band[1]) if turns else Generator(low, high))
     act.check_space(space)
+    if turns != isinstance(space, Turning):
+        fits = "turning" if turns else "generator, direct or filtered"
+        raise BadInput(
+            f"actions: {space.kind} for {fish.name}, whose motor is a {fish.motor.kind}; give"
+            f" {fits}."
+        )
     if space.low < low or space.high > high:
         raise BadInput(
             f"actions: range {space.low:g} to {space.high:g} rad; {fish.name}'s motor allows"

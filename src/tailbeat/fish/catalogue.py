@@ -13,19 +13,23 @@ from functools import cache
 from importlib import resources
 
 from tailbeat.files import BadInput
-from tailbeat.fish.description import Servo
+from tailbeat.fish.description import Hardware, Servo
 
 COUNTS_PER_RAD = 4096 / (2 * math.pi)
 FULL_PWM = 885
 TIME_CONSTANT = 0.030  # s, armature over damping; two identified servos have 0.023 and 0.043
 DELAY = 0.015  # s: a bus cycle and the firmware, chosen
+STALL_SHARE = 0.8  # of the stall current, at which the robot stops; chosen
 USUAL_GAIN = 800.0  # for makers whose loop is not published
 
 
 @dataclass(frozen=True)
 class Profile:
-    """A servo in a catalogue: `model` as its maker writes it, `voltage_v` [V], `stall_nm` [N m] and
-    `no_load_rpm` [rev/min] at that voltage, `mass_g` [g], `gain` of its position loop as shipped.
+    """A servo in a catalogue: `model` as its maker writes it, `voltage_v` [V], `stall_nm` [N m],
+    `no_load_rpm` [rev/min] and `stall_a` [A] at that voltage, `mass_g` [g], `gain` of its position
+    loop as shipped. `number` is what it reports as its model, 0 for one that the driver cannot
+    speak to; `range_v` [V] the supply that it takes, `temperature_c` [deg C] at which it shuts
+    down, `current_ma` [mA] of one count, 0 for one that reports a load.
     """
 
     name: str
@@ -35,6 +39,11 @@ class Profile:
     no_load_rpm: float
     mass_g: float
     gain: float = USUAL_GAIN
+    number: int = 0
+    range_v: tuple[float, float] = (0.0, 0.0)
+    stall_a: float = 0.0
+    temperature_c: float = 0.0
+    current_ma: float = 0.0
 
     @property
     def no_load(self) -> float:
@@ -51,6 +60,23 @@ class Profile:
             damping=damping,
             force_limit=self.stall_nm,
             delay=DELAY,
+        )
+
+    def hardware(self) -> Hardware | None:
+        """What driver, emulator and safety limits need; None for a servo that the driver cannot
+        speak to."""
+        if not self.number:
+            return None
+        return Hardware(
+            make="ROBOTIS",
+            model=self.model,
+            number=self.number,
+            supply=self.voltage_v,
+            supply_range=self.range_v,
+            current_unit=1e-3 * (self.current_ma or self.stall_a),
+            current_limit=round(STALL_SHARE * self.stall_a, 2),
+            temperature_limit=self.temperature_c,
+            gain=int(self.gain),
         )
 
 

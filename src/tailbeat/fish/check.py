@@ -58,7 +58,7 @@ def check(fish: Fish, length: float) -> Check:
     found = buoyancy(fish)
     tail = None if fish.motor.range is None else tail_of(fish)
     reach = () if tail is None else reaches(fish, tail)
-    swims = () if tail is None else quick_swims(fish, length)
+    swims = quick_swims(fish, length)
     step = deviation(fish)
     said = (
         *float_warnings(found, length),

@@ -183,6 +183,32 @@ class Servo(_Model):
     """Time from a command to its effect."""
 
 
+class Hardware(_Model):
+    """The servo as bought. Its driver, its emulator and the robot's limits read this; the twin does
+    not, so an identification may not change it and a policy does not depend on it."""
+
+    make: str
+    """Maker. The driver speaks ROBOTIS Protocol 2.0 with the X series' addresses."""
+    model: str
+    """Model, as its maker writes it."""
+    number: int = Field(ge=0, le=0xFFFF)
+    """Model number, as the servo itself reports it in register 0."""
+    supply: u.Voltage = Field(gt=0)
+    """Supply that the fish has."""
+    supply_range: u.VoltageRange
+    """Lowest and highest supply, beyond which the servo reports an error."""
+    current_unit: u.Current = Field(gt=0)
+    """Current of one count of register 126. For a servo that reports a load instead, in thousandths
+    of its output: a thousandth of its stall current, so that currents are estimates."""
+    current_limit: u.Current = Field(gt=0)
+    """Mean absolute current over a beat at which the robot stops."""
+    temperature_limit: u.Temperature = Field(gt=20, le=120)
+    """Temperature at which the servo shuts down. The robot holds 15 degrees below, and stops 5
+    degrees below."""
+    gain: int = Field(ge=0, le=16383)
+    """Position P gain with which it was identified, register 84."""
+
+
 class Tendons(_Model):
     """The antagonistic pair. Without `stiffness` it is inextensible (a constraint). With it, each
     tendon is a spring that pulls and never pushes."""
@@ -265,6 +291,8 @@ class Fish(_Model):
     """Name of the servo in `servos` that drives the motor."""
     servos: dict[str, Servo]
     """Servos by name."""
+    hardware: Hardware | None = None
+    """Maker's numbers of the servo. Without them, the driver takes it for an XW430-T200."""
     tendons: Tendons = Tendons()
     """The pair of tendons."""
     tail: Tail
@@ -327,6 +355,9 @@ def _geometry_errors(fish: Fish) -> list[str]:
     found = []
     if any(b >= a for a, b in pairwise(hinges)):
         found.append("hinges must run from the head to the fin: each hinge's x below the last")
+    if (own := fish.hardware) and not own.supply_range[0] <= own.supply <= own.supply_range[1]:
+        low, high = own.supply_range
+        found.append(f"hardware.supply is {own.supply:g} V; the servo takes {low:g} to {high:g} V")
     if not 0 <= fish.band[0] < fish.band[1]:
         found.append(f"band {list(fish.band)} must rise from a frequency of 0 or more [Hz]")
     if fish.motor.kind == "pulley" and fish.motor.range is None:

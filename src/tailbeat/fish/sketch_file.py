@@ -2,6 +2,7 @@
 
 import math
 
+from tailbeat.fish.catalogue import STALL_SHARE, Profile
 from tailbeat.fish.description import COEFFICIENTS, Simulation
 from tailbeat.fish.proportions import Box, Segment, Sketch
 
@@ -67,10 +68,23 @@ damping = "{damping} N m s/rad" # assumed: stall torque over no-load speed
 force_limit = "{stall} N m"   # printed stall torque
 delay = "{delay} ms"          # assumed
 
-[tendons]                     # without stiffness the pair is inextensible
+{hardware}[tendons]                     # without stiffness the pair is inextensible
 head_guides = ["{guide} mm"]  # assumed
 
 [head]
+"""
+HARDWARE = """\
+[hardware]                    # by its maker's manual; driver, emulator and safety limits read it
+make = "{make}"
+model = "{model}"
+number = {number}             # what the servo reports as its model
+supply = "{supply} V"         # assumed: write your battery's
+supply_range = "{low} {high} V" # beyond, the servo reports an error
+current_unit = "{current_unit} mA" # {reading}
+current_limit = "{current_limit} A" # {share} of the stall current
+temperature_limit = "{temperature_limit} degC"
+gain = {gain}                 # register 84, as shipped
+
 """
 PART = """\
 [[head.parts]]
@@ -191,6 +205,22 @@ def _machine(sketch: Sketch) -> str:
         tau=_number(1e3 * servo.armature / servo.damping),
         delay=_number(1e3 * servo.delay),
         guide=f"{_mm(first.hinge + 0.2 * pitch)} {_mm(first.arm)}",
+        hardware=_hardware(profile),
+    )
+
+
+def _hardware(profile: Profile) -> str:
+    own = profile.hardware()
+    if own is None:
+        return "# No [hardware] table: tailbeat has no driver for this maker's servos yet.\n\n"
+    numbers = own.model_dump(exclude={"supply_range", "current_unit"})
+    return HARDWARE.format(
+        **numbers,
+        low=_number(own.supply_range[0]),
+        high=_number(own.supply_range[1]),
+        current_unit=_number(1e3 * own.current_unit),
+        reading="of one count" if profile.current_ma else "of a thousandth: it reports a load",
+        share=STALL_SHARE,
     )
 
 

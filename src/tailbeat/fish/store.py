@@ -12,7 +12,9 @@ import tomlkit
 from pydantic import ValidationError
 
 from tailbeat.files import BadInput, new_file, refuse_existing
-from tailbeat.fish.description import Fish
+from tailbeat.fish.description import Fish, Hardware
+
+PAPER = "pulley-fish"  # the paper's fish
 
 
 def shipped() -> list[str]:
@@ -63,6 +65,13 @@ def _sentence(error: ValidationError) -> str:
         return f"field {field} is missing; add it (see `tailbeat new-fish`)."
     value = "" if isinstance(first["input"], dict | Fish) else f" = {first['input']!r}"
     return f"{field}{value}: {message}; correct it in the file."
+
+
+def hardware_of(fish: Fish) -> Hardware:
+    """Maker's numbers of a fish's servo: its own, else those of the paper's XW430-T200."""
+    found = fish.hardware or load_fish(PAPER).hardware
+    assert found is not None
+    return found
 
 
 def with_servo(fish: Fish, servo: str | None) -> Fish:
@@ -165,9 +174,10 @@ def _inline(entry: Mapping[str, Any]) -> tomlkit.items.InlineTable:
 
 
 def digest(fish: Fish) -> str:
-    """Digest of all numbers and names of a fish that its twin depends on: without its summary, and
-    without which parts are flooded. A policy's contract has it, to recognise the fish."""
-    content = _without(fish.model_dump(mode="json", exclude={"summary"}), "flooded")
+    """Digest of all numbers and names of a fish that its twin depends on: without its summary, the
+    maker's numbers of its servo, and which parts are flooded. A policy's contract has it, to
+    recognise the fish."""
+    content = _without(fish.model_dump(mode="json", exclude={"summary", "hardware"}), "flooded")
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 

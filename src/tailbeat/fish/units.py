@@ -23,6 +23,9 @@ UNITS: dict[str, dict[str, float]] = {
     "angular damping": {"N m s/rad": 1.0, "N mm s/rad": 1e-3},
     "linear stiffness": {"N/m": 1.0, "kN/m": 1e3, "N/mm": 1e3},
     "linear damping": {"N s/m": 1.0},
+    "voltage": {"V": 1.0},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "temperature": {"degC": 1.0},
     "ratio": {"1": 1.0},
 }
 
@@ -118,4 +121,8 @@ AngularStiffness = Annotated[float, _quantity("angular stiffness")]
 AngularDamping = Annotated[float, _quantity("angular damping")]
 LinearStiffness = Annotated[float, _quantity("linear stiffness")]
 LinearDamping = Annotated[float, _quantity("linear damping")]
+Voltage = Annotated[float, _quantity("voltage")]
+VoltageRange = Annotated[Pair, _quantity("voltage")]
+Current = Annotated[float, _quantity("current")]
+Temperature = Annotated[float, _quantity("temperature")]
 Ratio = Annotated[float, _quantity("ratio")]

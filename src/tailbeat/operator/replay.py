@@ -14,10 +14,11 @@ from typing import Any
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
+from tailbeat.fish.store import hardware_of
 from tailbeat.link.status import State
 from tailbeat.operator.snapshot import Change, body
 from tailbeat.robot.log import NUMBERS, is_whole, read_rows
-from tailbeat.robot.safety import SafetyLimits
+from tailbeat.robot.safety import SafetyLimits, limits_for
 
 NEEDED = ("time_s", "state", "reason")  # of every row
 POSE = ("x_m", "y_m", "yaw_rad")
@@ -112,7 +113,7 @@ def snapshot(run: Run, fish: Fish, room: tuple[float, float], at: float) -> dict
     """What the page shows at a time [s] after the first row; outside the run, its nearest end.
     `room` is length and width of the pool [m]."""
     index = max(bisect_right(run.time, at) - 1, 0)
-    row, limits = run.rows[index], SafetyLimits()
+    row, limits = run.rows[index], limits_for(hardware_of(fish))
     return {
         "at": min(max(at, 0.0), run.seconds),
         "room": room,

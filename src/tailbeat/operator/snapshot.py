@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import guessed_shape, outline
+from tailbeat.fish.store import hardware_of
 from tailbeat.link.clock import SECOND
 from tailbeat.link.datagrams import Frame
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import Status
-from tailbeat.robot.safety import SafetyLimits
+from tailbeat.robot.safety import limits_for
 
 Array = NDArray[np.float64]
 FIN = 0.005  # m, half of a fin's thickness in the drawing
@@ -46,7 +47,7 @@ def snapshot(
         "note": note,
         "status": _status(status, now - sender.heard) if status else None,
         "loss_back": sender.loss.share(),
-        "limits": asdict(SafetyLimits()),
+        "limits": asdict(limits_for(hardware_of(fish))),
     }
 
 

@@ -6,12 +6,14 @@ of the same kind; the caller passes them in when there is a camera.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from tailbeat.control.policy import load_policy
 from tailbeat.files import BadInput
-from tailbeat.fish.store import load_fish
+from tailbeat.fish.description import Hardware
+from tailbeat.fish.store import hardware_of, load_fish
 from tailbeat.link import datagrams as link
 from tailbeat.robot import doctor_computer as computer
 from tailbeat.robot import doctor_devices as devices
@@ -42,11 +44,13 @@ class Parts:
 def examine(
     policy: str, fish: str, parts: Parts, logs: Path, cameras: Sequence[Check] = ()
 ) -> list[Finding]:
-    """Run every check that applies; `cameras` are the camera's checks."""
+    """Run every check that applies; `cameras` are the camera's checks. Raises BadInput for a fish
+    that cannot be read."""
+    hardware = hardware_of(load_fish(fish))
     return [
         *check_policy(policy, fish),
         *of_computer(logs),
-        *of_servo(parts),
+        *of_servo(parts, hardware),
         *of_imu(parts),
         *of_link(parts),
         *(finding for check in cameras for finding in check()),
@@ -94,9 +98,11 @@ def of_computer(logs: Path) -> list[Finding]:
     ]
 
 
-def of_servo(parts: Parts) -> list[Finding]:
+def of_servo(parts: Parts, hardware: Hardware) -> list[Finding]:
     """Check the servo: its port, its answer, its registers."""
-    return _of_device("servo's port", parts.servo, devices.find_servo, devices.check_servo)
+    find = partial(devices.find_servo, hardware=hardware)
+    check = partial(devices.check_servo, hardware=hardware)
+    return _of_device("servo's port", parts.servo, find, check)
 
 
 def of_imu(parts: Parts) -> list[Finding]:

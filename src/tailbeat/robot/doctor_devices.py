@@ -10,16 +10,16 @@ import time
 from pathlib import Path
 
 from tailbeat.files import BadInput
+from tailbeat.fish.description import Hardware
 from tailbeat.robot import imu as imus
 from tailbeat.robot import servo as servos
 from tailbeat.robot.findings import Finding, finding
 from tailbeat.robot.imu import Imu, ImuFault
-from tailbeat.robot.safety import SafetyLimits
+from tailbeat.robot.safety import SafetyLimits, limits_for
 from tailbeat.robot.servo import Servo, ServoFault
 
 REVERSED, OVERLOAD = 0b1, 0b100000  # bits of drive mode and shutdown
 BAUDS = (57_600, 115_200, 2_000_000, 3_000_000, 4_000_000, 9_600)  # besides 1,000,000
-LIMITS = SafetyLimits()
 FIRMWARE = 42  # older firmware of the X series was not checked
 READS = 50
 
@@ -63,27 +63,30 @@ def _free(path: str) -> bool:
 # ---- servo --------------------------------------------------------------------------------------
 
 
-def find_servo(path: str, ident: int = 1, deadline: float = 0.05) -> tuple[Servo | None, Finding]:
-    """Find the servo at 1,000,000 baud; if it answers at another rate, say at which."""
+def find_servo(
+    path: str, hardware: Hardware, ident: int = 1, deadline: float = 0.05
+) -> tuple[Servo | None, Finding]:
+    """Find the fish's servo at 1,000,000 baud; if it answers at another rate, say at which."""
     name = "servo answers"
     try:
-        found = servos.connect(path, ident, deadline=deadline)
-        return found, finding(name, f"id {ident}, 1000000 baud")
+        found = servos.connect(path, hardware, ident, deadline=deadline)
+        return found, finding(name, f"{hardware.model}, id {ident}, 1000000 baud")
     except BadInput as error:
         said = str(error)
     for baud in BAUDS:
         with contextlib.suppress(BadInput):
-            servos.connect(path, ident, baud, deadline=deadline).port.close()
+            servos.connect(path, hardware, ident, baud, deadline=deadline).port.close()
             do = "set its baud rate, register 8, to 3 with Dynamixel Wizard"
             return None, finding(name, f"at {baud} baud, not at 1000000", bad=True, do=do)
     return None, finding(name, said, bad=True)
 
 
-def check_servo(servo: Servo, limits: SafetyLimits = LIMITS) -> list[Finding]:
-    """Check firmware, supply, temperature, errors, mode, limits, delays, and the time of a
+def check_servo(servo: Servo, hardware: Hardware) -> list[Finding]:
+    """Check firmware, supply, temperature, errors, mode, limits, gain, delays, and the time of a
     reading."""
     try:
-        return [*_condition(servo, limits), *_settings(servo), _reading_time(servo)]
+        condition = _condition(servo, limits_for(hardware))
+        return [*condition, *_settings(servo), _gain(servo, hardware), _reading_time(servo)]
     except ServoFault as fault:
         return [finding("servo", str(fault), bad=True)]
 
@@ -118,6 +121,14 @@ def _settings(servo: Servo) -> list[Finding]:
         finding("servo homing offset", str(homing), warn=homing != 0),
         finding("servo shutdown", f"{shutdown:#b}", bad=not shutdown & OVERLOAD),
     ]
+
+
+def _gain(servo: Servo, hardware: Hardware) -> Finding:
+    """Check the gain of its position loop: with another, it is not the servo that was identified.
+    The driver does not set it."""
+    gain = servo.get(servos.GAIN)
+    do = f"write {hardware.gain} to register 84, or identify the servo again with {gain}"
+    return finding("servo position gain", str(gain), warn=gain != hardware.gain, do=do)
 
 
 def _reading_time(servo: Servo) -> Finding:

@@ -1,14 +1,15 @@
 """Does a policy fit a fish? Compares the twin that it was trained in, and the body of the fish."""
 
-from tailbeat.control.actions import PERIOD
+from tailbeat.control.actions import PERIOD, Turning
 from tailbeat.control.policy import Contract, Policy, check_fits, load_policy
 from tailbeat.files import BadInput, leaves
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest, fish_of, load_fish, shipped
 
-# Fields of a description that an identification may change; all others describe the body.
+# Fields of a description that an identification may change; all others describe the body. The servo
+# as bought is none: the driver itself compares the model that answers.
 LAW = ("zones", "added_inertia", "added_along", "trailing_edge")  # of the fluid
-FITTED = ("name", "summary", "servo", "simulation", "uncertain", *LAW)
+FITTED = ("name", "summary", "servo", "simulation", "uncertain", "hardware", *LAW)
 FITTED_IN_TAIL = ("tail.damping_time", "tail.friction", "tail.k_eff", "tail.stiffness_scale")
 
 
@@ -38,6 +39,16 @@ def carried(contract: Contract) -> Fish:
             f" its fish; give the fish's file with --twin."
         )
     return load_fish(contract.fish)
+
+
+def check_driven(contract: Contract) -> None:
+    """Raises BadInput for a policy whose motor the driver cannot turn: it commands angles within
+    one turn."""
+    if isinstance(contract.actions, Turning):
+        raise BadInput(
+            f"policy: it turns {contract.fish}'s motor without end, and the robot's driver commands"
+            f" angles within a turn; try it with `tailbeat evaluate`."
+        )
 
 
 def check_swims(policy: Policy, twin: str | None, fish: Fish) -> Fish:

@@ -8,13 +8,17 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from tailbeat.fish.description import Hardware
 from tailbeat.link.reasons import Reason, text_of
 from tailbeat.link.status import State
+
+WARM, HOT = 15.0, 5.0  # deg C below the servo's own shutdown: the robot holds, stops
 
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """Limits beyond which the robot holds or stops; chosen where no source is named."""
+    """Limits beyond which the robot holds or stops; chosen where no source is named. Those of the
+    servo are the XW430-T200's here; `limits_for` takes the fish's own."""
 
     pose_hold: float = 0.3  # s: age of the newest pose
     pose_stop: float = 2.0  # s
@@ -31,6 +35,18 @@ class SafetyLimits:
     jumps_hold: int = 6  # frames in a row whose pose is implausible
     slew: float = 20.0  # rad/s of the setpoint: above the generator's fastest
     ramp: float = 1.0  # rad/s of the return to straight
+
+
+def limits_for(hardware: Hardware) -> SafetyLimits:
+    """The limits, with those of a fish's servo by its maker's numbers."""
+    low, high = hardware.supply_range
+    return SafetyLimits(
+        temperature_hold=hardware.temperature_limit - WARM,
+        temperature_stop=hardware.temperature_limit - HOT,
+        voltage_low=low,
+        voltage_high=high,
+        current_stop=hardware.current_limit,
+    )
 
 
 @dataclass(frozen=True)

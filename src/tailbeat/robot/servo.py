@@ -1,8 +1,9 @@
-"""The fish's servo: a ROBOTIS XW430-T200-R on a serial port, Protocol 2.0.
+"""The fish's servo: a ROBOTIS X-series servo on a serial port, Protocol 2.0.
 
 Own driver. The maker's library blocks 34 ms on a lost reply, reads that as the value 0, and writes
 without stuffing. Here a reply must come within 5 ms, a read is tried twice, a write once, and every
-error byte is checked. Addresses, units and limits: e-manual XW430-T200 (not checked on a real one).
+error byte is checked. Addresses and units: e-manual of the XW430-T200 (not checked on a real one);
+model and unit of current: the fish's `Hardware`. The X series and the MX-28 (2.0) share addresses.
 """
 
 import contextlib
@@ -14,6 +15,7 @@ from dataclasses import dataclass, field
 import serial
 
 from tailbeat.files import BadInput
+from tailbeat.fish.description import Hardware
 from tailbeat.robot.packet import (
     ERRORS,
     PING,
@@ -27,11 +29,9 @@ from tailbeat.robot.packet import (
 )
 from tailbeat.robot.wire import GONE, heard, reopen
 
-MODEL = 1280  # XW430-T200
 COUNT = 2 * math.pi / 4096  # rad
 CENTRE = 2048
 VELOCITY = 0.229 * 2 * math.pi / 60  # rad/s
-CURRENT = 2.69e-3  # A
 VOLTAGE = 0.1  # V
 RETURN_DELAY, OPERATING_MODE, HIGHEST, LOWEST = (9, 1), (11, 1), (48, 4), (52, 4)
 TORQUE, RETURN_LEVEL, HARDWARE_ERROR = (64, 1), (68, 1), (70, 1)
@@ -77,6 +77,7 @@ class Servo:
     ident: int
     sign: int = 1
     deadline: float = DEADLINE
+    current_unit: float = math.nan  # A per count, of the fish's hardware
     parser: Parser = field(default_factory=Parser)
     silent: int = 0
 
@@ -90,7 +91,7 @@ class Servo:
             time=time.monotonic(),
             angle=self.sign * COUNT * (_signed(data, 132, 4) - CENTRE),
             velocity=self.sign * VELOCITY * _signed(data, 128, 4),
-            current=self.sign * CURRENT * _signed(data, 126, 2),
+            current=self.sign * self.current_unit * _signed(data, 126, 2),
             voltage=VOLTAGE * _signed(data, 144, 2),
             temperature=float(data[146 - STATE_FIRST]),
             alert=status.alert,
@@ -248,9 +249,14 @@ class Servo:
 
 
 def connect(
-    path: str, ident: int = 1, baud: int = 1_000_000, sign: int = 1, deadline: float = DEADLINE
+    path: str,
+    hardware: Hardware,
+    ident: int = 1,
+    baud: int = 1_000_000,
+    sign: int = 1,
+    deadline: float = DEADLINE,
 ) -> Servo:
-    """Open a port and check that the right servo model answers. `deadline` [s] is for a reply.
+    """Open a port and check that the fish's servo model answers. `deadline` [s] is for a reply.
     Raises BadInput."""
     try:
         port = serial.Serial(path, baud, timeout=deadline, write_timeout=0.1, exclusive=True)
@@ -260,7 +266,7 @@ def connect(
         ) from None
     with contextlib.suppress(ValueError, OSError, NotImplementedError):
         port.set_low_latency_mode(True)  # a pty has none
-    servo = Servo(port, ident, sign, max(deadline, PATIENCE))
+    servo = Servo(port, ident, sign, max(deadline, PATIENCE), hardware.current_unit)
     try:
         model = int.from_bytes(servo._ask(PING, b"", 3, tries=3).data[:2], "little")
     except ServoFault as fault:
@@ -270,9 +276,12 @@ def connect(
             f" id and baud rate."
         ) from None
     servo.deadline = deadline
-    if model != MODEL:
+    if model != hardware.number:
         port.close()
-        raise BadInput(f"{path}: model {model} answers, an XW430-T200 has {MODEL}; give its port.")
+        raise BadInput(
+            f"{path}: model number {model} answers, the fish's {hardware.model} has"
+            f" {hardware.number}; give its port, or the right servo in the fish's [hardware] table."
+        )
     return servo
 
 

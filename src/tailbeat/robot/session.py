@@ -10,12 +10,15 @@ from pathlib import Path
 
 from tailbeat.control.policy import load_policy
 from tailbeat.files import BadInput, refuse_existing
+from tailbeat.fish.description import Hardware
+from tailbeat.fish.store import hardware_of
 from tailbeat.link import datagrams as link
 from tailbeat.link.reasons import Reason
 from tailbeat.link.status import State
-from tailbeat.robot import imu, servo, systemd, timing, watchdog
+from tailbeat.robot import imu, safety, servo, systemd, timing, watchdog
 from tailbeat.robot import log as log_file
 from tailbeat.robot.devices import Devices
+from tailbeat.robot.fits import carried, check_driven
 from tailbeat.robot.loop import Loop
 from tailbeat.robot.ports import Ports
 from tailbeat.robot.results import DriveResult, summarise
@@ -61,11 +64,14 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
     for refused in timing.claim():
         say(f"        {refused}")
     loaded, secret = load_policy(config.policy), link.read_key(config.key)
+    check_driven(loaded.contract)
+    hardware = hardware_of(carried(loaded.contract))
     refuse_existing(config.log)
-    with _open_devices(config, secret) as devices:
+    with _open_devices(config, secret, hardware) as devices:
         notes = {"policy": config.policy, "contract": loaded.contract.fish}
         with contextlib.closing(log_file.start(config.log, notes)) as written:
-            own = Loop(loaded, devices, written.put, target=config.target)
+            limits = safety.limits_for(hardware)
+            own = Loop(loaded, devices, written.put, limits, target=config.target)
             own.logging = lambda: not written.failed
             _guarded(own, config, say, each)
             written.last_notes["pace"] = json.dumps(own.pace.report())
@@ -73,10 +79,10 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
 
 
 @contextlib.contextmanager
-def _open_devices(config: DriveConfig, key: bytes) -> Iterator[Devices]:
+def _open_devices(config: DriveConfig, key: bytes, hardware: Hardware) -> Iterator[Devices]:
     """Open servo, IMU and the link's socket; close them at the end."""
     ports, gyro = config.ports, None
-    motor = servo.connect(ports.servo)
+    motor = servo.connect(ports.servo, hardware)
     try:
         gyro = imu.connect(ports.imu)
         _prepare(gyro, ports.imu)

@@ -10,7 +10,7 @@ import psutil
 from numpy.typing import NDArray
 from torch import cuda
 
-from tailbeat.control.actions import ActionSpace, Direct, Filtered, generator
+from tailbeat.control.actions import ActionSpace, Direct, Filtered, Turning, generator
 from tailbeat.control.measure import PAPER, Measure
 from tailbeat.env.curriculum import settings_of
 from tailbeat.env.measured import measure_of
@@ -21,7 +21,7 @@ from tailbeat.fish.store import digest
 from tailbeat.train.recipes import Recipe, quick
 
 Array = NDArray[np.float64]
-ACTIONS = ("generator", "direct", "filtered")
+ACTIONS = ("generator", "direct", "filtered", "turning")
 WORKING_SET = 1.5e9  # bytes for torch, engine and 64 fish without the buffer (measured: 1.1e9)
 
 
@@ -43,10 +43,10 @@ class RunRecord:
 class RunConfig:
     """One training run.
 
-    `out` is its folder. `actions` None is the generator up to the fish's band, bound as the recipe
-    says. `draws` are a posterior's coefficients (`Settings.draws`), None for ranges. `hours` is the
-    most time of this session, `checkpoint_minutes` the time between two checkpoints. `device` is
-    cpu or cuda. `measure` is that of the fish; `measured_run` takes it.
+    `out` is its folder. `actions` None are the motor's own up to the fish's band, bound as the
+    recipe says. `draws` are a posterior's coefficients (`Settings.draws`), None for ranges. `hours`
+    is the most time of this session, `checkpoint_minutes` the time between two checkpoints.
+    `device` is cpu or cuda. `measure` is that of the fish; `measured_run` takes it.
     """
 
     fish: Fish
@@ -67,7 +67,7 @@ class RunConfig:
 
     def space(self) -> ActionSpace:
         """The action space."""
-        return self.actions or action_space("generator", self.fish, self.recipe.binds)
+        return self.actions or action_space(None, self.fish, self.recipe.binds)
 
     def settings(self, stage: int) -> Settings:
         """The environment's settings in a stage."""
@@ -91,7 +91,6 @@ class RunConfig:
 
 def measured_run(run: RunConfig) -> RunConfig:
     """The run in its fish's own measure. Raises BadInput for a fish that hardly swims."""
-    _check_motor(run.fish)
     return replace(run, measure=measure_of(run.fish))
 
 
@@ -103,16 +102,24 @@ def _physics(draws: Array | None) -> str:
 
 
 def action_space(
-    kind: str, fish: Fish, binds: str = "fundamental", floor: float = 0.0
+    kind: str | None, fish: Fish, binds: str = "fundamental", floor: float = 0.0
 ) -> ActionSpace:
-    """A fish's action space by name. The generator's ceiling is the band's upper edge; `binds` is
-    what stays below it, fundamental or signal; `floor` [Hz] is the lowest fundamental. Raises
-    BadInput."""
-    if kind not in ACTIONS:
-        raise BadInput(f"--actions {kind}: allowed are {', '.join(ACTIONS)}.")
-    if floor and kind != "generator":
+    """A fish's action space by name; None is the motor's own: the generator of a pulley, turning of
+    a crank. The ceiling is the band's upper edge; `binds` is what stays below it, fundamental or
+    signal; `floor` [Hz] is the lowest fundamental. Raises BadInput."""
+    crank = fish.motor.range is None
+    kind = kind or ("turning" if crank else "generator")
+    allowed = ACTIONS[3:] if crank else ACTIONS[:3]
+    if kind not in allowed:
+        raise BadInput(
+            f"--actions {kind}: {fish.name}'s motor is a {fish.motor.kind}; allowed are"
+            f" {', '.join(allowed)}."
+        )
+    if floor and kind not in ("generator", "turning"):
         raise BadInput(f"--floor {floor:g}: {kind} actions have no floor; omit it.")
-    low, high = fish.motor.range or (-3.141592653589793, 3.141592653589793)
+    if kind == "turning":
+        return Turning(fish.band[1], floor)
+    low, high = fish.motor.range or (-np.pi, np.pi)
     if kind == "direct":
         return Direct(low, high)
     if kind == "filtered":
@@ -130,7 +137,6 @@ def check(run: RunConfig, resume: bool) -> None:
         raise BadInput(f"--hours {run.hours:g}: give a time above 0.")
     if run.device not in ("cpu", "cuda") or (run.device == "cuda" and not cuda.is_available()):
         raise BadInput(f"--device {run.device}: allowed are cpu, and cuda if this machine has it.")
-    _check_motor(run.fish)
     check_settings(run.fish, run.settings(0))
     _check_memory(run.recipe)
     if resume:
@@ -138,15 +144,6 @@ def check(run: RunConfig, resume: bool) -> None:
     elif run.out.exists() and any(run.out.iterdir()):
         raise BadInput(
             f"{run.out}: contains another run; continue it with --resume, or choose a new folder."
-        )
-
-
-def _check_motor(fish: Fish) -> None:
-    """Refuse a motor that turns on: every action space of today commands angles."""
-    if fish.motor.kind == "crank":
-        raise BadInput(
-            f"{fish.name}: a crank turns without end, and every action space commands angles"
-            f" within a range; train a fish with a pulley. Steering by a crank is not there yet."
         )
 
 
