@@ -290,8 +290,8 @@ def test_one_candidate_has_a_cost_as_many_have():
     assert cost(left[None], z[None]).tolist() == [14.0]
 
 
-def test_the_usual_effort_is_that_of_the_shipped_fish():
-    assert Effort() == Effort(generations=15, population=14, polish=15, scouts=0)
+def test_the_usual_effort():
+    assert Effort() == Effort(generations=15, population=14, polish=30, scouts=0)
 
 
 def test_intervals_widen_only_by_as_much_as_is_asked():

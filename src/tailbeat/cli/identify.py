@@ -30,6 +30,9 @@ LawOption = Annotated[
         " lift with a trailing edge.",
     ),
 ]
+IterationsOption = Annotated[
+    int, typer.Option(help="Most least-squares iterations after the search of the fluid.")
+]
 DrawsOption = Annotated[int, typer.Option(help="Number of draws of the posterior.")]
 
 
@@ -57,6 +60,7 @@ def identify_fluid(
     ] = 5,
     seed: SeedOption = 0,
     generations: Annotated[int, typer.Option(help="CMA-ES generations of each search.")] = 15,
+    iterations: IterationsOption = 30,
     start_weight: Annotated[
         bool | None,
         typer.Option(help="Weight the start of a run 4:1; default: if it starts from rest."),
@@ -73,7 +77,7 @@ def identify_fluid(
     from tailbeat.identify.search import Effort
     from tailbeat.report.figures import measured_against_twin
 
-    effort, whole = Effort(generations=generations), law == "whole"
+    effort, whole = Effort(generations=generations, polish=iterations), law == "whole"
     config = job.FluidConfig(zones, seeds, seed, effort, start_weight, added_inertia, whole, draws)
     paths = stages.Paths(fish, fit, out, validate or [], json, check or [])
     with progress.search_progress() as report:
@@ -203,6 +207,7 @@ def identify_all(
     seeds: Annotated[int, typer.Option(help="Number of independent searches per stage.")] = 1,
     seed: SeedOption = 0,
     generations: Annotated[int, typer.Option(help="CMA-ES generations of the fluid.")] = 15,
+    iterations: IterationsOption = 30,
     added_inertia: AddedOption = None,
     law: LawOption = "described",
     draws: DrawsOption = 100,
@@ -214,7 +219,7 @@ def identify_all(
     from tailbeat.identify.search import Effort
     from tailbeat.report.identified import DRAWINGS
 
-    effort, whole = Effort(generations=generations), law == "whole"
+    effort, whole = Effort(generations=generations, polish=iterations), law == "whole"
     config = job.FluidConfig(zones, seeds, seed, effort, None, added_inertia, whole, draws)
     paths = chain.ChainPaths(fish, folder, out, json)
     with progress.search_progress() as report:

@@ -62,6 +62,8 @@ def check(config: FluidConfig) -> None:
     seeds, generations, share = config.seeds, config.effort.generations, config.added_inertia
     if config.zones not in (1, 3):
         raise BadInput(f"--zones {config.zones}: give 1 (one coefficient set) or 3 (one per zone).")
+    if config.effort.polish < 1:
+        raise BadInput(f"--iterations {config.effort.polish}: give 1 or more.")
     if seeds < 1 or generations < 1:
         raise BadInput(f"--seeds {seeds} --generations {generations}: both must be 1 or more.")
     if config.draws < 1:

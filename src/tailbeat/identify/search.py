@@ -38,7 +38,7 @@ class Effort:
 
     generations: int = 15
     population: int = 14
-    polish: int = 15
+    polish: int = 30
     scouts: int = 0
 
 

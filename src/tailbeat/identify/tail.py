@@ -4,9 +4,15 @@ tau = k theta + c theta' + I theta'' + F sign(theta') gives, at the drive freque
 H = T / Theta = (k - I w^2) + j (c w + 4 F / (pi A)). Friction acts along the velocity, so it is
 only in Im H; its Coulomb part falls with the amplitude A (describing function). Paper: tail
 identification; the split of Im H by amplitude is ours.
+
+Two more terms of Re H are fitted where the data show them (ours). A tail of several hinges is one
+spring and one inertia only far below its next mode (the shaft held, at w_1): of the modes' sum
+G_n w^4 / (w_n^2 - w^2), G_n > 0 (Craig and Bampton 1968), the first term J w^4 is taken off. And
+tendons on bent hinges stiffen with the stroke: S A^2 is added. k is that of small strokes. The
+hinges' damping is in proportion to their stiffness, so the mode scales it too: c w (1 + J w^4 / k).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +29,7 @@ from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]
 DIFFERENT = 0.1  # fraction by which two recordings' stiffnesses may differ, chosen
+UNITS = {"k": "N m/rad", "i": "kg m^2", "mode": "kg m^2 s^2", "bend": "N m/rad^3"}
 SAME_FREQUENCY = 0.05  # relative distance below which two conditions count as one frequency
 
 
@@ -32,7 +39,8 @@ class TailFit:
 
     `excess_re` and `excess_im` [N m/rad] are the scatter of the conditions about the lines beyond
     their own deviations: if it is large, the four numbers do not describe the tail well. `glitches`
-    lists what was left out, `contradictions` recordings of different tails.
+    lists what was left out, `contradictions` recordings of different tails. `mode` J [kg m^2 s^2]
+    and `bend` S [N m/rad^3] are of the next mode and of the stroke; None: not seen.
     """
 
     conditions: tuple[Condition, ...]
@@ -45,6 +53,17 @@ class TailFit:
     warnings: tuple[str, ...]
     glitches: tuple[Glitch, ...] = ()
     contradictions: tuple[str, ...] = ()
+    mode: Estimate | None = None
+    bend: Estimate | None = None
+
+    def stiffness(self, square: Array) -> Array:
+        """Re H [N m/rad] of small strokes at squared frequencies [rad^2/s^2]."""
+        bent = 0.0 if self.mode is None else self.mode.value
+        return np.asarray(self.k_eff.value - self.i_eff.value * square - bent * square**2)
+
+    def drag(self, omega: Array) -> Array:
+        """Im H [N m/rad] without friction at frequencies [rad/s]."""
+        return np.asarray(self.c_eff.value * omega * _seen(omega, self.k_eff, self.mode))
 
 
 def identify_tail(recordings: Sequence[Recording]) -> TailFit:
@@ -63,21 +82,54 @@ def identify_tail(recordings: Sequence[Recording]) -> TailFit:
     omega, amplitude = (np.array([getattr(c, n) for c in found]) for n in ("omega", "amplitude"))
     response = np.array([c.response for c in found])
     deviation = np.array([c.deviation for c in found])
-    ones = np.ones_like(omega)
-    (k, i), spare_re = line(
-        np.stack([ones, -(omega**2)], 1), response.real, deviation, ("N m/rad", "kg m^2")
-    )
+    (k, i, mode, bend), spare_re = _stiffness(found, response.real, deviation)
     if k.value <= 0:
         raise BadInput(
             f"{found[0].recording}: the stiffness is {k.value:.3g} N m/rad, so torque and angle"
             f" have opposite signs; torque_nm must turn the shaft towards larger angles."
         )
-    drag = np.stack([omega, 4 / (np.pi * amplitude)], 1)
+    drag = np.stack([omega * _seen(omega, k, mode), 4 / (np.pi * amplitude)], 1)
     (c, f), spare_im = line(drag, response.imag, deviation, ("N m s/rad", "N m"))
     warnings = _warnings(found, i, c, f)
     glitches = tuple(glitch for _, listed in cleaned for glitch in listed)
     against = tuple(_contradictions(found))
-    return TailFit(tuple(found), k, i, c, f, spare_re, spare_im, tuple(warnings), glitches, against)
+    return TailFit(
+        tuple(found), k, i, c, f, spare_re, spare_im, tuple(warnings), glitches, against, mode, bend
+    )
+
+
+def _stiffness(
+    found: Sequence[Condition], real: Array, deviation: Array
+) -> tuple[tuple[Estimate, Estimate, Estimate | None, Estimate | None], float]:
+    """k, I and, where their intervals lie above zero, J of the next mode and S of the stroke."""
+    square = np.array([c.omega**2 for c in found])
+    strokes = np.array([c.amplitude for c in found])
+    terms = {"k": np.ones_like(square), "i": -square}
+    if len(frequencies(found)) > 3:
+        terms["mode"] = -(square**2)
+    if strokes.max() > 1.5 * strokes.min():
+        terms["bend"] = strokes**2
+    if len(found) > len(terms):
+        values, _ = _named(terms, real, deviation)
+        terms = {name: terms[name] for name in terms if name in "ki" or values[name].above_zero}
+    else:
+        terms = {name: terms[name] for name in "ki"}
+    values, spare = _named(terms, real, deviation)
+    return (values["k"], values["i"], values.get("mode"), values.get("bend")), spare
+
+
+def _named(
+    terms: Mapping[str, Array], real: Array, deviation: Array
+) -> tuple[dict[str, Estimate], float]:
+    basis = np.stack([*terms.values()], 1)
+    found, spare = line(basis, real, deviation, [UNITS[name] for name in terms])
+    return dict(zip(terms, found, strict=True)), spare
+
+
+def _seen(omega: Array, stiffness: Estimate, mode: Estimate | None) -> Array:
+    """The hinges' stiffness and damping as the shaft sees them, over those of a slow pull."""
+    bent = 0.0 if mode is None else mode.value
+    return np.asarray(1 + bent * omega**4 / stiffness.value)
 
 
 def _contradictions(conditions: Sequence[Condition]) -> list[str]:
@@ -105,33 +157,34 @@ def _contradictions(conditions: Sequence[Condition]) -> list[str]:
 
 
 def line(
-    basis: Array, measured: Array, deviation: Array, units: tuple[str, str] = ("1", "1")
-) -> tuple[tuple[Estimate, Estimate], float]:
-    """Weighted fit of two numbers to `measured` (n,) with `basis` (n, 2), and the conditions'
-    scatter beyond their own deviations.
+    basis: Array, measured: Array, deviation: Array, units: Sequence[str] = ("1", "1")
+) -> tuple[tuple[Estimate, ...], float]:
+    """Weighted fit of p numbers to `measured` (n,) with `basis` (n, p), and the conditions' scatter
+    beyond their own deviations.
 
     This excess makes chi-square per degree of freedom one (Mandel and Paule 1982). So a few
     conditions that seem very exact do not determine the line alone.
     """
-    freedom = len(measured) - 2
+    freedom = len(measured) - basis.shape[1]
     excess = _excess(basis, measured, deviation) if freedom > 0 else 0.0
     weight = 1 / (deviation**2 + excess**2)
     inverse = np.linalg.pinv(basis.T @ (weight[:, None] * basis))
     value = inverse @ (basis.T @ (weight * measured))
     quantile = stats.t.ppf(0.975, freedom) if freedom > 0 else stats.norm.ppf(0.975)
     reach = quantile * np.sqrt(np.diag(inverse))
-    first, second = (
+    return tuple(
         Estimate(float(v), (float(v - r), float(v + r)), unit)
         for v, r, unit in zip(value, reach, units, strict=True)
-    )
-    return (first, second), excess
+    ), excess
 
 
 def _excess(basis: Array, measured: Array, deviation: Array) -> float:
+    freedom = len(measured) - basis.shape[1]
+
     def surplus(excess: float) -> float:
         root = np.sqrt(deviation**2 + excess**2)
         fit, *_ = np.linalg.lstsq(basis / root[:, None], measured / root, rcond=None)
-        return float(np.square((measured - basis @ fit) / root).sum()) - (len(measured) - 2)
+        return float(np.square((measured - basis @ fit) / root).sum()) - freedom
 
     if surplus(0.0) <= 0:
         return 0.0

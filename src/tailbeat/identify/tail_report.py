@@ -79,6 +79,8 @@ def as_report(found: TailResult) -> dict[str, Any]:
         "verdict": list(said.sentences),
         "trusted": said.trusted,
         **{name: as_row(getattr(fit, name)) for name in NUMBERS},
+        "next_mode": None if fit.mode is None else as_row(fit.mode),
+        "stroke": None if fit.bend is None else as_row(fit.bend),
         "joint_stiffness": list(hinges.stiffness),
         "joint_damping": [k * found.damping_time for k in hinges.stiffness],
         "joint_pattern": hinges.pattern,

@@ -40,9 +40,9 @@ def _draw_stiffness(axes: Axes, fit: TailFit) -> None:
     response = np.array([c.response.real for c in fit.conditions])
     reach = 1.96 * np.array([c.deviation for c in fit.conditions])
     axes.errorbar(square, response, reach, fmt="o", ms=4, color=MEASURED, label="conditions")
-    ends = np.array([0.0, square.max()])
-    line = fit.k_eff.value - fit.i_eff.value * ends
-    axes.plot(ends, line, color=TWIN, label=r"$k - I\omega^2$")
+    fine = np.linspace(0.0, square.max(), 200)
+    label = r"$k - I\omega^2$" + (r"$ - J\omega^4$" if fit.mode else "")
+    axes.plot(fine, fit.stiffness(fine), color=TWIN, label=label)
     axes.errorbar(0, fit.k_eff.value, _reach(fit.k_eff), fmt="s", color=TWIN, capsize=4)
     axes.set(
         title=f"k = {fit.k_eff.value:.4g} N m/rad, I = {fit.i_eff.value:.3g} kg m²",
@@ -64,8 +64,9 @@ def _draw_drag(axes: Axes, fit: TailFit) -> None:
     dry = np.array([4 * fit.coulomb.value / (np.pi * c.amplitude) for c in fit.conditions])
     axes.plot(omega, total, "o", ms=4, color=MEASURED, label="Im H")
     axes.plot(omega, total - dry, "s", ms=4, color=TWIN, label="without Coulomb part")
-    ends = np.array([0.0, omega.max()])
-    axes.plot(ends, fit.c_eff.value * ends, color=TWIN, label=r"$c\,\omega$")
+    fine = np.linspace(0.0, omega.max(), 200)
+    label = r"$c\,\omega$" + (r"$(1 + J\omega^4/k)$" if fit.mode else "")
+    axes.plot(fine, fit.drag(fine), color=TWIN, label=label)
     axes.set(
         title=f"c = {fit.c_eff.value:.3g} N m s/rad, F = {fit.coulomb.value:.3g} N m",
         xlabel="ω [rad/s]",
