@@ -1,6 +1,7 @@
 """The film of a run: its motion against the log and the twin, its pictures against the pose."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -12,9 +13,11 @@ pytest.importorskip("mcap", reason="the robot extra is not installed")
 
 from support import complaint, tailbeat
 from tailbeat.cli import progress
+from tailbeat.control.measure import arrival_of
 from tailbeat.evaluate import motion as motions
 from tailbeat.evaluate import swim
 from tailbeat.evaluate.motion import Motion, Span, of_log, of_tour
+from tailbeat.fish.description import length_of
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.identify.runs import tracked_pose
@@ -220,6 +223,13 @@ def test_an_arrival_is_told_once_for_each_target():
     target = np.where(np.arange(41)[:, None] < 24, [0.5, 0.0], [0.9, 0.0])
     motion = Motion(10.0, np.zeros((41, 9)), tag, target)
     assert motion.arrivals() == ((18, 0.5, 0.0), (34, 0.9, 0.0))
+    small = replace(motion, arrival=0.025)
+    assert small.arrivals() == ((19, 0.5, 0.0), (35, 0.9, 0.0))
+
+
+def test_the_ring_about_a_target_is_of_the_fish_s_size():
+    assert arrival_of(length_of(FISH)) == pytest.approx(0.05)
+    assert arrival_of(0.28) == pytest.approx(0.025, rel=0.01)
 
 
 def test_a_cut_off_log_is_filmed_up_to_its_end_and_said_to_be(log, tmp_path, monkeypatch):

@@ -70,6 +70,12 @@ def preferred(ratio: float) -> float:
     return float(f"{10 ** (round(STEPS * math.log10(ratio)) / STEPS):.3g}")
 
 
+def arrival_of(length: float) -> float:
+    """Distance at which a fish of a length [m] has reached a target [m], where only its description
+    is known."""
+    return ARRIVAL * preferred(length / LENGTH)
+
+
 def measure(length: float, speed: float, circle: float, mass: float) -> Measure:
     """The measure of a fish from its length [m], best speed [m/s], tightest circle's radius [m] and
     mass [kg], all above 0."""

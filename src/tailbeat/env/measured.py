@@ -19,10 +19,15 @@ def measure_of(fish: Fish) -> Measure:
     speeds = [one.speed for one in swims if math.isfinite(one.speed)]
     circles = [abs(one.circle) for one in swims if math.isfinite(one.circle)]
     best = max(speeds, default=0.0)
-    if best < SLOWEST * length or not circles:
+    if best < SLOWEST * length:
         raise BadInput(
             f"{fish.name}: its twin swims {best:.2g} m/s at best, {best / length:.2g} lengths a"
             f" second, and a policy needs {SLOWEST:g}; look at `tailbeat show`: a stronger servo, a"
             f" softer tail or a fin may be missing."
+        )
+    if not circles:
+        raise BadInput(
+            f"{fish.name}: its twin never turns, whatever the motor does, so it cannot be steered"
+            f" to a target; look at the motor's range in the description."
         )
     return measure(length, best, min(circles), buoyancy(fish).mass)

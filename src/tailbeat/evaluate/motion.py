@@ -17,9 +17,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import savgol_filter
 
 from tailbeat.control.actions import PERIOD
-from tailbeat.control.measure import ARRIVAL
+from tailbeat.control.measure import ARRIVAL, arrival_of
 from tailbeat.files import BadInput
-from tailbeat.fish.description import Fish
+from tailbeat.fish.description import Fish, length_of
 from tailbeat.fish.outline import MOTOR
 from tailbeat.fish.rollout import Start, replay_command, swim
 from tailbeat.fish.twin import Options, compile_twin
@@ -36,7 +36,7 @@ BEFORE = 1.0  # s that a film shows before the fish swims
 GRID = 120.0  # Hz at which poses are smoothed: twice a camera's rate
 WINDOW = 25  # samples of it: a cubic fit passes beats up to 7 Hz
 LEAD_IN = 1.0  # s in which the twin's straight tail moves to the log's first angle
-NEAR_ARRIVAL = ARRIVAL + 0.02  # m: the log's last pose before an arrival may be outside the 5 cm
+LATE = 0.4  # of an arrival's distance: the log's last pose before it may be outside
 CAMERA_LAG, CAMERA_TURN = (
     0.6,
     1.2,
@@ -47,12 +47,14 @@ AHEAD = 0.12  # m that it looks ahead of the fish's tag
 @dataclass(frozen=True, eq=False)
 class Motion:
     """A fish at `rate` frames per second [Hz]: generalised coordinates `qpos` (k, nv), the `tag`'s
-    x, y [m] and yaw [rad] (k, 3), and its `target` (k, 2) [m], NaN where there is none."""
+    x, y [m] and yaw [rad] (k, 3), and its `target` (k, 2) [m], NaN where there is none. A target is
+    reached within `arrival` [m]."""
 
     rate: float
     qpos: Array
     tag: Array
     target: Array
+    arrival: float = ARRIVAL
 
     @property
     def frames(self) -> int:
@@ -62,7 +64,8 @@ class Motion:
     def arrivals(self) -> tuple[tuple[int, float, float], ...]:
         """Frame and position x, y [m] of each target that the fish reached."""
         found, last = [], (np.nan, np.nan)
-        near = np.hypot(*(self.tag[:, :2] - self.target).T) < NEAR_ARRIVAL  # False for NaN
+        reach = (1 + LATE) * self.arrival
+        near = np.hypot(*(self.tag[:, :2] - self.target).T) < reach  # False for NaN
         for frame in np.flatnonzero(near).tolist():
             place = (float(self.target[frame, 0]), float(self.target[frame, 1]))
             if place != last:
@@ -80,15 +83,16 @@ class Span:
     start: float | None = None
 
 
-def of_tour(tour: "Tour", span: Span, rate: float) -> Motion:
-    """A tour's motion; its shape is simulated or estimated."""
+def of_tour(tour: "Tour", span: Span, rate: float, arrival: float = ARRIVAL) -> Motion:
+    """A tour's motion; its shape is simulated or estimated. Targets are reached within `arrival`
+    [m]."""
     whole = PERIOD * (len(tour.goal) - 1)
     first = min(span.start or 0.0, whole)
     wanted = _frames(first, min(first + span.seconds, whole), rate)
     at = np.asarray(PERIOD * np.arange(len(tour.goal)), dtype=np.float64)
     held = np.minimum((wanted / PERIOD).astype(int), len(tour.goal) - 1)
     qpos, tag = _resampled(at, tour.shape, wanted), _resampled(at, tour.pose, wanted)
-    return Motion(rate, qpos, tag, tour.targets[tour.goal[held]])
+    return Motion(rate, qpos, tag, tour.targets[tour.goal[held]], arrival)
 
 
 def of_log(log: Path, fish: Fish, span: Span, rate: float) -> Motion:
@@ -102,7 +106,8 @@ def of_log(log: Path, fish: Fish, span: Span, rate: float) -> Motion:
     wanted = _frames(first, last, rate)
     tag = _smoothed(at, seen, wanted)
     tail = _tail(log, fish, rows, wanted)
-    return Motion(rate, np.column_stack([_root(fish, tag), tail]), tag, _targets(rows, wanted))
+    qpos, arrival = np.column_stack([_root(fish, tag), tail]), arrival_of(length_of(fish))
+    return Motion(rate, qpos, tag, _targets(rows, wanted), arrival)
 
 
 # ---- what a log holds ---------------------------------------------------------------------------

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from tailbeat.control.measure import ARRIVAL
 from tailbeat.evaluate.motion import Motion
 from tailbeat.report.pool_scene import DEPTH, SUN
 
@@ -94,7 +93,7 @@ def add_reached(scene: mujoco.MjvScene, motion: Motion, frame: int) -> None:
     """Draw a green disc of the arrival's size at each target reached so far."""
     for when, x, y in motion.arrivals():
         if when <= frame:
-            size = np.array([ARRIVAL, 0.002, 0.0])
+            size = np.array([motion.arrival, 0.002, 0.0])
             place = np.array([x, y, 0.003])
             _add(scene, mujoco.mjtGeom.mjGEOM_CYLINDER, size, place, 0.0, REACHED)
 

@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.control.measure import ARRIVAL
-from tailbeat.fish.description import Fish
+from tailbeat.control.measure import arrival_of
+from tailbeat.fish.description import Fish, length_of
 from tailbeat.fish.looks import Colours, add_hulls
 from tailbeat.fish.twin import Options, build_spec
 from tailbeat.link.places import POOL
@@ -55,7 +55,7 @@ def build_scene(fish: Fish, view: View) -> mujoco.MjModel:
     _add_textures(spec, fish)
     _add_pool(spec, view.pool)
     _add_tag(spec, fish)
-    _add_target(spec)
+    _add_target(spec, arrival_of(length_of(fish)))
     return spec.compile()
 
 
@@ -156,10 +156,10 @@ def _add_tag(spec: mujoco.MjSpec, fish: Fish) -> None:
     )
 
 
-def _add_target(spec: mujoco.MjSpec) -> None:
+def _add_target(spec: mujoco.MjSpec, arrival: float) -> None:
     """Add a floating ring of the arrival's size with a buoy in its middle."""
     body = spec.worldbody.add_body(name="target", mocap=True)
-    vertices, faces = _ring(ARRIVAL + 0.02, 0.012)
+    vertices, faces = _ring(arrival + 0.02, 0.012)
     mesh = spec.add_mesh(name="ring")
     mesh.uservert, mesh.userface = vertices.ravel().tolist(), faces.ravel().tolist()
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL

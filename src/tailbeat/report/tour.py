@@ -78,7 +78,7 @@ def _film(swum: Swum, path: Path, seconds: float, progress: Progress) -> Block:
     rate, span, fish = film.rate_of(path), Span(seconds), swum.pool.fish
     try:
         if swum.log is None:
-            motion = of_tour(swum.tour, span, rate)
+            motion = of_tour(swum.tour, span, rate, swum.pool.measure.arrival)
         else:
             motion = of_log(swum.log, fish, span, rate)
         film.write(Shot(fish, motion), path, progress)
