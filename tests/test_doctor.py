@@ -73,10 +73,10 @@ def of_imu(bench: Bench) -> dict[str, Finding]:
 
 
 def test_well_devices_are_well_and_nothing_was_moved(bench):
-    before = bytes(bench.device.table[:120])
+    before = bytes(bench.device.table.bytes[:120])
     found = of_servo(bench)
     assert {one.name for one in found.values() if one.verdict == BAD} == set()
-    assert bytes(bench.device.table[:120]) == before  # no register was written
+    assert bytes(bench.device.table.bytes[:120]) == before  # no register was written
     assert {one.verdict for one in of_imu(bench).values()} == {OK}
 
 
@@ -97,8 +97,9 @@ def test_a_register_that_is_wrong_is_found(bench, name):
     bench.device.put(address, value)
     found = of_servo(bench)
     assert found[name].verdict == verdict and found[name].do == ADVICE[name]
-    rest = [one.name for one in found.values() if one.verdict != OK and one.name != name]
-    assert [one for one in rest if one != "servo reading time"] == []
+    rest = {one.name for one in found.values() if one.verdict != OK and one.name != name}
+    follows = {"servo hardware error"} if name == "servo supply" else set()  # it reports that too
+    assert rest - {"servo reading time"} == follows
 
 
 def test_a_servo_at_another_baud_rate_is_found_there_and_one_without_power_is_not(bench):

@@ -124,3 +124,48 @@ def test_a_port_that_is_someone_else_s_is_refused(bench, tmp_path):
     bench.sensor.table[0] = 0x83
     with pytest.raises(BadInput, match="chip 0x83 answers, a BNO055 has 0xa0"):
         connect(bench.path, deadline=PATIENT)
+
+
+# ---- the second page, and a client by other people ----------------------------------------------
+
+
+def test_a_sensor_that_another_program_left_on_page_1_is_taken_over(bench):
+    bench.sensor.table[0x07] = 1
+    assert bench.sensor.answer(bytes.fromhex("AA010001")) == bytes.fromhex("BB0100")  # no chip id
+    opened = connect(bench.path, deadline=PATIENT)
+    opened.prepare()
+    bench.sensor.rates = (0.0, 0.0, 0.5)
+    assert rate_of(opened) == pytest.approx(0.5, abs=0.05)
+    opened.close()
+
+
+def test_page_1_has_its_own_registers_and_a_reset_is_silent():
+    sensor = Bno055()
+    assert sensor.answer(bytes.fromhex("AA00080100")) == bytes.fromhex("EE05")  # page 0: a reading
+    assert sensor.answer(bytes.fromhex("AA00070101")) == bytes.fromhex("EE01")
+    assert sensor.answer(bytes.fromhex("AA010803")) == bytes.fromhex("BB030D0B38")  # data sheet
+    assert sensor.answer(bytes.fromhex("AA00080105")) == bytes.fromhex("EE01")
+    assert sensor.answer(bytes.fromhex("AA003D0105")) == bytes.fromhex("EE05")  # mode: page 0
+    assert sensor.answer(bytes.fromhex("AA00070100")) == bytes.fromhex("EE01")
+    assert sensor.answer(bytes.fromhex("AA003F0120")) == b""
+    assert sensor.answer(bytes.fromhex("AA010001")) == b""
+    sensor.quiet_until = 0.0
+    assert sensor.second[0x08] == 0x0D
+
+
+def test_the_driver_of_adafruit_completes_a_session(bench):
+    """It resets the sensor, sets ranges on page 1, and reads in a fusion mode."""
+    adafruit = pytest.importorskip("adafruit_bno055")
+    import serial
+
+    with serial.Serial(bench.path, 115_200, timeout=1) as port:
+        for _ in range(5):  # it waits a tenth of a second for a reply
+            try:
+                client = adafruit.BNO055_UART(port)
+                break
+            except (OSError, RuntimeError):
+                port.reset_input_buffer()
+        assert client.mode == adafruit.NDOF_MODE
+        bench.sensor.rates = (0.0, 0.0, 1.0)
+        _, _, rate = client.gyro
+        assert rate == pytest.approx(1.0, abs=0.05)

@@ -40,7 +40,7 @@ AT_LEAST = (
     ("overruns_hold", 10, "overruns", State.HOLD),
     ("jumps_hold", 6, "jumps", State.HOLD),
 )
-OTHERWISE = {"voltage_low": 9.5, "voltage_high": 16.0, "slew": 20.0, "ramp": 1.0}
+OTHERWISE = {"voltage_low": 9.88, "voltage_high": 16.0, "slew": 20.0, "ramp": 1.0}
 
 
 def state(**changed: float) -> State:
@@ -60,7 +60,7 @@ def test_a_current_backwards_counts_as_much():
 
 
 def test_both_ends_of_the_supply_s_range_are_allowed():
-    for end, beyond in ((9.5, 0.0), (16.0, 99.0)):
+    for end, beyond in ((9.88, 0.0), (16.0, 99.0)):
         assert state(voltage=end) is State.RUN
         assert state(voltage=math.nextafter(end, beyond)) is State.HOLD
 

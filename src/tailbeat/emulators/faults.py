@@ -127,6 +127,11 @@ def _stick(rig: Rig) -> None:
     rig.servo.faults.frozen = True
 
 
+def _dip(rig: Rig) -> None:
+    rig.servo.put(144, 97)
+    rig.servo.faults.dip_until = rig.servo.now + 0.02
+
+
 FAULTS: dict[str, Callable[[Rig], None]] = {
     "servo cable": lambda rig: _unplug(rig, 0),
     "imu cable": lambda rig: _unplug(rig, 1),
@@ -144,7 +149,9 @@ FAULTS: dict[str, Callable[[Rig], None]] = {
     "warm": lambda rig: rig.servo.put(146, 66),
     "hot": lambda rig: rig.servo.put(146, 76),
     "overheated": lambda rig: rig.servo.fail(2),
-    "voltage sags": lambda rig: rig.servo.put(144, 90),
+    "voltage sags": lambda rig: rig.servo.put(144, 97),
+    "voltage fails": lambda rig: rig.servo.put(144, 90),
+    "voltage dips": _dip,
     "watchdog": lambda rig: rig.servo.trip(),
     "clock ahead": lambda rig: setattr(rig.station, "stepped", 5.0),
     "clock back": lambda rig: setattr(rig.station, "stepped", -5.0),

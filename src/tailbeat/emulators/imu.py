@@ -1,4 +1,4 @@
-"""An emulated BNO055 on a pseudo-terminal: registers, modes, busy replies.
+"""An emulated BNO055 on a pseudo-terminal: two pages of registers, modes, reset, busy replies.
 
 Independent of the driver. What the data sheet leaves open was not checked on a real sensor.
 """
@@ -17,7 +17,10 @@ from tailbeat.emulators.line import Line
 COUNT = 16 * 180 / math.pi  # per rad/s
 NOISE = 0.3  # deg/s rms, in counts of 16
 CONFIG, LAST = 0x00, 0x6A
-WRITABLE = {0x07, 0x3B, 0x3D, 0x3E, 0x3F, 0x40, 0x41, 0x42, *range(0x55, 0x6B)}
+PAGE, MODE, TRIGGER = 0x07, 0x3D, 0x3F
+WRITABLE = {PAGE, 0x3B, MODE, 0x3E, TRIGGER, 0x40, 0x41, 0x42, *range(0x55, 0x6B)}
+WRITABLE_1 = {PAGE, *range(0x08, 0x0E), *range(0x0F, 0x20)}  # of page 1: ranges, interrupts
+RESET, RESTART = 0x20, 0.65  # bit of the trigger; s without a reply after it
 
 
 @dataclass
@@ -39,11 +42,15 @@ class Bno055:
     rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
     faults: Faults = field(default_factory=Faults)
     table: bytearray = field(default_factory=lambda: _fresh())
+    second: bytearray = field(default_factory=lambda: _fresh_second())
+    quiet_until: float = 0.0  # while it restarts
     stream: bytearray = field(default_factory=bytearray)
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def answer(self, data: bytes) -> bytes:
         """Bytes in, bytes out."""
+        if time.monotonic() < self.quiet_until:
+            return b""
         self.stream += data
         out = b""
         while len(self.stream) >= 4:
@@ -65,7 +72,8 @@ class Bno055:
         if first + length > LAST + 1:
             return b"\xee\x04"
         self._sense()
-        return bytes([0xBB, length]) + bytes(self.table[first : first + length])
+        page = self.second if self.table[PAGE] else self.table
+        return bytes([0xBB, length]) + bytes(page[first : first + length])
 
     def _sense(self) -> None:
         """Write the rates into their registers; zero in configuration mode."""
@@ -75,19 +83,31 @@ class Bno055:
         spike, faults.spike = faults.spike, 0.0 if faults.spike else faults.spiking
         for axis, rate in enumerate(self.rates):
             count = (rate + spike) * COUNT + 16 * NOISE * self.rng.normal()
-            whole = round(count) if self.table[0x3D] & 0x0F != CONFIG else 0
+            whole = round(count) if self.table[MODE] & 0x0F != CONFIG else 0
             clipped = max(-32768, min(32767, whole))
             place = 0x14 + 2 * axis
             self.table[place : place + 2] = clipped.to_bytes(2, "little", signed=True)
 
     def _write(self, first: int, body: bytes) -> bytes:
-        places = range(first, first + len(body))
-        if not body or any(place not in WRITABLE for place in places):
+        places, later = range(first, first + len(body)), bool(self.table[PAGE])
+        if not body or any(place not in (WRITABLE_1 if later else WRITABLE) for place in places):
             return b"\xee\x05"
-        if self.table[0x3D] & 0x0F != CONFIG and first not in (0x07, 0x3D):
+        free = (PAGE,) if later else (PAGE, MODE, TRIGGER)
+        if self.table[MODE] & 0x0F != CONFIG and first not in free:
             return b"\xee\x03"  # other registers only in configuration mode
-        self.table[first : first + len(body)] = body
+        if first == PAGE:
+            self.table[PAGE] = self.second[PAGE] = body[0] & 1
+        elif not later and first == TRIGGER and body[0] & RESET:
+            return self._restart()
+        else:
+            (self.second if later else self.table)[first : first + len(body)] = body
         return b"\xee\x01"
+
+    def _restart(self) -> bytes:
+        """Power-up values, and no reply, not even to this."""
+        self.table, self.second = _fresh(), _fresh_second()
+        self.quiet_until = time.monotonic() + RESTART
+        return b""
 
     def _spoilt(self, reply: bytes) -> bytes:
         if self.faults.mute > 0:
@@ -104,6 +124,14 @@ def _fresh() -> bytearray:
     table = bytearray(128)
     table[0x00:0x04] = b"\xa0\xfb\x32\x0f"
     table[0x39], table[0x3B] = 5, 0x80
+    return table
+
+
+def _fresh_second() -> bytearray:
+    """Power-up values of page 1: ranges and bandwidths of the three sensors."""
+    table = bytearray(128)
+    table[PAGE] = 1
+    table[0x08:0x0B] = b"\x0d\x0b\x38"
     return table
 
 

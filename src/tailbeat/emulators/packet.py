@@ -21,8 +21,18 @@ def checksum(data: bytes) -> bytes:
 
 def status(ident: int, error: int, data: bytes) -> bytes:
     """A status packet, stuffed."""
+    return _stuffed(ident, bytes([error]) + data)
+
+
+def fast_status(ident: int, error: int, data: bytes) -> bytes:
+    """The status packet of a fast read, which all servos share: each gives error, id and data, and
+    the last the packet's checksum."""
+    return _stuffed(0xFE, bytes([error, ident]) + data)
+
+
+def _stuffed(ident: int, content: bytes) -> bytes:
     body, run = bytearray([0x55]), b""
-    for byte in bytes([error]) + data:
+    for byte in content:
         body.append(byte)
         run = (run + bytes([byte]))[-3:]
         if run == b"\xff\xff\xfd":

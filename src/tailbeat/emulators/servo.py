@@ -1,47 +1,35 @@
-"""An emulated X-series servo on a pseudo-terminal: control table, packets, faults, a turning shaft.
+"""An emulated X-series servo on a pseudo-terminal: bytes, faults, a turning shaft.
 
-The table is the XW430-T200's; model number, supply, limits and gain are those of the fish's
-hardware. Its packets have their own encoder and parser (`packet`). Both these and the driver's are
-tested with the maker's vectors, and the emulator with the maker's library. What the manual leaves
-open was not checked on a real servo.
+Its table (`servo_table`) and instructions (`servo_commands`) are from the manual, its packets have
+their own encoder and parser (`packet`). Both these and the driver's are tested with the maker's
+vectors, and the emulator with the maker's library and with another maker's client. It holds
+positions only: with torque on in another mode its shaft stays. A profile timed in milliseconds
+(drive mode, bit 2) is not emulated.
 """
 
+import fcntl
+import math
 import os
 import select
-import struct
-import termios
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from tailbeat.emulators.line import Line
-from tailbeat.emulators.packet import status, take
+from tailbeat.emulators.packet import take
+from tailbeat.emulators.servo_commands import ALL, execute
+from tailbeat.emulators.servo_table import HOLDING, RAM, STEPS, Table
 from tailbeat.fish.description import Hardware
 
-MODEL, FIRMWARE = 1280, 45
-UNIT_V = 0.02398  # rad/s
+UNIT_V, UNIT_A = 0.02398, 0.3745  # rad/s, rad/s^2: units of profile and present velocity
 TICK, WATCHDOG = 1e-3, 0.020  # s
 NO_LOAD = 5.55  # rad/s at 12 V
-STEPS = 4096
-# address: (bytes, default); EEPROM lies below 64
-REGISTERS = {
-    0: (2, MODEL), 2: (4, 0), 6: (1, FIRMWARE), 7: (1, 1), 8: (1, 3), 9: (1, 250), 10: (1, 0),
-    11: (1, 3), 12: (1, 255), 13: (1, 2), 20: (4, 0), 24: (4, 10), 31: (1, 80), 32: (2, 160),
-    34: (2, 95), 36: (2, 885), 38: (2, 2047), 44: (4, 235), 48: (4, 4095), 52: (4, 0), 60: (1, 0),
-    63: (1, 52), 64: (1, 0), 65: (1, 0), 68: (1, 2), 69: (1, 0), 70: (1, 0), 76: (2, 1920),
-    78: (2, 100), 80: (2, 0), 82: (2, 0), 84: (2, 900), 88: (2, 0), 90: (2, 0), 98: (1, 0),
-    100: (2, 885), 102: (2, 2047), 104: (4, 235), 108: (4, 0), 112: (4, 0), 116: (4, 2048),
-    120: (2, 0), 122: (1, 0), 123: (1, 0), 124: (2, 0), 126: (2, 0), 128: (4, 0), 132: (4, 2048),
-    136: (4, 0), 140: (4, 2048), 144: (2, 120), 146: (1, 30), 147: (1, 1),
-}  # fmt: skip
-READ_ONLY = {0, 2, 6, 69, 70, 120, 122, 123, 124, 126, 128, 132, 136, 140, 144, 146, 147}
-RAM, GOALS = 64, range(100, 120)
-SPEEDS = {
-    0: termios.B9600, 1: termios.B57600, 2: termios.B115200, 3: termios.B1000000,
-    4: termios.B2000000, 5: termios.B3000000, 6: termios.B4000000,
-}  # fmt: skip
-FAIL, INSTRUCTION, RANGE, LIMIT, ACCESS = 1, 2, 4, 6, 7
-ALERT = 0x80
+TURN = 2 * math.pi
+REVERSED, TIMED = 0b1, 0b100  # bits of the drive mode
+VOLTAGE, OVERHEATED = 0, 2  # bits of the hardware error
+SPEEDS = {0: 9_600, 1: 57_600, 2: 115_200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
+# Linux's request for a line's settings with the speed as a number: some clients set no named one.
+TCGETS2, SETTINGS, SPEED = 0x802C542A, 44, 36  # request, bytes, place of the speed
 
 
 # ---- the device ---------------------------------------------------------------------------------
@@ -65,7 +53,8 @@ class Shaft:
 @dataclass
 class Faults:
     """Faults: `mute` replies to drop, `corrupt` replies to damage, `garbage` before a reply, `late`
-    [s] for the next reply, `slow` [s] for every reply, `frozen` encoder."""
+    [s] for the next reply, `slow` [s] for every reply, `frozen` encoder, `dip_until` [s]: when the
+    supply is as before."""
 
     mute: int = 0
     corrupt: int = 0
@@ -73,6 +62,29 @@ class Faults:
     late: float = 0.0
     slow: float = 0.0
     frozen: bool = False
+    dip_until: float = 0.0
+
+
+@dataclass(eq=False)
+class Profile:
+    """The goal's own motion: at most a speed [rad/s] and an acceleration [rad/s^2]; infinite: it
+    steps, as from the factory."""
+
+    angle: float = 0.0
+    velocity: float = 0.0
+
+    def advance(self, goal: float, speed: float, acceleration: float, dt: float) -> float:
+        """The angle [rad] after `dt` [s] on the way to a goal [rad]."""
+        away = goal - self.angle
+        if not math.isfinite(speed):
+            self.angle, self.velocity = goal, 0.0
+            return self.angle
+        slow = math.sqrt(2 * acceleration * abs(away)) if math.isfinite(acceleration) else math.inf
+        wanted = math.copysign(min(speed, slow, abs(away) / dt), away)
+        change = acceleration * dt
+        self.velocity = min(max(wanted, self.velocity - change), self.velocity + change)
+        self.angle += self.velocity * dt
+        return self.angle
 
 
 @dataclass(eq=False)
@@ -82,25 +94,16 @@ class Dynamixel:
     shaft: Shaft = field(default_factory=Shaft)
     faults: Faults = field(default_factory=Faults)
     hardware: Hardware | None = None  # None: an XW430-T200 at 12 V
-    table: bytearray = field(default_factory=lambda: bytearray(256))
     stream: bytearray = field(default_factory=bytearray)
     registered: bytes = b""
     quiet_until: float = 0.0  # while it restarts
     heard: float = 0.0  # time of the last packet
     now: float = 0.0
+    profile: Profile = field(default_factory=Profile)
 
     def __post_init__(self) -> None:
-        _fresh(self.table, 0, self.hardware)
-
-    def get(self, address: int, signed: bool = False) -> int:
-        """Read a register."""
-        size = REGISTERS[address][0]
-        return int.from_bytes(self.table[address : address + size], "little", signed=signed)
-
-    def put(self, address: int, value: int) -> None:
-        """Set a register, also a read-only one."""
-        size = REGISTERS[address][0]
-        self.table[address : address + size] = (value % (1 << 8 * size)).to_bytes(size, "little")
+        self.table = Table(self.hardware)
+        self.get, self.put = self.table.get, self.table.put
 
     # ---- time -----------------------------------------------------------------------------------
 
@@ -110,23 +113,64 @@ class Dynamixel:
         limit = self.get(98)
         if self.get(64) and 0 < limit < 128 and now - self.heard > limit * WATCHDOG:
             self.trip()
-        goal = (self.get(116, True) - 2048) * 2 * 3.141592653589793 / STEPS
+        goal = self._goal()
         while dt > 0:
-            self.shaft.advance(goal if self.get(64) else None, min(dt, TICK))
+            self._turn(goal, min(dt, TICK))
             dt -= TICK
         self.put(120, int(now * 1e3) % 32768)
+        self._check()
         if not self.faults.frozen:
-            self.put(132, self._counts())
-            self.put(128, round(self.shaft.velocity / UNIT_V))
+            self.put(132, self._counts(self.shaft.angle))
+            self.put(128, self._sign * round(self.shaft.velocity / UNIT_V))
 
-    def _counts(self) -> int:
-        return 2048 + round(self.shaft.angle * STEPS / (2 * 3.141592653589793))
+    @property
+    def _sign(self) -> int:
+        return -1 if self.get(10) & REVERSED else 1
+
+    def _counts(self, angle: float) -> int:
+        """Counts of a shaft's angle [rad], with drive mode and homing offset."""
+        return 2048 + self._sign * round(angle * STEPS / TURN) + self.get(20, True)
+
+    def _goal(self) -> float | None:
+        """The angle [rad] that is asked for; None where the mode or the torque asks for none."""
+        mode = self.get(11)
+        if not self.get(64) or mode not in HOLDING:
+            return None
+        counts = self.get(116, True) - 2048 - self.get(20, True)
+        return self._sign * counts * TURN / STEPS
+
+    def _turn(self, goal: float | None, dt: float) -> None:
+        """Step the profile and the shaft."""
+        if goal is None:
+            self.profile = Profile(self.shaft.angle)
+            self.shaft.advance(None, dt)
+            return
+        speed, ramp, timed = self.get(112), self.get(108), self.get(10) & TIMED
+        limits = (
+            speed * UNIT_V if speed and not timed else math.inf,
+            ramp * UNIT_A if ramp and not timed else math.inf,
+        )
+        asked = self.profile.advance(goal, *limits, dt)
+        self.put(140, self._counts(asked))
+        self.shaft.advance(asked, dt)
+
+    def _check(self) -> None:
+        """Report a supply or a temperature beyond its limits."""
+        if 0 < self.faults.dip_until < self.now:
+            self.faults.dip_until = 0.0
+            self.put(144, 120)
+        if not self.get(34) <= self.get(144) <= self.get(32):
+            self.fail(VOLTAGE)
+        if self.get(146) >= self.get(31):
+            self.fail(OVERHEATED)
 
     def trip(self) -> None:
         """Trip the bus watchdog: the servo stops where it is and refuses goals until 0 is written
-        to it."""
+        to it; its profile is lost."""
         self.put(98, 0xFF)
-        self.put(116, self._counts())
+        self.put(108, 0)
+        self.put(112, 0)
+        self.put(116, self._counts(self.shaft.angle))
 
     def fail(self, bit: int) -> None:
         """Set a hardware error; torque goes off if it is in the shutdown mask."""
@@ -136,7 +180,10 @@ class Dynamixel:
 
     def reboot(self) -> None:
         """Restart: RAM as at power-up; no replies for a tenth of a second."""
-        _fresh(self.table, RAM, self.hardware)
+        heat, volts = self.get(146), self.get(144)
+        self.table.factory(RAM)
+        self.put(146, heat)
+        self.put(144, volts)
         self.quiet_until = self.now + 0.1
 
     # ---- packets --------------------------------------------------------------------------------
@@ -148,79 +195,10 @@ class Dynamixel:
         self.stream += data
         out = b""
         while (packet := take(self.stream)) is not None:
-            if packet[0] in (self.get(7), 0xFE):
+            if packet[0] in (self.get(7), ALL):
                 self.heard = self.now
-                out += self._spoilt(self._execute(*packet))
+                out += self._spoilt(execute(self, *packet))
         return out
-
-    def _execute(self, ident: int, instruction: int, body: bytes) -> bytes:
-        own, level = self.get(7), self.get(68)
-        if instruction == 0x01:
-            return self._status(0, struct.pack("<HB", self.get(0), FIRMWARE))
-        if instruction == 0x82:
-            address, length = struct.unpack_from("<HH", body)
-            error, data = self._read(address, length)
-            return self._status(error, data) if own in body[4:] else b""
-        if instruction == 0x83:
-            self._sync_write(body)
-            return b""
-        error, data = self._single(instruction, body)
-        wanted = level == 2 or (level == 1 and instruction == 0x02)
-        return self._status(error, data) if ident != 0xFE and wanted else b""
-
-    def _single(self, instruction: int, body: bytes) -> tuple[int, bytes]:
-        if instruction == 0x02 and len(body) == 4:
-            return self._read(*struct.unpack("<HH", body))
-        if instruction == 0x03 and len(body) > 2:
-            return self._write(struct.unpack_from("<H", body)[0], body[2:]), b""
-        if instruction == 0x04:
-            self.registered = body
-            self.put(69, 1)
-            return 0, b""
-        if instruction == 0x05 and self.registered:
-            body, self.registered = self.registered, b""
-            self.put(69, 0)
-            return self._write(struct.unpack_from("<H", body)[0], body[2:]), b""
-        if instruction == 0x08:
-            self.reboot()
-            return 0, b""
-        return INSTRUCTION, b""
-
-    def _read(self, address: int, length: int) -> tuple[int, bytes]:
-        if address + length > 148 or not length:
-            return ACCESS, b""
-        return 0, bytes(self.table[address : address + length])
-
-    def _sync_write(self, body: bytes) -> None:
-        address, length = struct.unpack_from("<HH", body)
-        for first in range(4, len(body), length + 1):
-            if body[first] == self.get(7):
-                self._write(address, body[first + 1 : first + 1 + length])
-
-    def _write(self, address: int, data: bytes) -> int:
-        error = self._refusal(address, data)
-        if error:
-            return error
-        self.table[address : address + len(data)] = data
-        return 0
-
-    def _refusal(self, address: int, data: bytes) -> int:
-        """The error number of a write, 0 if it is allowed."""
-        if address not in REGISTERS or address in READ_ONLY:
-            return ACCESS
-        if address < RAM and self.get(64):
-            return ACCESS
-        if address in GOALS and self.get(98) == 0xFF:
-            return RANGE
-        value = int.from_bytes(data, "little", signed=True)
-        if address == 116 and not self.get(52) <= value <= self.get(48):
-            return LIMIT
-        if address == 64 and value and self.get(70) & self.get(63):
-            return FAIL  # after a shutdown, only a reboot clears it
-        return RANGE if address == 98 and not 0 <= value <= 127 else 0
-
-    def _status(self, error: int, data: bytes) -> bytes:
-        return status(self.get(7), error | (ALERT if self.get(70) else 0), data)
 
     def _spoilt(self, reply: bytes) -> bytes:
         faults = self.faults
@@ -236,36 +214,14 @@ class Dynamixel:
         return garbage + reply
 
 
-def _fresh(table: bytearray, first: int, hardware: Hardware | None) -> None:
-    """Write factory values from address `first` on; a fish's own servo differs in a few."""
-    own = {} if hardware is None else _own(hardware)
-    for address, (size, usual) in REGISTERS.items():
-        if address >= first:
-            value = own.get(address, usual)
-            table[address : address + size] = value.to_bytes(size, "little")
-
-
-def _own(hardware: Hardware) -> dict[int, int]:
-    """Registers of a servo that differ from the table above: model, temperature's and supply's
-    limits, gain, present supply."""
-    low, high = hardware.supply_range
-    return {
-        0: hardware.number,
-        31: round(hardware.temperature_limit),
-        32: round(10 * high),
-        34: round(10 * low),
-        84: hardware.gain,
-        144: round(10 * hardware.supply),
-    }
-
-
 # ---- the pseudo-terminal ------------------------------------------------------------------------
 
 
 def hears(device: Dynamixel, line: Line) -> bool:
     """Whether the driver's end of the line has the servo's baud rate; otherwise it receives
     noise."""
-    return termios.tcgetattr(line.slave)[5] == SPEEDS.get(device.get(8))
+    held = fcntl.ioctl(line.slave, TCGETS2, bytes(SETTINGS))
+    return int.from_bytes(held[SPEED : SPEED + 4], "little") == SPEEDS.get(device.get(8))
 
 
 def serve(device: Dynamixel, line: Line, stop: Callable[[], bool], baud: int = 1_000_000) -> None:

@@ -101,7 +101,7 @@ class Imu:
         """Set the units to degrees per second and the mode to accelerometer and gyroscope. Raises
         ImuFault."""
         for register, value, pause in (
-            (MODE, CONFIG, TO_CONFIG), (PAGE, 0, 0.0), (UNITS, 0, 0.0), (MODE, ACCGYRO, TO_OPERATE),
+            (PAGE, 0, 0.0), (MODE, CONFIG, TO_CONFIG), (UNITS, 0, 0.0), (MODE, ACCGYRO, TO_OPERATE),
         ):  # fmt: skip
             self.set(register, value)
             time.sleep(pause)
@@ -180,6 +180,7 @@ def connect(path: str, mounting: Mounting | None = None, deadline: float = DEADL
     fault = None
     for _ in range(5):
         try:
+            imu.set(PAGE, 0, tries=1)  # another program may have left it on page 1
             chip = imu.registers(CHIP_ID, 1)[0]
             break
         except ImuFault as one:

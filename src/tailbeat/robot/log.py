@@ -42,7 +42,7 @@ NUMBERS = {
     "pose_age_s": "time since the newest pose was captured [s]",
     "clock_doubt_s": "largest error of the clock offset [s]",
     "temperature_deg_c": "servo temperature [deg C]",
-    "voltage_v": "supply at the servo [V]",
+    "voltage_v": "supply at the servo, median of half a second [V]",
     "current_a": "mean servo current [A]",
     "band_share": "fraction of the tail's power below the band's upper edge",
     "below_band_share": "fraction of the tail's power below the band's lower edge",

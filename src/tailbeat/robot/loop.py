@@ -144,7 +144,7 @@ class Loop:
             clock_doubt=math.inf if offset is None else offset[1] / SECOND,
             target=self.poses.has_target(),
             temperature=servo.temperature if servo else 25.0,
-            voltage=servo.voltage if servo else 12.0,
+            voltage=self.sensors.supply(),
             current=self.sensors.current(),
             alert=bool(servo and servo.alert),
             torque_lost=self.torque.on and self.torque.lost,

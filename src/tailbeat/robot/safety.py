@@ -12,6 +12,7 @@ from tailbeat.fish.description import Hardware
 from tailbeat.link.reasons import Reason, text_of
 from tailbeat.link.status import State
 
+SAG = 0.04  # of the servo's lowest supply: the robot holds so much above it, and swims on no more
 WARM, HOT = 15.0, 5.0  # deg C below the servo's own shutdown: the robot holds, stops
 
 
@@ -28,7 +29,7 @@ class SafetyLimits:
     clock_doubt: float = 0.05  # s, largest error of a pose's age
     temperature_hold: float = 65.0  # deg C; the servo shuts down at 80
     temperature_stop: float = 75.0
-    voltage_low: float = 9.5  # V: the servo's own limit
+    voltage_low: float = 9.88  # V: `SAG` above the servo's own limit, at which it reports an error
     voltage_high: float = 16.0
     current_stop: float = 4.0  # A, for longer than a beat
     overruns_hold: int = 10  # periods missed within a second
@@ -43,7 +44,7 @@ def limits_for(hardware: Hardware) -> SafetyLimits:
     return SafetyLimits(
         temperature_hold=hardware.temperature_limit - WARM,
         temperature_stop=hardware.temperature_limit - HOT,
-        voltage_low=low,
+        voltage_low=round((1 + SAG) * low, 3),
         voltage_high=high,
         current_stop=hardware.current_limit,
     )

@@ -37,10 +37,12 @@ class Sensors:
     imu_gone: bool = False
     reopened: float = -math.inf  # s, the last try
     currents: deque[float] = field(init=False)  # A, of the last half second
+    volts: deque[float] = field(init=False)  # V, as long
     travelled: deque[tuple[float, float]] = field(init=False)  # rad: setpoint, angle
 
     def __post_init__(self) -> None:
         self.currents = deque(maxlen=round(CURRENT_TIME / self.period))
+        self.volts = deque(maxlen=round(CURRENT_TIME / self.period))
         self.travelled = deque(maxlen=round(FOLLOWING / self.period))
 
     def read(self, servo: Servo, imu: Imu, sent: float) -> None:
@@ -59,6 +61,7 @@ class Sensors:
     def _take(self, reading: ServoState, sent: float) -> None:
         self.servo, self.servo_gone = reading, False
         self.currents.append(reading.current)
+        self.volts.append(reading.voltage)
         self.monitor.add(reading.time, reading.angle)
         self.travelled.append((sent, reading.angle))
 
@@ -72,6 +75,11 @@ class Sensors:
     def current(self) -> float:
         """Mean absolute current of the last half second [A]."""
         return float(np.mean(np.abs(self.currents))) if self.currents else 0.0
+
+    def supply(self) -> float:
+        """Median supply of the last half second [V]: one sample of a beat's peak decides nothing.
+        12 V before the first reading."""
+        return float(np.median(self.volts)) if self.volts else 12.0
 
     def follows(self) -> bool:
         """Whether the shaft follows its setpoints; True until half a second of readings is
