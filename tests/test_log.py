@@ -14,11 +14,11 @@ pytest.importorskip("mcap", reason="the robot extra is not installed")
 
 from mcap.reader import make_reader
 
-from support import until
+from support import tailbeat, until
 from tailbeat.files import BadInput
 from tailbeat.recording import read_recording, write_recording
 from tailbeat.robot import log as logs
-from tailbeat.robot.log import COLUMNS, read_rows, start
+from tailbeat.robot.log import COLUMNS, read_log, read_rows, start
 from tailbeat.robot.log_export import as_recording
 
 pytestmark = pytest.mark.realtime
@@ -114,3 +114,71 @@ def test_what_is_no_log_is_refused(tmp_path):
     (tmp_path / "text.mcap").write_text("hello")
     with pytest.raises(BadInput, match="no row of a swim"):
         read_rows(tmp_path / "text.mcap")
+
+
+# ---- damage -------------------------------------------------------------------------------------
+
+ROWS, CHUNK_SECONDS = 500, 0.3  # of a row's 20 ms: a chunk holds about seven
+
+
+@pytest.fixture(scope="module")
+def swum(tmp_path_factory) -> bytes:
+    """The bytes of a log of ten seconds."""
+    path = tmp_path_factory.mktemp("log") / "swim.mcap"
+    log = start(path, {"policy": "p"})
+    for k in range(ROWS):
+        until(lambda: log.waiting.qsize() < 400)
+        log.put(row(k))
+    log.close()
+    return path.read_bytes()
+
+
+def damaged(swum: bytes, path: Path, seed: int, hole: int) -> Path:
+    """A copy with one bit flipped, or with a hole of so many random bytes."""
+    rng, data = np.random.default_rng(seed), bytearray(swum)
+    at = int(rng.integers(0, len(data) - hole))
+    if hole:
+        data[at : at + hole] = rng.bytes(hole)
+    else:
+        data[at] ^= 1 << int(rng.integers(8))
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize(("copies", "hole"), [(300, 0), (50, 4096)])
+def test_a_damaged_log_loses_the_damaged_rows_alone_and_says_so(swum, tmp_path, copies, hole):
+    true = [row(k)["motor_angle_rad"] for k in range(ROWS)]
+    for seed in range(copies):
+        found = read_log(damaged(swum, tmp_path / "bad.mcap", seed, hole))
+        whole = ROWS - (2 * CHUNK_SECONDS if hole else CHUNK_SECONDS) / 0.02
+        assert len(found.rows) >= whole, seed
+        for one in found.rows:  # no row was altered
+            assert one["motor_angle_rad"] == true[round((one["time_s"] - 100) / 0.02)], seed
+        inside = found.rows[-1]["time_s"] - found.rows[0]["time_s"]
+        lost = round(inside / 0.02) + 1 - len(found.rows)
+        assert sum(gap.seconds for gap in found.gaps) == pytest.approx(0.02 * lost, abs=1e-6)
+        assert not lost or found.damaged, seed
+
+
+def test_an_export_of_a_damaged_log_says_what_is_missing(swum, tmp_path):
+    path = tmp_path / "hole.mcap"
+    path.write_bytes(swum[:100_000] + bytes(4096) + swum[104_096:])
+    done = tailbeat("export", path, "--out", tmp_path / "hole.csv")
+    assert done.returncode == 1 and "s of rows are missing, after" in done.stdout
+    assert read_recording(tmp_path / "hole.csv").time.size > 450
+    path.write_bytes(swum[:100_000])
+    done = tailbeat("export", path, "--out", tmp_path / "cut.csv")
+    assert done.returncode == 0 and "the log has no end" in done.stdout
+
+
+def test_a_log_that_drops_or_whose_thread_dies_is_not_healthy(tmp_path):
+    log = start(tmp_path / "a.mcap", {})
+    assert log.healthy
+    log.put({"no": "time"})
+    until(lambda: not log.healthy)
+    assert "time_s" in log.failed
+    log.close()
+    full = start(tmp_path / "b.mcap", {})
+    full.dropped = 1
+    assert not full.healthy
+    full.close()

@@ -192,11 +192,15 @@ def export(
     out: Annotated[Path, typer.Option("--out", help="The recording to write, .csv or .parquet.")],
 ) -> None:
     """Convert a drive's log to a recording that identification reads. A log that was cut off is
-    read up to its end."""
+    read up to its end. Exit code 1 if the file is damaged: what is whole is written."""
     from tailbeat.robot.log_export import export as export_log
 
-    recording = export_log(log, out)
+    recording, lacks = export_log(log, out)
+    for sentence in lacks:
+        output.say(f"warning: {sentence}")
     output.say(f"wrote {out}: {recording.time.size} rows")
+    if any("damaged" in sentence for sentence in lacks):
+        raise typer.Exit(1)
 
 
 def film(

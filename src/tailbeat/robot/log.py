@@ -8,23 +8,23 @@ disk, rows are dropped and counted; the loop decides what follows.
 import json
 import math
 import queue
-import struct
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, Writer
 
 from tailbeat import __version__
 from tailbeat.files import BadInput, refuse_existing
+from tailbeat.robot.log_salvage import whole_messages
 
 CHUNK = 4096  # bytes, about 0.14 s of rows: the most that is lost
 WAITING = 500  # rows, ten seconds
+RECORD = 1 << 24  # bytes: a longer record is damage
 MAGIC = b"\x89MCAP0\r\n"  # begins and ends an MCAP file
 TOPIC, NOTES = "/swim", "tailbeat"
 SECOND = 1_000_000_000
@@ -99,6 +99,12 @@ class Log:
         except queue.Full:
             self.dropped += 1
 
+    @property
+    def healthy(self) -> bool:
+        """Whether every row so far is written, or will be."""
+        alive = self.thread is not None and self.thread.is_alive()
+        return alive and not self.failed and not self.dropped
+
     def close(self) -> None:
         """Write the queued rows, `last_notes` and the end of the file."""
         self.waiting.put(None)
@@ -136,8 +142,8 @@ def _write(log: Log, notes: dict[str, str]) -> None:
         if log.last_notes:
             writer.add_metadata(NOTES, log.last_notes)
         writer.finish()
-    except (OSError, ValueError) as error:  # a full disk, or the file was closed
-        log.failed = str(error)
+    except Exception as error:  # a full disk, a closed file, or a row that is none: none is silent
+        log.failed = str(error) or type(error).__name__
         while log.waiting.get() is not None:
             log.dropped += 1
 
@@ -161,18 +167,64 @@ def _plain(value: Any) -> Any:
 # ---- reading ------------------------------------------------------------------------------------
 
 
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Every complete row of a log, even if its writer was killed. A number that a row lacks is
+@dataclass(frozen=True)
+class Gap:
+    """Rows that are missing: from `at` [s] after the first row, `seconds` long."""
+
+    at: float
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Swim:
+    """The rows of a log. `damaged`: its bytes are not what was written, and `gaps` say where rows
+    are missing. `whole`: it has its end mark; the log of a process that was killed has none."""
+
+    rows: list[dict[str, Any]]
+    damaged: bool
+    whole: bool
+    gaps: tuple[Gap, ...] = ()
+
+
+def read_log(path: Path) -> Swim:
+    """Every undamaged row of a log, even if its writer was killed. A number that a row lacks is
     None. Raises BadInput."""
     if not path.is_file():
         raise BadInput(f"{path}: no such file; give a log, .mcap.")
-    absent, rows = dict.fromkeys(NUMBERS), []
-    with path.open("rb") as file:
-        for text in _messages(file):
-            rows.append({**absent, **_row(path, text)})
+    texts, well = _texts(path)
+    absent = dict.fromkeys(NUMBERS)
+    rows = [{**absent, **_row(path, text)} for text in texts]
     if not rows:
         raise BadInput(f"{path}: no row of a swim in this file; give a log of `tailbeat drive`.")
-    return rows
+    whole, gaps = is_whole(path), () if well else _gaps(rows)
+    return Swim(rows, bool(gaps) or (whole and not well), whole, gaps)
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """The rows of `read_log`. Raises BadInput."""
+    return read_log(path).rows
+
+
+def _texts(path: Path) -> tuple[list[bytes], bool]:
+    """The messages, and whether all is well; else those of the whole chunks."""
+    try:
+        with path.open("rb") as file:
+            reader = NonSeekingReader(file, validate_crcs=True, record_size_limit=RECORD)
+            messages = reader.iter_messages(log_time_order=False)
+            return [one.data for _, channel, one in messages if channel.topic == TOPIC], True
+    except Exception:  # damaged bytes make a reader raise whatever they like
+        return list(whole_messages(path)), False
+
+
+def _gaps(rows: list[dict[str, Any]]) -> tuple[Gap, ...]:
+    """Where rows of a damaged log are missing."""
+    time = np.array([row["time_s"] for row in rows if row["time_s"] is not None])
+    away = np.diff(time)
+    usual = float(np.median(away)) if away.size else 0.0
+    return tuple(
+        Gap(float(time[k] - time[0]), float(away[k] - usual))
+        for k in np.flatnonzero(away > 1.5 * usual)
+    )
 
 
 def _row(path: Path, text: bytes) -> dict[str, Any]:
@@ -192,13 +244,3 @@ def is_whole(path: Path) -> bool:
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - len(MAGIC), 0))
         return file.read() == MAGIC
-
-
-def _messages(file: BinaryIO) -> Iterator[bytes]:
-    """The messages up to where the file is damaged or cut off."""
-    try:
-        for _, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
-            if channel.topic == TOPIC:
-                yield message.data
-    except (McapError, EOFError, ValueError, struct.error):
-        return

@@ -9,7 +9,9 @@ import numpy as np
 
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.recording import Recording, write_recording
-from tailbeat.robot.log import COLUMNS, read_rows
+from tailbeat.robot.log import COLUMNS, Swim, read_log, read_rows
+
+GAPS = 5  # of which a sentence tells the times
 
 
 def as_recording(path: Path) -> Recording:
@@ -23,9 +25,24 @@ def as_recording(path: Path) -> Recording:
     return Recording(path.stem, time - time[0], columns, {"source": "tailbeat drive"})
 
 
-def export(log: Path, out: Path) -> Recording:
-    """Write a log as a recording, CSV or Parquet. Raises BadInput."""
+def export(log: Path, out: Path) -> tuple[Recording, list[str]]:
+    """Write a log as a recording, CSV or Parquet; returns it, and what the log lacks, a sentence
+    each. Raises BadInput."""
     refuse_existing(out)
     recording = replace(as_recording(log), name=out.stem)
     write_recording(recording, out)
-    return recording
+    return recording, losses(read_log(log))
+
+
+def losses(swim: Swim) -> list[str]:
+    """What a log lacks, a sentence each."""
+    said = []
+    if not swim.whole:
+        said.append("the log has no end: its process was killed, or the file was cut off")
+    if swim.damaged:
+        lost = sum(gap.seconds for gap in swim.gaps)
+        where = ", ".join(f"{gap.at:.2f} s" for gap in swim.gaps[:GAPS])
+        more = f" and {len(swim.gaps) - GAPS} more" if len(swim.gaps) > GAPS else ""
+        at = f", after {where}{more}" if swim.gaps else ""
+        said.append(f"the file is damaged: {lost:.2f} s of rows are missing{at}")
+    return said

@@ -1,14 +1,19 @@
 """A drive: arm the robot, swim, disarm, with every period in the log."""
 
 import contextlib
+import hashlib
 import json
+import platform
 import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import datetime
+from importlib.metadata import version
 from pathlib import Path
 
-from tailbeat.control.policy import load_policy
+from tailbeat import __version__
+from tailbeat.control.policy import Contract, load_policy, policy_path
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.fish.description import Hardware
 from tailbeat.fish.store import hardware_of
@@ -68,14 +73,28 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
     hardware = hardware_of(carried(loaded.contract))
     refuse_existing(config.log)
     with _open_devices(config, secret, hardware) as devices:
-        notes = {"policy": config.policy, "contract": loaded.contract.fish}
-        with contextlib.closing(log_file.start(config.log, notes)) as written:
+        noted = notes(config.policy, loaded.contract)
+        with contextlib.closing(log_file.start(config.log, noted)) as written:
             limits = safety.limits_for(hardware)
             own = Loop(loaded, devices, written.put, limits, target=config.target)
-            own.logging = lambda: not written.failed
+            own.logging = lambda: written.healthy
             _guarded(own, config, say, each)
             written.last_notes["pace"] = json.dumps(own.pace.report())
         return _result(own, config)
+
+
+def notes(policy: str, contract: Contract) -> dict[str, str]:
+    """What the head of a log tells of a drive: its date, what swam, and with which versions."""
+    return {
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "policy": policy,
+        "policy_sha256": hashlib.sha256(policy_path(policy).read_bytes()).hexdigest(),
+        "contract": contract.fish,
+        "fish_digest": contract.fish_digest,
+        "tailbeat": __version__,
+        "onnxruntime": version("onnxruntime"),
+        "python": platform.python_version(),
+    }
 
 
 @contextlib.contextmanager
