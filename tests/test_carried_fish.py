@@ -14,7 +14,7 @@ pytest.importorskip("stable_baselines3", reason="the train extra is not installe
 from policies import POLICIES
 from support import complaint, tailbeat
 from tailbeat.control.actions import Generator
-from tailbeat.control.policy import KEY, Policy, _digests, as_text, load_policy
+from tailbeat.control.policy import KEY, Policy, _digests, as_text, load_policy, shipped
 from tailbeat.evaluate import store
 from tailbeat.evaluate.evaluation import EvaluationConfig, describe, pool_of
 from tailbeat.evaluate.reach import TrialConfig, try_policy
@@ -59,12 +59,26 @@ def test_the_fish_inside_is_the_one_it_was_trained_on(own):
     assert check_swims(policy, None, POOL_FISH) == OWN
 
 
-def test_an_older_policy_is_read_and_signed_as_it_was():
-    for name, path in POLICIES.items():
-        text = onnx.load(str(path)).metadata_props[0].value
-        policy = load_policy(path)
-        assert policy.contract.description is None, name
-        assert json.loads(as_text(policy.contract)) == json.loads(text), name
+@pytest.mark.parametrize("name", POLICIES)
+def test_every_policy_carries_the_shipped_fish_and_is_signed_as_it_was(name):
+    text = onnx.load(str(POLICIES[name])).metadata_props[0].value
+    policy = load_policy(POLICIES[name])
+    inside, fish = carried(policy.contract), load_fish("pulley-fish-pool")
+    assert inside == fish.model_copy(update={"servo": inside.servo})
+    assert json.loads(as_text(policy.contract)) == json.loads(text)
+
+
+def test_an_older_policy_is_read_and_signed_as_it_was(tmp_path):
+    model = onnx.load(str(shipped()["pulley-fish-pool-generator"]))
+    held = json.loads(model.metadata_props[0].value)
+    for later in ("description", "measure"):
+        del held["contract"][later], held["digests"][later]
+    model.metadata_props[0].value = json.dumps(held)
+    onnx.save(model, str(tmp_path / "older.onnx"))
+    policy = load_policy(tmp_path / "older.onnx")
+    assert policy.contract.description is None
+    assert carried(policy.contract) == load_fish("pulley-fish-pool")
+    assert json.loads(as_text(policy.contract)) == held
 
 
 def test_an_older_policy_of_ones_own_fish_asks_for_its_file(own):

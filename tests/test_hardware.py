@@ -15,7 +15,9 @@ from tailbeat.fish.description import Hardware
 from tailbeat.fish.first_draft import new_fish
 from tailbeat.fish.proportions import Given
 from tailbeat.fish.store import digest, fish_path, hardware_of, load_fish, with_values
+from tailbeat.link.datagrams import make_key
 from tailbeat.robot import doctor_devices
+from tailbeat.robot.doctor_devices import check_before_driving
 from tailbeat.robot.findings import OK, WARN
 from tailbeat.robot.fits import check_same_body
 from tailbeat.robot.safety import HOLDS, STOPS, Health, SafetyLimits, first_broken, limits_for
@@ -126,3 +128,49 @@ def test_a_sketch_carries_its_servo_and_a_stranger_s_does_not(tmp_path):
     made = load_fish(tmp_path / "a.toml").hardware
     assert made == own(profiles()["xl330"])
     assert profiles()["sts3215"].hardware() is None
+
+
+# ---- before it moves ----------------------------------------------------------------------------
+
+REFUSED = {
+    "drive mode": (10, 1, "servo drive mode is 1: reversed"),
+    "shutdown": (63, 0, "servo shutdown is 0b0: overload does not turn torque off"),
+    "supply": (144, 91, "servo supply is 9.1 V"),
+    "hardware error": (70, 0b100000, "servo hardware error is overload"),
+}
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_the_doctor_calls_bad_is_refused_before_anything_moves(name):
+    address, value, said = REFUSED[name]
+    with servo_bench() as bench:
+        bench.device.put(address, value)
+        servo = connect(bench.path, XW430, deadline=PATIENT)
+        with pytest.raises(BadInput, match=said):
+            check_before_driving(bench.path, servo, XW430)
+        assert not bench.on
+        servo.close()
+
+
+@pytest.mark.realtime
+def test_what_arming_mends_is_not_refused():
+    with servo_bench() as bench:
+        bench.device.put(52, 2100)
+        bench.device.put(11, 16)
+        servo = connect(bench.path, XW430, deadline=PATIENT)
+        check_before_driving(bench.path, servo, XW430)
+        servo.close()
+
+
+@pytest.mark.realtime
+def test_a_drive_on_a_reversed_servo_ends_with_a_sentence(tmp_path):
+    make_key(tmp_path / "fish.key")
+    with servo_bench() as bench:
+        bench.device.put(10, 1)
+        said = complaint(
+            "drive", "pulley-fish-pool-generator", "--servo", bench.path, "--imu", bench.path,
+            "--listen", "127.0.0.1:0", "--station", "127.0.0.1:9", "--key", tmp_path / "fish.key",
+            "--log", tmp_path / "a.mcap",
+        )  # fmt: skip
+        assert "servo drive mode is 1: reversed" in said and not bench.on

@@ -17,6 +17,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
+from tailbeat.control import policy_checks as checks
 from tailbeat.control.actions import (
     ActionSpace,
     Direct,
@@ -24,17 +25,16 @@ from tailbeat.control.actions import (
     Generator,
     Turning,
     check_space,
-    size,
 )
 from tailbeat.control.measure import PAPER, Measure
-from tailbeat.control.observation import TABLE, Entry, table
+from tailbeat.control.network_file import check_network
+from tailbeat.control.observation import Entry
 from tailbeat.files import BadInput, leaves
 
 Single = NDArray[np.float32]
 VERSION = 1
 LATER = {"description", "measure"}  # fields that older files lack
 KEY = "tailbeat"  # of the file's metadata
-CLOSE = 1e-5  # golden actions agree to this on any machine; 1e-6 was measured here
 SPACES = {"generator": Generator, "direct": Direct, "filtered": Filtered, "turning": Turning}
 
 
@@ -125,6 +125,7 @@ def load_policy(name_or_path: str | Path) -> Policy:
     field's digest, the observation table, and the golden pairs. Raises BadInput that names what is
     wrong."""
     path = policy_path(name_or_path)
+    check_network(path)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # errors are reported below
@@ -140,7 +141,7 @@ def load_policy(name_or_path: str | Path) -> Policy:
             f"{path}: an ONNX file without a contract; give a policy that tailbeat exported."
         )
     policy = Policy(_contract(path, text), session)
-    _check_golden(path, policy)
+    checks.check_golden(path, session, policy.contract.golden, policy.contract.actions)
     return policy
 
 
@@ -149,6 +150,8 @@ def _contract(path: Path, text: str) -> Contract:
         held = json.loads(text)
         content, digests = held["contract"], held["digests"]
         version = content["version"]
+        if not isinstance(digests, dict):
+            raise TypeError("digests are not a table")
     except (ValueError, KeyError, TypeError) as error:
         raise BadInput(f"{path}: its contract cannot be read; export the policy again.") from error
     if version != VERSION:
@@ -165,69 +168,28 @@ def _contract(path: Path, text: str) -> Contract:
         raise BadInput(
             f"{path}: {', '.join(changed)} changed after the policy was exported; export it again."
         )
-    content["observation"] = tuple(Entry(**entry) for entry in content["observation"])
-    content["actions"] = SPACES[content["actions"]["kind"]](**content["actions"])
-    content["band"] = tuple(content["band"])
-    content["golden"] = tuple(tuple(side) for side in content["golden"])
-    content["measure"] = _measure(path, content.get("measure", {}))
-    contract = Contract(**content)
-    check_space(contract.actions)
-    _check_observation(path, contract)
+    content["measure"] = checks.measure_from(path, content.get("measure", {}))
+    try:
+        contract = _built(content)
+        check_space(contract.actions)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise BadInput(
+            f"{path}: a field of its contract is not what it should be ({error!r}); export it"
+            f" again."
+        ) from None
+    checks.check_times(path, contract.band, contract.period)
+    checks.check_pairs(path, contract.golden, contract.actions)
+    checks.check_observation(path, contract.observation, contract.measure)
     return contract
 
 
-def _measure(path: Path, held: Any) -> Measure:
-    """The measure in a contract. Raises BadInput."""
-    numbers = held if isinstance(held, dict) else {"measure": held}
-    wrong = set(numbers) ^ set(vars(PAPER)) if numbers else set()
-    bad = [k for k, ratio in numbers.items() if not (_is_number(ratio) and 0 < ratio < 1000)]
-    if wrong or bad:
-        raise BadInput(
-            f"{path}: measure has missing, unknown or impossible ratios {sorted(wrong) or bad};"
-            f" export the policy again."
-        )
-    return Measure(**held)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _check_observation(path: Path, contract: Contract) -> None:
-    """Refuse a table of observations that is not the one of this package."""
-    if len(contract.observation) != len(TABLE):
-        raise BadInput(
-            f"{path}: {len(contract.observation)} observations; this tailbeat makes {len(TABLE)}."
-            f" Use the tailbeat that exported it."
-        )
-    own = table(contract.measure)
-    for row, (theirs, ours) in enumerate(zip(contract.observation, own, strict=True)):
-        if theirs != ours:
-            raise BadInput(
-                f"{path}: observation {row} is {theirs}; this tailbeat makes {ours}. Use the"
-                f" tailbeat that exported it."
-            )
-
-
-def _check_golden(path: Path, policy: Policy) -> None:
-    seen, wanted = (np.array(side, dtype=np.float32) for side in policy.contract.golden)
-    inputs = policy.session.get_inputs()
-    if [one.name for one in inputs] != ["observation"] or inputs[0].shape[-1] != len(TABLE):
-        raise BadInput(
-            f"{path}: the network does not take {len(TABLE)} observations; export it again."
-        )
-    answer = decide(policy, seen)
-    if answer.shape != (len(seen), size(policy.contract.actions)):
-        raise BadInput(
-            f"{path}: the network gives {answer.shape[-1]} numbers; its action space takes"
-            f" {size(policy.contract.actions)}; export it again."
-        )
-    worst = float(np.abs(answer - wanted).max())
-    if not worst <= CLOSE:
-        raise BadInput(
-            f"{path}: golden actions are off by {worst:.2g}, allowed is {CLOSE:g}: the network is"
-            f" not the one that was exported; export it again."
-        )
+def _built(content: dict[str, Any]) -> Contract:
+    content["observation"] = tuple(Entry(**entry) for entry in content["observation"])
+    content["actions"] = SPACES[content["actions"]["kind"]](**content["actions"])
+    low, high = map(float, content["band"])
+    content["band"] = (low, high)
+    content["golden"] = tuple(tuple(side) for side in content["golden"])
+    return Contract(**content)
 
 
 def measure_in(name_or_path: str | None) -> Measure:

@@ -13,7 +13,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Hardware
 from tailbeat.robot import imu as imus
 from tailbeat.robot import servo as servos
-from tailbeat.robot.findings import Finding, finding
+from tailbeat.robot.findings import BAD, Finding, finding
 from tailbeat.robot.imu import Imu, ImuFault
 from tailbeat.robot.safety import SafetyLimits, limits_for
 from tailbeat.robot.servo import Servo, ServoFault
@@ -22,6 +22,7 @@ REVERSED, OVERLOAD = 0b1, 0b100000  # bits of drive mode and shutdown
 BAUDS = (57_600, 115_200, 2_000_000, 3_000_000, 4_000_000, 9_600)  # besides 1,000,000
 FIRMWARE = 42  # older firmware of the X series was not checked
 READS = 50
+MENDED = {"servo torque", "servo limits"}  # by arming
 
 # ---- ports --------------------------------------------------------------------------------------
 
@@ -89,6 +90,20 @@ def check_servo(servo: Servo, hardware: Hardware) -> list[Finding]:
         return [*condition, *_settings(servo), _gain(servo, hardware), _reading_time(servo)]
     except ServoFault as fault:
         return [finding("servo", str(fault), bad=True)]
+
+
+def check_before_driving(path: str, servo: Servo, hardware: Hardware) -> None:
+    """Raises BadInput for what makes a drive wrong or dangerous and arming does not mend: a servo
+    that turns the other way, reports an error, has a bad supply, or does not shut down under
+    overload."""
+    try:
+        found = [*_condition(servo, limits_for(hardware)), *_settings(servo)]
+    except ServoFault as fault:
+        raise BadInput(f"{path}: {fault}; run `tailbeat doctor`.") from None
+    bad = [one for one in found if one.verdict == BAD and one.name not in MENDED]
+    if bad:
+        told = "; ".join(f"{one.name} is {one.found}: {one.do}" for one in bad)
+        raise BadInput(f"{path}: {told}.")
 
 
 def _condition(servo: Servo, limits: SafetyLimits) -> list[Finding]:

@@ -32,7 +32,9 @@ def carried(contract: Contract) -> Fish:
     """The fish inside a policy; for an older policy, the shipped fish of its name. Raises BadInput
     if there is neither."""
     if contract.description is not None:
-        return fish_of(contract.description)
+        inside = fish_of(contract.description)
+        check_fits(contract, inside.name, digest(inside), inside.band, PERIOD)
+        return inside
     if contract.fish not in shipped():
         raise BadInput(
             f"policy: it was trained on {contract.fish}, which is not shipped, and does not carry"

@@ -23,6 +23,7 @@ from tailbeat.link.status import State
 from tailbeat.robot import imu, safety, servo, systemd, timing, watchdog
 from tailbeat.robot import log as log_file
 from tailbeat.robot.devices import Devices
+from tailbeat.robot.doctor_devices import check_before_driving
 from tailbeat.robot.fits import carried, check_driven
 from tailbeat.robot.loop import Loop
 from tailbeat.robot.ports import Ports
@@ -103,6 +104,7 @@ def _open_devices(config: DriveConfig, key: bytes, hardware: Hardware) -> Iterat
     ports, gyro = config.ports, None
     motor = servo.connect(ports.servo, hardware)
     try:
+        check_before_driving(ports.servo, motor, hardware)
         gyro = imu.connect(ports.imu)
         _prepare(gyro, ports.imu)
         receiver = link.Receiver(key)  # the station sends the pool's size

@@ -1,0 +1,117 @@
+"""Checks of a policy's contract and network when it is loaded: each refuses with one sentence."""
+
+import math
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from tailbeat.control.actions import PERIOD, ActionSpace, size
+from tailbeat.control.measure import PAPER, Measure
+from tailbeat.control.observation import TABLE, Entry, table
+from tailbeat.files import BadInput
+
+Single = NDArray[np.float32]
+Pairs = tuple[Sequence[list[float]], ...]
+CLOSE = 1e-5  # golden actions agree to this on any machine; 1e-6 was measured here
+PATIENCE = 5.0  # s for the first answers of a network
+
+
+def measure_from(path: Path, held: Any) -> Measure:
+    """The measure in a contract. Raises BadInput."""
+    numbers = held if isinstance(held, dict) else {"measure": held}
+    wrong = set(numbers) ^ set(vars(PAPER)) if numbers else set()
+    bad = [k for k, ratio in numbers.items() if not (_is_number(ratio) and 0 < ratio < 1000)]
+    if wrong or bad:
+        raise BadInput(
+            f"{path}: measure has missing, unknown or impossible ratios {sorted(wrong) or bad};"
+            f" export the policy again."
+        )
+    return Measure(**held)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def check_times(path: Path, band: tuple[float, float], period: float) -> None:
+    """Refuse a band [Hz] or a period [s] that no training of this package has."""
+    low, high = band
+    if not 0 <= low < high < math.inf:
+        raise BadInput(f"{path}: band is {low:g} to {high:g} Hz; export the policy again.")
+    if period != PERIOD:
+        raise BadInput(
+            f"{path}: its period is {period} s; this tailbeat decides every {PERIOD:g} s."
+        )
+
+
+def check_pairs(path: Path, golden: Pairs, space: ActionSpace) -> None:
+    """Refuse golden pairs that are not as many observations as actions, of the right sizes."""
+    rows = (len(TABLE), size(space))
+    paired = len(golden) == 2 and len(golden[0]) == len(golden[1]) > 0
+    if not paired or any({len(row) for row in golden[i]} != {rows[i]} for i in (0, 1)):
+        raise BadInput(
+            f"{path}: its golden pairs are not {rows[0]} observations and {rows[1]} actions each;"
+            f" export the policy again."
+        )
+
+
+def check_observation(path: Path, observation: Sequence[Entry], measure: Measure) -> None:
+    """Refuse a table of observations that is not the one of this package."""
+    if len(observation) != len(TABLE):
+        raise BadInput(
+            f"{path}: {len(observation)} observations; this tailbeat makes {len(TABLE)}."
+            f" Use the tailbeat that exported it."
+        )
+    for row, (theirs, ours) in enumerate(zip(observation, table(measure), strict=True)):
+        if theirs != ours:
+            raise BadInput(
+                f"{path}: observation {row} is {theirs}; this tailbeat makes {ours}. Use the"
+                f" tailbeat that exported it."
+            )
+
+
+def check_golden(
+    path: Path, session: onnxruntime.InferenceSession, golden: Pairs, space: ActionSpace
+) -> None:
+    """Refuse a network that does not give the golden actions for the golden observations."""
+    seen, wanted = (np.array(side, dtype=np.float32) for side in golden)
+    inputs = session.get_inputs()
+    if [one.name for one in inputs] != ["observation"] or inputs[0].shape[-1] != len(TABLE):
+        raise BadInput(
+            f"{path}: the network does not take {len(TABLE)} observations; export it again."
+        )
+    try:
+        answer = _timed(session, seen)
+    except Exception as error:  # onnxruntime raises a dozen kinds of its own
+        raise BadInput(
+            f"{path}: the network does not run on observations of single precision; export it"
+            f" again."
+        ) from error
+    if answer.shape != (len(seen), size(space)):
+        raise BadInput(
+            f"{path}: the network gives {answer.shape[-1]} numbers; its action space takes"
+            f" {size(space)}; export it again."
+        )
+    worst = float(np.abs(answer - wanted).max())
+    if not worst <= CLOSE:
+        raise BadInput(
+            f"{path}: golden actions are off by {worst:.2g}, allowed is {CLOSE:g}: the network is"
+            f" not the one that was exported; export it again."
+        )
+
+
+def _timed(session: onnxruntime.InferenceSession, seen: Single) -> Single:
+    """The network's answer, given up after `PATIENCE`."""
+    options = onnxruntime.RunOptions()
+    timer = threading.Timer(PATIENCE, lambda: setattr(options, "terminate", True))
+    timer.start()
+    try:
+        answer: Single = session.run(None, {"observation": seen}, options)[0]
+    finally:
+        timer.cancel()
+    return answer
