@@ -1,11 +1,17 @@
 """The command `tailbeat`: its entry point, its options that take lists, its exit codes."""
 
+import errno
 import sys
 from typing import Any
 
 from tailbeat.cli.renamed import refuse_old_names
 from tailbeat.files import EXTRA_OF, BadInput, missing
 
+# Errors of a path that a user gave: too long, no permission, a folder, a full or read-only disk.
+OF_PATHS = {
+    errno.ENAMETOOLONG, errno.EACCES, errno.EISDIR, errno.ENOTDIR, errno.ENOSPC, errno.EROFS,
+    errno.ELOOP,
+}  # fmt: skip
 INTERRUPTED = 130  # exit code of a verb that Ctrl-C ended
 
 # Options that take several values, with their verbs. Of other verbs, `--servo` is one port.
@@ -71,6 +77,12 @@ def main() -> None:
         code = _complain(f"this verb needs {missing(error.name)}", 2)
     except KeyboardInterrupt:
         code = _say_interrupted(sys.argv[1:])
+    except OSError as error:
+        if error.errno not in OF_PATHS or not error.filename:
+            raise
+        code = _complain(f"{error.filename}: {error.strerror}; choose another path.", 2)
+    except RecursionError:
+        code = _complain("a file is nested too deeply to be read; give one of this package.", 2)
     sys.exit(code)
 
 

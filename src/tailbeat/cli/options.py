@@ -7,7 +7,7 @@ import typer
 
 SHIPPED = "pulley-fish-pool-generator"  # the policy that is taken by default
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
-SeedOption = Annotated[int, typer.Option("--seed", help="Seed of all random numbers.")]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]
 FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]
 PoolFish = Annotated[
     str,

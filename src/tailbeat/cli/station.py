@@ -49,7 +49,7 @@ def station(
         int, typer.Option("--tour", help="Number of random targets to lead the fish to.")
     ] = 0,
     begin: TourBegin = None,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the random targets.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random targets.")] = 0,
     policy: TourPolicy = None,
     json: TourJson = None,
     replay: ReplayOption = None,

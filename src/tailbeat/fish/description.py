@@ -355,6 +355,12 @@ def _geometry_errors(fish: Fish) -> list[str]:
     found = []
     if any(b >= a for a, b in pairwise(hinges)):
         found.append("hinges must run from the head to the fin: each hinge's x below the last")
+    bodies = {"head": fish.head} | {f"link {i}": link for i, link in enumerate(fish.tail.links)}
+    found += [
+        f"{name} has no mass; give its parts their masses"
+        for name, body in bodies.items()
+        if body.inertial is None and sum(part.mass for part in body.parts) <= 0
+    ]
     if (own := fish.hardware) and not own.supply_range[0] <= own.supply <= own.supply_range[1]:
         low, high = own.supply_range
         found.append(f"hardware.supply is {own.supply:g} V; the servo takes {low:g} to {high:g} V")

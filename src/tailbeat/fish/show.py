@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import BadInput, refuse_existing, write_json
 from tailbeat.fish import surge
 from tailbeat.fish.check import check
 from tailbeat.fish.check_rows import check_tables
@@ -19,6 +19,7 @@ from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import Options, Twin, compile_twin
 
 Array = NDArray[np.float64]
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 TOLERANCE = 0.01  # relative difference between stated and compiled k_eff that draws a warning
 
 
@@ -227,6 +228,8 @@ def show(fish: str, picture: Path | None, viewer: bool, json: Path | None) -> Sh
     overwritten). `json` takes the tables. Raises BadInput if `picture` or `json` exists."""
     described = load_fish(fish)
     target = picture or Path("runs") / f"{described.name}.png"
+    if target.suffix.lower() not in PICTURES:
+        raise BadInput(f"--picture {target}: allowed are {', '.join(PICTURES)}.")
     for path in filter(None, (picture, json)):
         refuse_existing(path)
     found = tables(described)

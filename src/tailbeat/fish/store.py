@@ -38,7 +38,7 @@ def load_fish(name_or_path: str | Path) -> Fish:
     """Read a fish by a shipped name or from a file. Raises BadInput that names file and field."""
     path = fish_path(name_or_path)
     try:
-        return Fish.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        return Fish.model_validate(tomllib.loads(path.read_text(encoding="utf-8-sig")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise BadInput(f"{path}: not valid TOML ({error}); correct that line.") from None
     except ValidationError as error:
@@ -146,7 +146,7 @@ def write_identified(
     written first, line by line, as comments. Raises BadInput if `target` exists and `overwrite` is
     false.
     """
-    document = tomlkit.parse(fish_path(source).read_text(encoding="utf-8"))
+    document = tomlkit.parse(fish_path(source).read_text(encoding="utf-8-sig"))
     for path, entry in values.items():
         *stem, leaf = path.split(".")
         node: Any = document

@@ -30,6 +30,9 @@ UNITS: dict[str, dict[str, float]] = {
 }
 
 
+LARGEST = 1e10  # in SI, of any number of a fish: beyond, squares of products overflow
+
+
 def typed(text: str, dimension: str) -> float:
     """A quantity as typed on a command line, in SI: "280mm", "280 mm", or "0.28" for the SI unit.
     Raises ValueError that says what is allowed."""
@@ -50,7 +53,7 @@ def _to_si(raw: Any, dimension: str) -> Any:
         return _from_text(raw, dimension)
     if isinstance(raw, dict):
         return _from_table(raw, dimension)
-    return raw
+    return _scaled(raw, 1.0)
 
 
 def _from_text(text: str, dimension: str) -> Any:
@@ -93,6 +96,8 @@ def _scaled(value: Any, factor: float) -> Any:
         return [_scaled(item, factor) for item in value]
     if isinstance(value, bool) or not isinstance(value, int | float):
         return value
+    if abs(value * factor) > LARGEST:
+        raise ValueError(f"{value:g} is beyond {LARGEST:g} in SI; check its unit")
     return value * factor
 
 
