@@ -26,10 +26,7 @@ def train(
     out: Annotated[Path, typer.Option("--out", help="Folder of the run.")],
     actions: Annotated[
         str | None,
-        typer.Option(
-            help="Action space: generator, direct or filtered of a pulley, turning of a crank;"
-            " default: the first."
-        ),
+        typer.Option(help="generator, direct or filtered; of a crank turning. Default: the first."),
     ] = None,
     recipe: Annotated[str, typer.Option(help="Recipe: quick, paper or smoke.")] = "quick",
     seed: SeedOption = 0,
