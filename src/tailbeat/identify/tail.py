@@ -30,6 +30,7 @@ from tailbeat.recording import Recording
 Array = NDArray[np.float64]
 DIFFERENT = 0.1  # fraction by which two recordings' stiffnesses may differ, chosen
 UNITS = {"k": "N m/rad", "i": "kg m^2", "mode": "kg m^2 s^2", "bend": "N m/rad^3"}
+ALWAYS = ("k", "i")  # of these terms
 SAME_FREQUENCY = 0.05  # relative distance below which two conditions count as one frequency
 
 
@@ -111,9 +112,9 @@ def _stiffness(
         terms["bend"] = strokes**2
     if len(found) > len(terms):
         values, _ = _named(terms, real, deviation)
-        terms = {name: terms[name] for name in terms if name in "ki" or values[name].above_zero}
+        terms = {name: terms[name] for name in terms if name in ALWAYS or values[name].above_zero}
     else:
-        terms = {name: terms[name] for name in "ki"}
+        terms = {name: terms[name] for name in ALWAYS}
     values, spare = _named(terms, real, deviation)
     return (values["k"], values["i"], values.get("mode"), values.get("bend")), spare
 
