@@ -121,7 +121,7 @@ def test_the_maker_s_library_pings_reads_writes_and_reboots_the_emulator(bench, 
         """On a busy machine even that is too short: it asks again."""
         for _ in range(20):
             time.sleep(0.05)  # a late reply to the last try would be taken for this one's
-            port.ser.reset_input_buffer()
+            port.ser.reset_input_buffer()  # codespell:ignore ser
             try:
                 answer = call(port, *words)
             except IndexError:  # it did
