@@ -1,5 +1,7 @@
 """The robot's decisions are the environment's, to the bit."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 
@@ -19,11 +21,12 @@ FISH = load_fish("pulley-fish-pool")
 def test_a_swim_recorded_in_the_environment_is_replayed_to_the_bit(name, monkeypatch):
     """Noise, drops and delays on: the readings of 500 steps give the same 500 setpoints."""
     policy = load_policy(POLICIES[name])
-    world = World(FISH, Settings(policy.contract.actions), [5])
+    contract = policy.contract
+    world = World(FISH, Settings(contract.actions, measure=contract.measure), [5])
     kept, observe_ = [], world._observe
 
     def keep(readings):
-        kept.append(readings)
+        kept.append(deepcopy(readings))  # some are views that the next step writes to
         return observe_(readings)
 
     monkeypatch.setattr(world, "_observe", keep)

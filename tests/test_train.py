@@ -571,7 +571,7 @@ def test_ctrl_c_leaves_a_checkpoint_and_a_policy(tmp_path):
     assert process.wait(60) == 0
     assert load_policy(out / "policy.onnx").contract.training["recipe"] == "smoke"
     assert quick().stages == STAGES
-    assert config.ACTIONS == ("generator", "direct", "filtered")
+    assert config.ACTIONS == ("generator", "direct", "filtered", "turning")
 
 
 def test_networks_that_leave_the_finite_end_the_run_and_keep_the_checkpoint(run):
