@@ -194,12 +194,13 @@ def export(
     """Convert a drive's log to a recording that identification reads. A log that was cut off is
     read up to its end. Exit code 1 if the file is damaged: what is whole is written."""
     from tailbeat.robot.log_export import export as export_log
+    from tailbeat.robot.log_export import losses
 
-    recording, lacks = export_log(log, out)
-    for sentence in lacks:
+    recording, swim = export_log(log, out)
+    for sentence in losses(swim):
         output.say(f"warning: {sentence}")
     output.say(f"wrote {out}: {recording.time.size} rows")
-    if any("damaged" in sentence for sentence in lacks):
+    if swim.damaged:
         raise typer.Exit(1)
 
 

@@ -158,7 +158,7 @@ class Dynamixel:
         """Report a supply or a temperature beyond its limits."""
         if 0 < self.faults.dip_until < self.now:
             self.faults.dip_until = 0.0
-            self.put(144, 120)
+            self.put(144, self.table.factory_value(144))
         if not self.get(34) <= self.get(144) <= self.get(32):
             self.fail(VOLTAGE)
         if self.get(146) >= self.get(31):

@@ -64,9 +64,13 @@ class Table:
 
     def factory(self, first: int, kept: frozenset[int] = frozenset()) -> None:
         """Write factory values from address `first` on, but for registers that are `kept`."""
-        for address, register in REGISTERS.items():
+        for address in REGISTERS:
             if address >= first and address not in kept:
-                self.put(address, self.own.get(address, register.factory))
+                self.put(address, self.factory_value(address))
+
+    def factory_value(self, address: int) -> int:
+        """What a register holds from the factory, or of the fish's own servo."""
+        return self.own.get(address, REGISTERS[address].factory)
 
     def get(self, address: int, signed: bool = False) -> int:
         """Read a register."""

@@ -4,6 +4,7 @@ does not install polars.
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,11 @@ GAPS = 5  # of which a sentence tells the times
 def as_recording(path: Path) -> Recording:
     """Convert a log to a recording that `identify` reads: the rows that have all of `COLUMNS`.
     Raises BadInput."""
-    whole = [row for row in read_rows(path) if all(row.get(c) is not None for c in COLUMNS)]
+    return _recording(path, read_rows(path))
+
+
+def _recording(path: Path, rows: list[dict[str, Any]]) -> Recording:
+    whole = [row for row in rows if all(row.get(c) is not None for c in COLUMNS)]
     if len(whole) < 2:
         raise BadInput(f"{path}: {len(whole)} complete rows; a recording needs at least 2.")
     time = np.array([row["time_s"] for row in whole])
@@ -25,13 +30,13 @@ def as_recording(path: Path) -> Recording:
     return Recording(path.stem, time - time[0], columns, {"source": "tailbeat drive"})
 
 
-def export(log: Path, out: Path) -> tuple[Recording, list[str]]:
-    """Write a log as a recording, CSV or Parquet; returns it, and what the log lacks, a sentence
-    each. Raises BadInput."""
+def export(log: Path, out: Path) -> tuple[Recording, Swim]:
+    """Write a log as a recording, CSV or Parquet; returns it, and the log. Raises BadInput."""
     refuse_existing(out)
-    recording = replace(as_recording(log), name=out.stem)
+    swim = read_log(log)
+    recording = replace(_recording(log, swim.rows), name=out.stem)
     write_recording(recording, out)
-    return recording, losses(read_log(log))
+    return recording, swim
 
 
 def losses(swim: Swim) -> list[str]:
