@@ -43,7 +43,7 @@ class OrdinaryFish(MujocoEnv):
         self.generator = act.Generator(*limits)
         self.tail = act.reset(self.generator, 1)
         self.commands, self.frames = np.zeros((1, 3, 2)), np.zeros((1, 3, 6))
-        super().__init__(path, substeps, observation_space())
+        super().__init__(path, substeps, observation_space(Settings()))
         self.action_space = action_space(6)
 
     def step(self, action: Any) -> Any:

@@ -42,7 +42,8 @@ def latency(
     with temporary() as folder:
         log = Path(folder) / "latency.mcap"
         with own_devices(fish, seed) as (ports, key):
-            told = drive(DriveConfig(policy, ports, key, log, seconds=MINUTE * minutes), say, each)
+            config = DriveConfig(policy, ports, key, log, seconds=MINUTE * minutes, fish=fish)
+            told = drive(config, say, each)
         rows = read_rows(log)
     late = 1e3 * np.array([row["late_s"] for row in rows])
     tenth = max(late.size // 10, 1)

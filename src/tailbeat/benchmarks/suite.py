@@ -1,4 +1,4 @@
-"""All benchmarks of this machine: step, environment, updates, camera."""
+"""All benchmarks of this machine: step, environment, updates, camera, control loop."""
 
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -10,6 +10,7 @@ from tailbeat.benchmarks.step import PoolRow, StepRow
 if TYPE_CHECKING:  # they need extras
     from tailbeat.benchmarks.environment import EnvironmentRow, PeerRow
     from tailbeat.benchmarks.physics import PhysicsRow
+    from tailbeat.benchmarks.punctuality import PunctualityRow
     from tailbeat.benchmarks.update import UpdateRow
     from tailbeat.benchmarks.vision import LiveRow, VisionRow
 
@@ -25,8 +26,8 @@ class VisionBenchmark:
 @dataclass(frozen=True)
 class Benchmark:
     """Speeds on a `machine`: step of each fish, pool, vision, ways to step the physics, environment
-    by number of fish and compared with SB3's (`peers`), training updates. Empty or None where an
-    extra is missing."""
+    by number of fish and compared with SB3's (`peers`), training updates, the robot's `loop` alone
+    and beside busy programs. Empty or None where an extra is missing."""
 
     machine: str
     fish: tuple[StepRow, ...]
@@ -36,6 +37,7 @@ class Benchmark:
     env: "tuple[EnvironmentRow, ...]" = ()
     peers: "PeerRow | None" = None
     update: "tuple[UpdateRow, ...]" = ()
+    loop: "tuple[PunctualityRow, ...]" = ()
 
 
 def benchmark(env: bool = True) -> Benchmark:
@@ -43,7 +45,15 @@ def benchmark(env: bool = True) -> Benchmark:
     found = Benchmark(step.machine(), step.step_bench(), step.pool_bench())
     if find_spec("cv2") and find_spec("pyapriltags"):
         found = _with_vision(found)
-    return _with_learning(found) if env and find_spec("stable_baselines3") else found
+    if env and find_spec("stable_baselines3"):
+        found = _with_learning(found)
+    return _with_loop(found) if find_spec("serial") and find_spec("mcap") else found
+
+
+def _with_loop(found: Benchmark) -> Benchmark:
+    from tailbeat.benchmarks.punctuality import punctuality_bench
+
+    return replace(found, loop=punctuality_bench())
 
 
 def _with_vision(found: Benchmark) -> Benchmark:

@@ -11,6 +11,9 @@ from tailbeat.cli import output, progress
 from tailbeat.cli.extras import need_camera, need_robot
 from tailbeat.cli.options import (
     SHIPPED,
+    DrivenFish,
+    ForceCamera,
+    ImuPort,
     JsonOption,
     PolicyOption,
     PoolFish,
@@ -28,6 +31,9 @@ def faults(
     fish: PoolFish = "pulley-fish",
     only: Annotated[list[str] | None, typer.Option(help="Names of faults; default: all.")] = None,
     kills: Annotated[int, typer.Option(help="How often to kill the loop, at random moments.")] = 0,
+    repeat: Annotated[
+        int, typer.Option(help="How often to make each fault; above 1, each is counted.")
+    ] = 1,
     table: Annotated[
         Path | None, typer.Option("--table", help="Markdown file to write the table to.")
     ] = None,
@@ -38,13 +44,15 @@ def faults(
     time. Exit code 1 if a fault does not lead to a safe state."""
     if kills < 0:
         raise BadInput(f"--kills {kills}: give 0 or more.")
+    if repeat < 1:
+        raise BadInput(f"--repeat {repeat}: give 1 or more.")
     for path in filter(None, (table, json)):
         refuse_existing(path)
     need_robot()
     from tailbeat.evaluate import fault_table
     from tailbeat.report.fault_table import markdown
 
-    done = fault_table.faults(policy, fish, only or [], kills, seed, output.say)
+    done = fault_table.faults(policy, fish, only or [], kills, seed, output.say, repeat)
     found = asdict(done)
     output.tables(found)
     if table is not None:
@@ -107,7 +115,7 @@ def doctor(
     policy: PolicyOption = SHIPPED,
     fish: PoolFish = "pulley-fish",
     servo: Annotated[str, typer.Option("--servo", help="Serial port of the servo.")] = "",
-    imu: Annotated[str, typer.Option("--imu", help="Serial port of the IMU.")] = "",
+    imu: ImuPort = "",
     listen: Annotated[str, typer.Option(help="host:port on which to listen for poses.")] = "",
     station: Annotated[str, typer.Option(help="host:port of the station.")] = "",
     key: Annotated[Path | None, typer.Option("--key", help="File of the shared key.")] = None,
@@ -144,7 +152,7 @@ def doctor(
     with ExitStack() as stack:
         parts = Parts(servo, imu, ends[0], ends[1], key)
         if emulated:
-            parts = Parts.of(*stack.enter_context(own_devices(fish, seed)))
+            parts = Parts.of(*stack.enter_context(own_devices(fish, seed, imu=imu)))
         found = examine(policy, fish, parts, logs, cameras)
     rows = [vars(finding) for finding in found]
     output.tables({"doctor": rows})
@@ -158,12 +166,14 @@ def unit(
     out: Annotated[Path, typer.Option("--out", help="Unit to write, .service.")],
     policy: Annotated[str, typer.Argument(help="A policy, .onnx, or a shipped one's name.")],
     servo: ServoPort,
-    imu: Annotated[str, typer.Option("--imu", help="Serial port of the IMU.")],
+    imu: ImuPort,
     listen: Annotated[str, typer.Option(help="host:port on which to listen for poses.")],
     station: Annotated[str, typer.Option(help="host:port of the station.")],
     key: Annotated[Path, typer.Option("--key", help="File of the shared key.")],
     logs: Annotated[Path, typer.Option(help="Folder of the logs; each start writes one.")],
     user: Annotated[str, typer.Option(help="User that runs the service, not root.")] = "fish",
+    fish: DrivenFish = None,
+    force_camera: ForceCamera = False,
 ) -> None:
     """Write a systemd unit that runs `tailbeat drive`, disarmed until the operator arms it."""
     from tailbeat.robot.systemd import write_unit
@@ -175,6 +185,9 @@ def unit(
     ]
     words += ["--listen", listen, "--station", station, "--key", str(key.resolve())]
     words += ["--log", str(logs.resolve())]
+    if fish is not None:
+        words += ["--fish", str(Path(fish).resolve()) if Path(fish).is_file() else fish]
+    words += ["--force-camera-yaw-rate"] if force_camera else []
     write_unit(out, user, servo, words)
     output.say(f"wrote {out}; copy it to /etc/systemd/system, then systemctl daemon-reload")
 

@@ -8,7 +8,7 @@ import typer
 from tailbeat.cli import output, results
 from tailbeat.cli.extras import need_camera, need_robot
 from tailbeat.cli.options import JsonOption, PageOption, PoolFish, SeedOption, TargetOption
-from tailbeat.files import BadInput, write_json
+from tailbeat.files import BadInput, refuse_existing, write_json
 from tailbeat.link.places import TARGET
 
 
@@ -23,6 +23,14 @@ def emulate(
     ] = None,
     fish: PoolFish = "pulley-fish",
     target: TargetOption = TARGET,
+    start: Annotated[
+        str,
+        typer.Option(
+            "--start",
+            help="Start of the fish's tag: x,y,heading [m, m, deg]. Default: the pool's middle.",
+        ),
+    ] = "",
+    imu: Annotated[str, typer.Option("--imu", help="IMU: bno055 or bno085.")] = "bno055",
     page: PageOption = "",
     seed: SeedOption = 0,
 ) -> None:
@@ -34,10 +42,11 @@ def emulate(
     from tailbeat.emulators import serve
 
     say = lambda line: print(line, flush=True)  # noqa: E731
+    devices = serve.Emulated(fish, target, seed, imu, start)
     if camera is not None:
-        serve.filmed_rig(fish, camera, target, seed, say)
+        serve.filmed_rig(devices, camera, say)
     elif key is not None:
-        serve.rig(fish, key, robot, target, page, seed, say)
+        serve.rig(devices, key, robot, page, say)
 
 
 def camera(
@@ -72,8 +81,10 @@ def benchmark(
     ] = True,
     json: JsonOption = None,
 ) -> None:
-    """Measure speed and accuracy on this machine. It measures step, pool, environment, updates and
-    camera, and compares the step with a bare engine loop."""
+    """Measure speed and accuracy on this machine. It measures step, pool, environment, updates,
+    camera and control loop, and compares the step with a bare engine loop."""
+    if json is not None:
+        refuse_existing(json)
     from tailbeat.benchmarks import suite
 
     result = suite.benchmark(env)

@@ -7,6 +7,7 @@ from typing import Any
 from tailbeat.cli.layout import Row, fitted, is_numeric, least_width
 from tailbeat.report.tables import as_cell
 
+LONGEST = 1200  # characters of a complaint; a path has some hundred
 PIPE_WIDTH = 140  # characters, where output goes to a pipe: wide enough for most tables
 
 
@@ -16,8 +17,13 @@ def say(text: str) -> None:
 
 
 def complain(text: str) -> None:
-    """Print one line to standard error, red on a terminal."""
-    line = f"tailbeat: {text}"
+    """Print one line to standard error, red on a terminal. A line's end or another control
+    character in it, as of a file's name, is shown by its code.
+    The middle of a long line, as of a damaged table's cell, is left out."""
+    shown = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
+    if len(shown) > LONGEST:
+        shown = f"{shown[: LONGEST // 2]} ... {shown[-LONGEST // 2 :]}"
+    line = f"tailbeat: {shown}"
     print(f"\033[31m{line}\033[0m" if sys.stderr.isatty() else line, file=sys.stderr, flush=True)
 
 

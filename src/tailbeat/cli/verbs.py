@@ -118,12 +118,7 @@ PANELS = {
             "Train a policy through the stages of a recipe.",
             "--fish mine.toml --actions generator --out runs/mine",
         ),
-        Verb(
-            "policy show",
-            "learn:show",
-            "Print a policy's contract.",
-            "runs/mine/policy.onnx",
-        ),
+        Verb("policy show", "learn:show", "Print a policy's contract.", "runs/mine/policy.onnx"),
         Verb(
             "policy diff",
             "learn:diff",
@@ -135,6 +130,12 @@ PANELS = {
             "learn:try_",
             "Swim a policy to seeded targets in its twin or in the virtual pool.",
             "runs/mine/policy.onnx --fish mine.toml --targets 200",
+        ),
+        Verb(
+            "policy expect",
+            "learn:expect",
+            "Write into a policy's file what its swims look like to the robot's own sensors.",
+            "runs/mine/policy.onnx",
         ),
     ),
     "Evaluate": (
@@ -162,6 +163,12 @@ PANELS = {
             "evaluate:speed_map",
             "Compare the speeds of twin and virtual pool over frequency and stroke.",
             "--fish mine.toml --out speeds.png",
+        ),
+        Verb(
+            "limits",
+            "limits:limits",
+            "Measure how slowly and tightly a fish can be steered, and how it stops.",
+            "--fish pulley-fish --twin mine.toml --out limits",
         ),
         Verb(
             "report",
@@ -210,6 +217,12 @@ PANELS = {
     ),
     "Check": (
         Verb(
+            "prepare",
+            "prepare:prepare",
+            "Set a servo up for a fish: find it, compare its registers, write those that differ.",
+            "--servo /dev/ttyUSB0 --fish my-fish.toml",
+        ),
+        Verb(
             "doctor",
             "check:doctor",
             "List what prevents the fish from swimming, and what to do about it.",
@@ -241,12 +254,7 @@ PANELS = {
             " --listen 192.168.4.2:5151 --station 192.168.4.1:5150 --key fish.key"
             " --logs /var/log/fish",
         ),
-        Verb(
-            "key",
-            "check:key",
-            "Write the key that station and fish share.",
-            "fish.key",
-        ),
+        Verb("key", "check:key", "Write the key that station and fish share.", "fish.key"),
         Verb(
             "export",
             "check:export",

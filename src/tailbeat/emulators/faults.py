@@ -21,6 +21,7 @@ import numpy as np
 from tailbeat.emulators import rig as bench
 from tailbeat.emulators.line import close_line, open_line
 from tailbeat.emulators.rig import Rig
+from tailbeat.emulators.servo import Dynamixel
 from tailbeat.fish.description import Fish
 from tailbeat.robot import timing
 
@@ -86,6 +87,12 @@ class Network:
         self.socket.close()
 
 
+def _servo(rig: Rig) -> Dynamixel:
+    """The rig's servo; the faults are those of a Dynamixel."""
+    assert isinstance(rig.servo, Dynamixel)
+    return rig.servo
+
+
 def _unplug(rig: Rig, index: int) -> None:
     """End a line and open a new one, to which no link points yet."""
     lines = list(rig.lines)
@@ -100,7 +107,7 @@ def _network(rig: Rig, **bad: Any) -> None:
 
 
 def _restart(rig: Rig) -> None:
-    rig.servo.reboot()
+    _servo(rig).reboot()
 
 
 def _spike(rig: Rig) -> None:
@@ -124,12 +131,34 @@ def _stand_still(rig: Rig) -> None:
 
 
 def _stick(rig: Rig) -> None:
-    rig.servo.faults.frozen = True
+    _servo(rig).faults.frozen = True
 
 
 def _dip(rig: Rig) -> None:
-    rig.servo.put(144, 97)
-    rig.servo.faults.dip_until = rig.servo.now + 0.02
+    _servo(rig).put(144, 97)
+    _servo(rig).faults.dip_until = _servo(rig).now + 0.02
+
+
+def _broken(rig: Rig, **bad: Any) -> None:
+    for name, value in bad.items():
+        setattr(rig.shaft.broken, name, value)
+
+
+def _tracker(rig: Rig, **bad: Any) -> None:
+    for name, value in bad.items():
+        setattr(rig.station.faults, name, value)
+
+
+def _upside_down(rig: Rig) -> None:
+    rig.imu_up = -1
+
+
+def _biased(rig: Rig) -> None:
+    rig.imu_bias, rig.imu_biased = 0.5, time.monotonic()
+
+
+def _askew(rig: Rig) -> None:
+    rig.station.shifted = (0.0, 0.0, np.pi / 2)
 
 
 FAULTS: dict[str, Callable[[Rig], None]] = {
@@ -146,17 +175,31 @@ FAULTS: dict[str, Callable[[Rig], None]] = {
     "imu frozen": _stand_still,
     "encoder frozen": _stick,
     "servo restarts": _restart,
-    "warm": lambda rig: rig.servo.put(146, 66),
-    "hot": lambda rig: rig.servo.put(146, 76),
-    "overheated": lambda rig: rig.servo.fail(2),
-    "voltage sags": lambda rig: rig.servo.put(144, 97),
-    "voltage fails": lambda rig: rig.servo.put(144, 90),
+    "warm": lambda rig: _servo(rig).put(146, 66),
+    "hot": lambda rig: _servo(rig).put(146, 76),
+    "overheated": lambda rig: _servo(rig).fail(2),
+    "voltage sags": lambda rig: _servo(rig).put(144, 97),
+    "voltage fails": lambda rig: _servo(rig).put(144, 90),
     "voltage dips": _dip,
-    "watchdog": lambda rig: rig.servo.trip(),
+    "watchdog": lambda rig: _servo(rig).trip(),
     "clock ahead": lambda rig: setattr(rig.station, "stepped", 5.0),
     "clock back": lambda rig: setattr(rig.station, "stepped", -5.0),
     "turned round": _turned_round,
     "elsewhere": _elsewhere,
+    "tail reversed": lambda rig: _broken(rig, reversed=True),
+    "half stroke": lambda rig: _broken(rig, stroke=0.5),
+    "horn slips": lambda rig: _broken(rig, slipping=0.5),
+    "tendon snapped": lambda rig: rig.shaft.snap(),
+    "held still": lambda rig: rig.shaft.hold(),
+    "encoder 30 %": lambda rig: setattr(rig.servo.faults, "shown", 0.3),
+    "encoder 20 %": lambda rig: setattr(rig.servo.faults, "shown", 0.2),
+    "picture mirrored": lambda rig: _tracker(rig, mirrored=True),
+    "pose frozen": lambda rig: _tracker(rig, frozen=True),
+    "target jumps": lambda rig: _tracker(rig, jumping=0.5),
+    "camera drifts": lambda rig: _tracker(rig, drifting=time.monotonic()),
+    "tag askew": _askew,
+    "imu upside down": _upside_down,
+    "imu biased": _biased,
 }
 
 
@@ -170,8 +213,8 @@ class Look:
 
 
 def _watch(rig: Rig, look: Look) -> None:
-    now, on = time.monotonic(), rig.servo.get(64)
-    near = abs(rig.servo.get(116, True) - CENTRE) <= AT_REST
+    now, on = time.monotonic(), _servo(rig).get(64)
+    near = abs(_servo(rig).get(116, True) - CENTRE) <= AT_REST
     if on:
         look.off = float("nan")
     elif np.isnan(look.off):
@@ -192,11 +235,12 @@ def _link_to(rig: Rig, folder: Path) -> None:
 def serve_broken(pipe: Connection, fish: Fish, key: bytes, folder: Path) -> None:
     """Serve rigs, one after the other, until the pipe closes.
 
-    Orders: ("new", robot) opens a rig and answers with the station's address; ("break", name)
+    Orders: ("new", robot, fault) opens a rig, with a fault unless it is "", and answers with the
+    station's address; ("break", name)
     answers with the time; ("plug",) reconnects both cables; ("look",) answers with a `Look` and
     whether torque is on; ("end",) closes the rig.
     """
-    timing.claim()
+    timing.claim(timing.BESIDE)
     warm = bench.PlantShaft(fish=fish)  # compiled once, before anyone waits for it
     warm.advance(0.0, 0.01)
     _ = warm.pose
@@ -205,6 +249,8 @@ def serve_broken(pipe: Connection, fish: Fish, key: bytes, folder: Path) -> None
     pipe.send("ready")
     while (order := pipe.recv())[0] == "new":
         rig = bench.open_rig(fish, key, order[1], (1.5, 0.5))
+        if order[2]:
+            FAULTS[order[2]](rig)
         own = rig.station.sender
         own.socket = Network(own.socket, np.random.default_rng(0))  # type: ignore
         _link_to(rig, folder)
@@ -231,7 +277,7 @@ def _serve(pipe: Connection, rig: Rig, folder: Path) -> None:
                 _link_to(rig, folder)
                 pipe.send(time.monotonic())
             case ("look",):
-                pipe.send((look, bool(rig.servo.get(64))))
+                pipe.send((look, bool(_servo(rig).get(64))))
             case ("end",):
                 ended[0] = True
         return True

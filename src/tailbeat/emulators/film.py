@@ -61,8 +61,9 @@ def known_calibration(filming: Filming) -> Calibration:
     lens = Lens(optics.size, matrix, np.array([*optics.radial, *optics.tangential, 0.0]), 0.0)
     hung = Hung(optics.rotation, np.array(optics.position), 0.0)
     made = datetime.now(UTC).isoformat(timespec="seconds")
-    return Calibration(lens, hung, filming.fish, filming.target, optics.index, made,
-                       POOL, {"known": "the virtual camera's own"})  # fmt: skip
+    known = {"known": "the virtual camera's own"}
+    tags = filming.fish, filming.target
+    return Calibration(lens, hung, *tags, optics.index, made, POOL, provenance=known)
 
 
 # ---- the device ---------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from tailbeat.emulators.line import Line
 
 COUNT = 16 * 180 / math.pi  # per rad/s
 NOISE = 0.3  # deg/s rms, in counts of 16
+GRAVITY = 981  # counts of 0.01 m/s^2
 CONFIG, LAST = 0x00, 0x6A
 PAGE, MODE, TRIGGER = 0x07, 0x3D, 0x3F
 WRITABLE = {PAGE, 0x3B, MODE, 0x3E, TRIGGER, 0x40, 0x41, 0x42, *range(0x55, 0x6B)}
@@ -37,15 +38,26 @@ class Faults:
 
 @dataclass(eq=False)
 class Bno055:
-    """The sensor; its owner sets `rates` [rad/s] about its x, y, z."""
+    """The sensor; its owner sets `rates` [rad/s] about its x, y, z, or turns it with `turn`. `up`
+    is the direction that points up, in its own axes."""
 
     rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     faults: Faults = field(default_factory=Faults)
     table: bytearray = field(default_factory=lambda: _fresh())
     second: bytearray = field(default_factory=lambda: _fresh_second())
     quiet_until: float = 0.0  # while it restarts
     stream: bytearray = field(default_factory=bytearray)
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+    def turn(self, yaw: float, rate: float) -> None:
+        """The fish's yaw [rad] and yaw rate [rad/s], counter-clockwise from above."""
+        x, y, z = self.up
+        self.rates = (rate * x, rate * y, rate * z)
+
+    def speak(self, now: float) -> bytes:
+        """What it sends without a request: nothing."""
+        return b""
 
     def answer(self, data: bytes) -> bytes:
         """Bytes in, bytes out."""
@@ -81,12 +93,15 @@ class Bno055:
             return
         faults = self.faults
         spike, faults.spike = faults.spike, 0.0 if faults.spike else faults.spiking
-        for axis, rate in enumerate(self.rates):
+        for axis, (rate, up) in enumerate(zip(self.rates, self.up, strict=True)):
             count = (rate + spike) * COUNT + 16 * NOISE * self.rng.normal()
-            whole = round(count) if self.table[MODE] & 0x0F != CONFIG else 0
-            clipped = max(-32768, min(32767, whole))
-            place = 0x14 + 2 * axis
-            self.table[place : place + 2] = clipped.to_bytes(2, "little", signed=True)
+            self._put(0x14 + 2 * axis, count)
+            self._put(0x08 + 2 * axis, GRAVITY * up)
+
+    def _put(self, place: int, count: float) -> None:
+        whole = round(count) if self.table[MODE] & 0x0F != CONFIG else 0
+        clipped = max(-32768, min(32767, whole))
+        self.table[place : place + 2] = clipped.to_bytes(2, "little", signed=True)
 
     def _write(self, first: int, body: bytes) -> bytes:
         places, later = range(first, first + len(body)), bool(self.table[PAGE])
@@ -117,6 +132,13 @@ class Bno055:
             self.faults.busy -= 1
             return b"\xee\x07"
         return reply
+
+
+def direction(axis: str) -> tuple[float, float, float]:
+    """Unit vector of an axis by name, such as "-z"."""
+    sign = -1.0 if axis.startswith("-") else 1.0
+    x, y, z = (sign * (name == axis[-1]) for name in "xyz")
+    return x, y, z
 
 
 def _fresh() -> bytearray:

@@ -21,6 +21,7 @@ from tailbeat.emulators.lab import pictures
 from tailbeat.files import BadInput
 from tailbeat.link import datagrams as link
 from tailbeat.link.places import TARGET
+from tailbeat.operator.target_path import PathAsked
 from tailbeat.processes import end, start_verb, temporary
 from tailbeat.vision import calibrate as calibration
 from tailbeat.vision.tags import Board
@@ -76,12 +77,26 @@ def started(words: list[str], log: Path, heard: bool = False) -> Iterator[Part]:
             end(process)
 
 
-def bench(fish: str, folder: Path, seed: int, log: Path, stack: ExitStack) -> tuple[Part, Any]:
+@dataclass(frozen=True)
+class Chain:
+    """Who swims: the policy, the fish and the seed of the emulated devices. Host and port of the
+    page, and the folder of the log and of every process's output. `start`: pose of the tag at the
+    start, as `emulate --start` takes it; "": the pool's middle."""
+
+    policy: str
+    fish: str
+    seed: int
+    page: str
+    out: Path
+    start: str = ""
+
+
+def bench(chain: Chain, folder: Path, stack: ExitStack) -> tuple[Part, Any]:
     """Start the emulated devices with their camera; returns the process and its ports. Raises
     BadInput."""
-    words = ["emulate", "--fish", fish, "--camera", str(folder / "camera.sock")]
-    words += ["--seed", str(seed), f"--target={ASIDE}"]
-    part = stack.enter_context(started(words, log, heard=True))
+    words = ["emulate", "--fish", chain.fish, "--camera", str(folder / "camera.sock")]
+    words += ["--seed", str(chain.seed), f"--target={ASIDE}", f"--start={chain.start}"]
+    part = stack.enter_context(started(words, chain.out / "emulate.log", heard=True))
     assert part.process.stdout is not None
     ready, _, _ = select.select([part.process.stdout], [], [], START)
     line = part.process.stdout.readline() if ready else ""
@@ -90,39 +105,49 @@ def bench(fish: str, folder: Path, seed: int, log: Path, stack: ExitStack) -> tu
     return part, json.loads(line)
 
 
-def swim(
-    policy: str,
-    fish: str,
-    targets: int,
-    seed: int,
-    page: str,
-    out: Path,
-    say: Say,
-) -> None:
+def swim(chain: Chain, targets: int, say: Say) -> None:
     """Swim in real time: to `targets` drawn targets, or with 0 to targets that the operator sets,
     until Ctrl-C.
 
-    Writes the fish's log `swim.mcap`, the tour's `tour.json` and every process's output into `out`.
-    Raises BadInput if a process ends early.
+    Writes the fish's log `swim.mcap`, the tour's `tour.json` and every process's output. Raises
+    BadInput if a process ends early.
     """
+    tour = ["--tour", str(targets), "--seed", str(chain.seed)]
+    tour += ["--json", str(chain.out / "tour.json"), "--policy", chain.policy]
+    _run(chain, tour if targets else [f"--begin={TARGET}"], say)
+
+
+def follow(chain: Chain, asked: PathAsked, say: Say) -> None:
+    """Swim in real time after a target that moves by the clock.
+
+    Writes the fish's log `swim.mcap`, what the station saw, `path.json`, and every process's
+    output. Raises BadInput if a process ends early.
+    """
+    words = ["--path", asked.path, "--policy", chain.policy]
+    words += ["--json", str(chain.out / "path.json")]
+    for option in ("speed", "laps", "seconds"):
+        value = getattr(asked, option)
+        words += [] if value is None else [f"--{option}", str(value)]
+    _run(chain, words, say)
+
+
+def _run(chain: Chain, leads: list[str], say: Say) -> None:
+    """Start everything and wait for the station's end; `leads`: options with which it leads."""
     for number in (signal.SIGTERM, signal.SIGHUP):  # end the processes that we started
         signal.signal(number, signal.default_int_handler)
     with temporary() as name, ExitStack() as stack:
-        folder = Path(name)
+        folder, fish, out = Path(name), chain.fish, chain.out
         key = folder / "fish.key"
         link.make_key(key)
-        made = calibrate(folder, seed, say)
-        rig, ports = bench(fish, folder, seed, out / "emulate.log", stack)
+        made = calibrate(folder, chain.seed, say)
+        rig, ports = bench(chain, folder, stack)
         robot, station = ("{}:{}".format(*link.free_address()) for _ in range(2))
-        drive = ["drive", policy, "--servo", ports["servo"], "--imu", ports["imu"], "--fish", fish]
-        drive += ["--listen", robot, "--station", station, "--key", str(key), "--wait"]
-        drive += ["--log", str(out / "swim.mcap")]
+        drive = ["drive", chain.policy, "--servo", ports["servo"], "--imu", ports["imu"]]
+        drive += ["--fish", fish, "--listen", robot, "--station", station, "--key", str(key)]
+        drive += ["--wait", "--log", str(out / "swim.mcap")]
         watch = ["station", "--robot", robot, "--listen", station, "--key", str(key)]
         watch += ["--fish", fish, "--camera", ports["camera"], "--calibration", str(made)]
-        watch += ["--page", page]
-        tour = ["--tour", str(targets), "--seed", str(seed), "--json", str(out / "tour.json")]
-        tour += ["--policy", policy]
-        watch += tour if targets else [f"--begin={TARGET}"]
+        watch += ["--page", chain.page, *leads]
         own = stack.enter_context(started(drive, out / "drive.log"))
         above = stack.enter_context(started(watch, out / "station.log", heard=True))
         _listen(above, (rig, own), say)
@@ -147,5 +172,5 @@ def _listen(above: Part, others: tuple[Part, ...], say: Say) -> None:
         return
     for line in iter(spoken.readline, ""):
         say(line.rstrip())
-    if above.process.returncode not in (0, 1):  # 1: a tour that was not finished
+    if above.process.returncode not in (0, 1):  # 1: a tour or path was not finished
         raise BadInput(f"`station` ended ({above.process.returncode}): {above.last_words()}")

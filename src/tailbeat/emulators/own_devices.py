@@ -1,6 +1,7 @@
 """Start emulated devices as a process."""
 
 import json
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,8 +11,11 @@ from tailbeat.files import BadInput
 from tailbeat.link import datagrams as link
 from tailbeat.link.addresses import address
 from tailbeat.link.places import TARGET
-from tailbeat.processes import start_verb, temporary
+from tailbeat.processes import end, start_verb, temporary
+from tailbeat.robot.fits import NONE
 from tailbeat.robot.ports import Ports
+
+KINDS = ("bno055", "bno085")  # of emulated IMUs
 
 
 @contextmanager
@@ -20,17 +24,21 @@ def own_devices(
     seed: int,
     target: str = TARGET,
     page: str = "",
+    imu: str = "",
     say: Callable[[str], None] = print,
 ) -> Iterator[tuple[Ports, Path]]:
     """Start emulated devices and yield their ports and key; `say` gets the operator page's address.
-    Raises BadInput."""
+    `imu` is one of `KINDS`, "" for the first, or "none". Raises BadInput."""
+    if imu not in ("", NONE, *KINDS):
+        raise BadInput(f"--imu {imu}: with --emulated, allowed are {', '.join(KINDS)} and {NONE}.")
     with temporary() as folder:
         key = Path(folder) / "rig.key"
         link.make_key(key)
         listen = link.free_address()
         words = ["emulate", "--fish", fish, "--key", str(key)]
         words += ["--robot", f"{listen[0]}:{listen[1]}"]
-        words += [f"--target={target}", "--seed", str(seed), "--page", page]
+        words += [f"--target={target}", "--seed", str(seed), "--page", page, "--imu"]
+        words += [imu if imu in KINDS else KINDS[0]]
         process = start_verb(words, stdout=PIPE)
         assert process.stdout is not None
         try:
@@ -41,7 +49,7 @@ def own_devices(
             for told in said["page"]:
                 say(told)
             station = address(said["station"], "station")
-            yield Ports(said["servo"], said["imu"], listen, station), key
+            port = NONE if imu == NONE else said["imu"]
+            yield Ports(said["servo"], port, listen, station), key
         finally:
-            process.terminate()
-            process.wait(10)
+            end(process, signal.SIGTERM)

@@ -16,12 +16,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.emulators import imu_rvc
+from tailbeat.emulators.broken import DRIFT, Broken, TrackerFaults
 from tailbeat.emulators.camera import Scene
 from tailbeat.emulators.camera_process import CameraProcess
-from tailbeat.emulators.imu import Bno055
+from tailbeat.emulators.feetech import Feetech
+from tailbeat.emulators.imu import Bno055, direction
+from tailbeat.emulators.imu_rvc import Bno085
 from tailbeat.emulators.line import Line, close_line, open_line
 from tailbeat.emulators.servo import Dynamixel, Shaft, hears
 from tailbeat.env.sensors import SensorModel
+from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import outline
 from tailbeat.fish.store import hardware_of
@@ -38,6 +43,7 @@ SECOND = 1_000_000_000
 CLOCK_AHEAD, CLOCK_FAST = 37 * SECOND, 20e-6  # the station's clock relative to the fish's
 BAUD = 1_000_000
 SHOWN = 0.004  # s between two scenes for the camera
+IMUS = {"bno055": Bno055, "bno085": Bno085}
 LONGEST = 0.2  # s, most time stepped at once; a rig that was stopped does not catch up
 
 
@@ -47,6 +53,7 @@ class PlantShaft(Shaft):
 
     fish: Fish = field(kw_only=True)
     water: Water = field(default_factory=Water, kw_only=True)
+    broken: Broken = field(default_factory=Broken, kw_only=True)
 
     def __post_init__(self) -> None:
         around = [Surroundings(walls=POOL)]
@@ -59,13 +66,33 @@ class PlantShaft(Shaft):
 
     def advance(self, goal: float | None, dt: float) -> None:
         """Step the plant by `dt` [s]; without torque (`goal` None) the servo's gain is 0."""
+        broken = self.broken
         self.plant.servo["kp"][0] = 0.0 if goal is None else self.gain
+        share = (-1 if broken.reversed else 1) * broken.slipping
         self.owed += dt
         steps = int(self.owed / self.plant.dt)
         if steps:
             self.owed -= steps * self.plant.dt
-            step_plant(self.plant, self.state, np.full((1, steps), goal or 0.0), steps)
-        self.angle, self.velocity = float(self.state.q[0, 3]), float(self.state.v[0, 3])
+            turned = np.full((1, steps), share * broken.stroke * (goal or 0.0))
+            step_plant(self.plant, self.state, turned, steps)
+        self.angle = float(self.state.q[0, 3]) / share
+        self.velocity = float(self.state.v[0, 3]) / share
+
+    def put(self, tag: tuple[float, float, float]) -> None:
+        """Put the fish where its tag has this pose: x, y [m], yaw [rad]."""
+        self.state.q[0, :3] = 0.0, 0.0, tag[2]
+        ahead = self.pose[:2]
+        self.state.q[0, :2] = tag[0] - ahead[0], tag[1] - ahead[1]
+
+    def snap(self) -> None:
+        """Cut the tendons: motor and tail turn freely of each other."""
+        tendon = self.plant.chain.tendon
+        tendon["stiffness"][0] = tendon["damping"][0] = 0.0
+
+    def hold(self) -> None:
+        """Clamp the head where it is."""
+        self.state.v[0, :3] = self.state.a[0, :3] = 0.0  # a clamp keeps a velocity, however small
+        self.plant.each.held[0] = True
 
     @property
     def pose(self) -> Array:
@@ -85,6 +112,7 @@ class Station:
     due: float = 0.0
     stepped: float = 0.0  # s by which its clock was set ahead
     shifted: tuple[float, float, float] = (0.0, 0.0, 0.0)  # error of its tracker
+    faults: TrackerFaults = field(default_factory=TrackerFaults)
     ahead: deque[tuple[float, Frame]] = field(default_factory=deque)  # time to send, frame
 
     def clock(self) -> int:
@@ -120,8 +148,20 @@ class Station:
         model, rng = self.model, self.rng
         noise = rng.normal(size=3) * [model.position_noise, model.position_noise, model.yaw_noise]
         seen = rng.uniform() >= model.dropped
-        x, y, yaw = (pose + noise + self.shifted).tolist()
-        return Frame(self.clock(), (x, y, yaw) if seen else None, self.tag)
+        since = max(time.monotonic() - self.faults.drifting, 0.0)
+        x, y, yaw = (pose + noise + self.shifted + since * np.array(DRIFT)).tolist()
+        return self._faulty((x, y, yaw), seen)
+
+    def _faulty(self, pose: tuple[float, float, float], seen: bool) -> Frame:
+        """A frame, with the faults of the tracker."""
+        faults, (tx, ty) = self.faults, self.tag
+        tx, ty = (np.array([tx, ty]) + faults.jumping * self.rng.uniform(-1, 1, 2)).tolist()
+        if faults.mirrored:
+            pose, ty = (pose[0], -pose[1], -pose[2]), -ty
+        if faults.frozen:
+            pose = faults.last
+        faults.last = pose
+        return Frame(self.clock(), pose if seen else None, (tx, ty))
 
 
 @dataclass(eq=False)
@@ -153,11 +193,14 @@ class Rig:
     """Everything together; see `open_rig` and `serve`."""
 
     shaft: PlantShaft
-    servo: Dynamixel
-    imu: Bno055
+    servo: Dynamixel | Feetech
+    imu: Bno055 | Bno085
     lines: tuple[Line, Line]  # of servo and IMU
     watch: Station | Above
     began: float = field(default_factory=time.monotonic)
+    imu_up: int = 1  # -1: it is mounted upside down
+    imu_bias: float = 0.0  # rad/s
+    imu_biased: float = 0.0  # s, since when
 
     @property
     def ports(self) -> tuple[str, str]:
@@ -172,27 +215,44 @@ class Rig:
 
 
 def open_rig(
-    fish: Fish, key: bytes, robot: tuple[str, int], target: tuple[float, float], seed: int = 0
+    fish: Fish,
+    key: bytes,
+    robot: tuple[str, int],
+    target: tuple[float, float],
+    seed: int = 0,
+    imu: str = "bno055",
 ) -> Rig:
-    """Open a rig whose station sends to a robot's address; the fish starts in the pool's middle."""
+    """Open a rig whose station sends to a robot's address; the fish starts in the pool's middle.
+    `imu` is one of `IMUS`. Raises BadInput."""
     shaft = PlantShaft(fish=fish)
     made = link.bind("127.0.0.1", 0)
     station = Station(Sender(key, made, robot), target, np.random.default_rng(seed))
     station.sender.clock = station.clock
-    lines = open_line(), open_line()
-    return Rig(shaft, _servo_of(fish, shaft), Bno055(), lines, station)
+    sensor = imu_of(fish, imu)
+    return Rig(shaft, _servo_of(fish, shaft), sensor, (open_line(), open_line()), station)
 
 
-def open_filmed_rig(fish: Fish, camera: CameraProcess, target: tuple[float, float]) -> Rig:
-    """Open a rig that gives pictures instead of poses."""
-    shaft = PlantShaft(fish=fish)
-    lines = open_line(), open_line()
-    return Rig(shaft, _servo_of(fish, shaft), Bno055(), lines, Above(camera, target))
+def open_filmed_rig(
+    fish: Fish, camera: CameraProcess, target: tuple[float, float], imu: str = "bno055"
+) -> Rig:
+    """Open a rig that gives pictures instead of poses. Raises BadInput."""
+    shaft, sensor = PlantShaft(fish=fish), imu_of(fish, imu)
+    above = Above(camera, target)
+    return Rig(shaft, _servo_of(fish, shaft), sensor, (open_line(), open_line()), above)
 
 
-def _servo_of(fish: Fish, shaft: PlantShaft) -> Dynamixel:
+def imu_of(fish: Fish, kind: str) -> Bno055 | Bno085:
+    """The fish's IMU, mounted as its file says. Raises BadInput."""
+    if kind not in IMUS:
+        raise BadInput(f"--imu {kind}: allowed for emulated devices are {', '.join(IMUS)}.")
+    return IMUS[kind](up=direction(hardware_of(fish).imu_up))
+
+
+def _servo_of(fish: Fish, shaft: PlantShaft) -> Dynamixel | Feetech:
     """The fish's servo, as its hardware says."""
-    return Dynamixel(shaft=shaft, hardware=hardware_of(fish))
+    hardware = hardware_of(fish)
+    family = Feetech if hardware.family == "feetech-sts" else Dynamixel
+    return family(shaft=shaft, hardware=hardware)
 
 
 def serve(rig: Rig, stop: Callable[[], bool]) -> None:
@@ -207,7 +267,10 @@ def serve(rig: Rig, stop: Callable[[], bool]) -> None:
         now = time.monotonic()
         rig.servo.now = max(rig.servo.now, now - rig.began - LONGEST)
         rig.servo.advance(now - rig.began)
-        rig.imu.rates = (0.0, 0.0, float(rig.shaft.state.v[0, 2]))
+        yaw, rate = float(rig.shaft.state.q[0, 2]), float(rig.shaft.state.v[0, 2])
+        drifted = rig.imu_bias * max(now - rig.imu_biased, 0.0) if rig.imu_bias else 0.0
+        rig.imu.turn(rig.imu_up * yaw + drifted, rig.imu_up * rate + rig.imu_bias)
+        imu_rvc.send(rig.lines[1], rig.imu.speak(now))
         rig.watch.work(now, rig.shaft)
         for master, answer in masters.items():
             if master in ready:

@@ -4,6 +4,7 @@ import gc
 import json
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from tailbeat.emulators.film import Filming
 from tailbeat.fish.store import load_fish
 from tailbeat.link.addresses import address
 from tailbeat.link.datagrams import read_key
-from tailbeat.link.places import place
+from tailbeat.link.places import place, pose
 from tailbeat.operator.client import announce, open_page, turn
 from tailbeat.processes import told_to_end
 from tailbeat.robot import timing
@@ -21,13 +22,28 @@ from tailbeat.robot import timing
 Say = Callable[[str], None]
 
 
-def rig(fish: str, key: Path, robot: str, target: str, page: str, seed: int, say: Say) -> None:
+@dataclass(frozen=True)
+class Emulated:
+    """Emulated devices: of which `fish`, with the target at `target`, drawn from `seed`, with which
+    `imu`; the tag starts at `start`, x,y,heading [m, m, deg]; default: the pool's middle."""
+
+    fish: str
+    target: str
+    seed: int
+    imu: str = "bno055"
+    start: str = ""
+
+
+def rig(devices: Emulated, key: Path, robot: str, page: str, say: Say) -> None:
     """Serve emulated devices until told to stop; `say` gets the ports as one line of JSON. Raises
     BadInput."""
-    there, aim = address(robot, "--robot"), place(target)
-    described, secret = load_fish(fish), read_key(key)
+    there, aim = address(robot, "--robot"), place(devices.target)
+    start = _start(devices)
+    described, secret = load_fish(devices.fish), read_key(key)
     client = open_page(page)
-    made = bench.open_rig(described, secret, there, aim, seed)
+    made = bench.open_rig(described, secret, there, aim, devices.seed, devices.imu)
+    if start is not None:
+        made.shaft.put(start)
     ended = told_to_end()
     _hurry(made)
     host, port = made.station.socket.getsockname()
@@ -47,12 +63,17 @@ def rig(fish: str, key: Path, robot: str, target: str, page: str, seed: int, say
             client.close()
 
 
-def filmed_rig(fish: str, camera: Path, target: str, seed: int, say: Say) -> None:
+def filmed_rig(devices: Emulated, camera: Path, say: Say) -> None:
     """Serve emulated devices with a camera at a socket instead of poses, until told to stop; `say`
-    gets the ports as one line of JSON."""
-    described, aim = load_fish(fish), place(target)
-    eye = start_camera(camera, Filming(seed=seed))
-    made, ended = bench.open_filmed_rig(described, eye, aim), told_to_end()
+    gets the ports as one line of JSON. Raises BadInput."""
+    described, aim = load_fish(devices.fish), place(devices.target)
+    start = _start(devices)
+    bench.imu_of(described, devices.imu)  # refused before the camera starts
+    eye = start_camera(camera, Filming(seed=devices.seed))
+    made = bench.open_filmed_rig(described, eye, aim, devices.imu)
+    if start is not None:
+        made.shaft.put(start)
+    ended = told_to_end()
     _hurry(made)
     say(json.dumps({"servo": made.ports[0], "imu": made.ports[1], "camera": eye.where}))
     try:
@@ -61,10 +82,15 @@ def filmed_rig(fish: str, camera: Path, target: str, seed: int, say: Say) -> Non
         bench.close_rig(made)
 
 
+def _start(devices: Emulated) -> tuple[float, float, float] | None:
+    """Where the tag starts, if it was given. Raises BadInput."""
+    return pose(devices.start) if devices.start else None
+
+
 def _hurry(made: Any) -> None:
     """Compile in advance and switch garbage collection off, because both would delay the bus: late
     emulated devices look like a late servo."""
-    timing.claim()
+    timing.claim(timing.BESIDE)
     made.shaft.advance(0.0, 0.01)
     _ = made.shaft.pose
     gc.freeze()

@@ -14,6 +14,7 @@ import select
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from tailbeat.emulators.line import Line
 from tailbeat.emulators.packet import take
@@ -54,7 +55,7 @@ class Shaft:
 class Faults:
     """Faults: `mute` replies to drop, `corrupt` replies to damage, `garbage` before a reply, `late`
     [s] for the next reply, `slow` [s] for every reply, `frozen` encoder, `dip_until` [s]: when the
-    supply is as before."""
+    supply is as before; `shown`: share of the angle that the encoder shows."""
 
     mute: int = 0
     corrupt: int = 0
@@ -63,6 +64,20 @@ class Faults:
     slow: float = 0.0
     frozen: bool = False
     dip_until: float = 0.0
+    shown: float = 1.0
+
+    def spoilt(self, reply: bytes, at: int) -> bytes:
+        """A reply as it reaches the driver; byte `at` is the one that is damaged."""
+        if not reply:
+            return b""
+        if self.mute > 0:
+            self.mute -= 1
+            return b""
+        if self.corrupt > 0:
+            self.corrupt -= 1
+            reply = reply[:at] + bytes([reply[at] ^ 0x40]) + reply[at:][1:]
+        garbage, self.garbage = self.garbage, b""
+        return garbage + reply
 
 
 @dataclass(eq=False)
@@ -105,6 +120,21 @@ class Dynamixel:
         self.table = Table(self.hardware)
         self.get, self.put = self.table.get, self.table.put
 
+    @property
+    def baud(self) -> int | None:
+        """Its baud rate."""
+        return SPEEDS.get(self.get(8))
+
+    @property
+    def return_delay(self) -> float:
+        """Time from an instruction to its answer [s]."""
+        return 2e-6 * self.get(9)
+
+    @property
+    def on(self) -> bool:
+        """Whether it holds torque."""
+        return bool(self.get(64))
+
     # ---- time -----------------------------------------------------------------------------------
 
     def advance(self, now: float) -> None:
@@ -120,7 +150,7 @@ class Dynamixel:
         self.put(120, int(now * 1e3) % 32768)
         self._check()
         if not self.faults.frozen:
-            self.put(132, self._counts(self.shaft.angle))
+            self.put(132, self._counts(self.faults.shown * self.shaft.angle))
             self.put(128, self._sign * round(self.shaft.velocity / UNIT_V))
 
     @property
@@ -197,34 +227,41 @@ class Dynamixel:
         while (packet := take(self.stream)) is not None:
             if packet[0] in (self.get(7), ALL):
                 self.heard = self.now
-                out += self._spoilt(execute(self, *packet))
+                out += self.faults.spoilt(execute(self, *packet), -3)
         return out
-
-    def _spoilt(self, reply: bytes) -> bytes:
-        faults = self.faults
-        if not reply:
-            return b""
-        if faults.mute > 0:
-            faults.mute -= 1
-            return b""
-        if faults.corrupt > 0:
-            faults.corrupt -= 1
-            reply = reply[:-3] + bytes([reply[-3] ^ 0x40]) + reply[-2:]
-        garbage, faults.garbage = faults.garbage, b""
-        return garbage + reply
 
 
 # ---- the pseudo-terminal ------------------------------------------------------------------------
 
 
-def hears(device: Dynamixel, line: Line) -> bool:
+class Device(Protocol):
+    """An emulated servo of any family."""
+
+    faults: Faults
+
+    @property
+    def baud(self) -> int | None:
+        """Its baud rate."""
+
+    @property
+    def return_delay(self) -> float:
+        """Time from an instruction to its answer [s]."""
+
+    def advance(self, now: float) -> None:
+        """Step to time `now` [s]."""
+
+    def answer(self, data: bytes) -> bytes:
+        """Bytes in, bytes out."""
+
+
+def hears(device: Device, line: Line) -> bool:
     """Whether the driver's end of the line has the servo's baud rate; otherwise it receives
     noise."""
     held = fcntl.ioctl(line.slave, TCGETS2, bytes(SETTINGS))
-    return int.from_bytes(held[SPEED : SPEED + 4], "little") == SPEEDS.get(device.get(8))
+    return int.from_bytes(held[SPEED : SPEED + 4], "little") == device.baud
 
 
-def serve(device: Dynamixel, line: Line, stop: Callable[[], bool], baud: int = 1_000_000) -> None:
+def serve(device: Device, line: Line, stop: Callable[[], bool], baud: int = 1_000_000) -> None:
     """Answer until `stop` returns True, with the time of the wire in both directions and the return
     delay."""
     began = time.monotonic()
@@ -237,5 +274,5 @@ def serve(device: Dynamixel, line: Line, stop: Callable[[], bool], baud: int = 1
         reply = device.answer(data) if hears(device, line) else b""
         if reply:
             late, device.faults.late = device.faults.late + device.faults.slow, 0.0
-            time.sleep(10 * (len(data) + len(reply)) / baud + 2e-6 * device.get(9) + late)
+            time.sleep(10 * (len(data) + len(reply)) / baud + device.return_delay + late)
             os.write(line.master, reply)

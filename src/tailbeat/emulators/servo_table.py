@@ -1,12 +1,13 @@
 """The control table of an emulated X-series servo, and which writes its manual allows.
 
-Addresses, sizes, factory values and ranges are those of the XW430-T200 (e-manual); a fish's own
-hardware differs in a few. What the manual leaves open was not checked on a real servo.
+Addresses, sizes, factory values and ranges are those of the XW430-T200 (e-manual); other models
+differ in a few (`servo_models`). What the manual leaves open was not checked on a real servo.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from tailbeat.emulators.servo_models import MODELS, Model
 from tailbeat.fish.description import Hardware
 
 FIRMWARE = 45
@@ -58,28 +59,30 @@ class Table:
     """The bytes of a control table."""
 
     def __init__(self, hardware: Hardware | None = None) -> None:
+        number = REGISTERS[0].factory if hardware is None else hardware.number
+        self.registers = _registers_of(MODELS.get(number, Model()))
         self.own = {} if hardware is None else _own(hardware)
         self.bytes = bytearray(256)
         self.factory(0)
 
     def factory(self, first: int, kept: frozenset[int] = frozenset()) -> None:
         """Write factory values from address `first` on, but for registers that are `kept`."""
-        for address in REGISTERS:
+        for address in self.registers:
             if address >= first and address not in kept:
                 self.put(address, self.factory_value(address))
 
     def factory_value(self, address: int) -> int:
         """What a register holds from the factory, or of the fish's own servo."""
-        return self.own.get(address, REGISTERS[address].factory)
+        return self.own.get(address, self.registers[address].factory)
 
     def get(self, address: int, signed: bool = False) -> int:
         """Read a register."""
-        size = REGISTERS[address].size
+        size = self.registers[address].size
         return int.from_bytes(self.bytes[address : address + size], "little", signed=signed)
 
     def put(self, address: int, value: int) -> None:
         """Set a register, also a read-only one."""
-        size = REGISTERS[address].size
+        size = self.registers[address].size
         self.bytes[address : address + size] = (value % (1 << 8 * size)).to_bytes(size, "little")
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
@@ -90,7 +93,7 @@ class Table:
 
     def write(self, address: int, data: bytes) -> int:
         """Write whole registers from an address on, all or none; returns the error number."""
-        parts = list(_registers(address, data))
+        parts = list(self._parts(address, data))
         for register, value in parts:
             if error := LENGTH if value is None else self._refusal(register, value):
                 return error
@@ -99,7 +102,7 @@ class Table:
 
     def _refusal(self, address: int, data: bytes) -> int:
         """The error number of a write to one register, 0 if it is allowed."""
-        register = REGISTERS.get(address)
+        register = self.registers.get(address)
         if register is None or register.allowed is None:
             return ACCESS
         if address < RAM and self.get(64):
@@ -119,16 +122,31 @@ class Table:
             return self.get(52) <= value <= self.get(48)
         return address not in GUARDED or abs(value) <= self.get(GUARDED[address])
 
+    def _parts(self, address: int, data: bytes) -> Iterator[tuple[int, bytes | None]]:
+        """The registers that a write fills, with their bytes; None: it ends within one."""
+        at = 0
+        while at < len(data):
+            register = self.registers.get(address + at)
+            size = 1 if register is None else register.size
+            part = data[at : at + size]
+            yield address + at, part if len(part) == size else None
+            at += size
 
-def _registers(address: int, data: bytes) -> Iterator[tuple[int, bytes | None]]:
-    """The registers that a write fills, with their bytes; None: it ends within one."""
-    at = 0
-    while at < len(data):
-        register = REGISTERS.get(address + at)
-        size = 1 if register is None else register.size
-        part = data[at : at + size]
-        yield address + at, part if len(part) == size else None
-        at += size
+
+def _registers_of(model: Model) -> dict[int, Register]:
+    """The registers of a model: without current, it has no limit and no goal of it."""
+    low, high = model.volts
+    own = REGISTERS | {
+        11: Register(1, 3, model.modes),
+        32: _upto(2, high, high, low),
+        34: _upto(2, low, high, low),
+        38: _upto(2, model.current, model.current),
+        44: _upto(4, model.velocity, 2047),
+        63: _upto(1, model.shutdown, 63),
+        102: _upto(2, model.current, model.current, -model.current),
+        104: _upto(4, model.velocity, 2047, -2047),
+    }
+    return {at: one for at, one in own.items() if model.current or at not in (38, 102)}
 
 
 def _own(hardware: Hardware) -> dict[int, int]:

@@ -13,7 +13,7 @@ from functools import cache
 from importlib import resources
 
 from tailbeat.files import BadInput
-from tailbeat.fish.description import Hardware, Servo
+from tailbeat.fish.description import Family, Hardware, Servo
 
 COUNTS_PER_RAD = 4096 / (2 * math.pi)
 FULL_PWM = 885
@@ -21,6 +21,7 @@ TIME_CONSTANT = 0.030  # s, armature over damping; two identified servos have 0.
 DELAY = 0.015  # s: a bus cycle and the firmware, chosen
 STALL_SHARE = 0.8  # of the stall current, at which the robot stops; chosen
 USUAL_GAIN = 800.0  # for makers whose loop is not published
+MAKERS: dict[Family, str] = {"dynamixel-x": "ROBOTIS", "feetech-sts": "Feetech"}
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Profile:
     `no_load_rpm` [rev/min] and `stall_a` [A] at that voltage, `mass_g` [g], `gain` of its position
     loop as shipped. `number` is what it reports as its model, 0 for one that the driver cannot
     speak to; `range_v` [V] the supply that it takes, `temperature_c` [deg C] at which it shuts
-    down, `current_ma` [mA] of one count, 0 for one that reports a load.
+    down, `current_ma` [mA] of one count, 0 for one that reports a load. `family`: its driver.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Profile:
     stall_a: float = 0.0
     temperature_c: float = 0.0
     current_ma: float = 0.0
+    family: Family = "dynamixel-x"
 
     @property
     def no_load(self) -> float:
@@ -53,8 +55,9 @@ class Profile:
     def servo(self) -> Servo:
         """Numbers to start from, before a bench has measured this servo."""
         damping = self.stall_nm / self.no_load
+        gain = self.gain if self.family == "dynamixel-x" else USUAL_GAIN
         return Servo(
-            kp=self.stall_nm * self.gain / 128 * COUNTS_PER_RAD / FULL_PWM,
+            kp=self.stall_nm * gain / 128 * COUNTS_PER_RAD / FULL_PWM,
             kv=0.0,
             armature=TIME_CONSTANT * damping,
             damping=damping,
@@ -68,7 +71,8 @@ class Profile:
         if not self.number:
             return None
         return Hardware(
-            make="ROBOTIS",
+            family=self.family,
+            make=MAKERS[self.family],
             model=self.model,
             number=self.number,
             supply=self.voltage_v,

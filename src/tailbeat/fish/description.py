@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from tailbeat.fish import units as u
 
 SHORTEST = 1e-3  # m: a wet part shorter than this has no chord that could have a trailing edge
+Family = Literal["dynamixel-x", "feetech-sts"]  # of a servo: which driver speaks to it
 COEFFICIENTS = ("blunt", "slender", "angular", "kutta", "magnus")  # the engine's order
 
 
@@ -184,29 +185,37 @@ class Servo(_Model):
 
 
 class Hardware(_Model):
-    """The servo as bought. Its driver, its emulator and the robot's limits read this; the twin does
-    not, so an identification may not change it and a policy does not depend on it."""
+    """The servo as bought, and how the IMU is mounted. Drivers, emulators and the robot's limits
+    read this; the twin does not, so an identification may not change it and a policy does not
+    depend on it."""
 
+    family: Family = "dynamixel-x"
+    """Which driver speaks to it. `dynamixel-x`: ROBOTIS Protocol 2.0 with the addresses of the X
+    series (without the XL-320) and the MX-28 (2.0). `feetech-sts`: Feetech's STS servos, which have
+    no bus watchdog."""
     make: str
-    """Maker. The driver speaks ROBOTIS Protocol 2.0 with the X series' addresses."""
+    """Maker."""
     model: str
     """Model, as its maker writes it."""
     number: int = Field(ge=0, le=0xFFFF)
-    """Model number, as the servo itself reports it in register 0."""
+    """Model number, as the servo itself reports it (a Dynamixel in register 0, an STS in 3)."""
     supply: u.Voltage = Field(gt=0)
     """Supply that the fish has."""
     supply_range: u.VoltageRange
     """Lowest and highest supply, beyond which the servo reports an error."""
     current_unit: u.Current = Field(gt=0)
-    """Current of one count of register 126. For a servo that reports a load instead, in thousandths
-    of its output: a thousandth of its stall current, so that currents are estimates."""
+    """Current of one count of register 126 (Dynamixel) or 69 (STS). For a servo that reports a load
+    instead, in thousandths of its output: a thousandth of its stall current, so that currents are
+    estimates."""
     current_limit: u.Current = Field(gt=0)
     """Mean absolute current over a beat at which the robot stops."""
     temperature_limit: u.Temperature = Field(gt=20, le=120)
     """Temperature at which the servo shuts down. The robot holds 15 degrees below, and stops 5
     degrees below."""
     gain: int = Field(ge=0, le=16383)
-    """Position P gain with which it was identified, register 84."""
+    """Position P gain with which it was identified: register 84 (Dynamixel) or 21 (STS)."""
+    imu_up: Literal["x", "-x", "y", "-y", "z", "-z"] = "z"
+    """Axis of the IMU that points up. A BNO085 must have `z` or `-z`."""
 
 
 class Tendons(_Model):

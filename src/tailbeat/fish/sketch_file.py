@@ -75,6 +75,7 @@ head_guides = ["{guide} mm"]  # assumed
 """
 HARDWARE = """\
 [hardware]                    # by its maker's manual; driver, emulator and safety limits read it
+family = "{family}"      # which driver speaks to it
 make = "{make}"
 model = "{model}"
 number = {number}             # what the servo reports as its model
@@ -83,7 +84,8 @@ supply_range = "{low} {high} V" # beyond, the servo reports an error
 current_unit = "{current_unit} mA" # {reading}
 current_limit = "{current_limit} A" # {share} of the stall current
 temperature_limit = "{temperature_limit} degC"
-gain = {gain}                 # register 84, as shipped
+gain = {gain}                 # of its position loop, as shipped
+imu_up = "{imu_up}"                  # axis of the IMU that points up: x, -x, y, -y, z or -z
 
 """
 PART = """\

@@ -39,10 +39,10 @@ def load_fish(name_or_path: str | Path) -> Fish:
     path = fish_path(name_or_path)
     try:
         return Fish.model_validate(tomllib.loads(path.read_text(encoding="utf-8-sig")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: not valid TOML ({error}); correct that line.") from None
     except ValidationError as error:
         raise BadInput(f"{path}: {_sentence(error)}") from None
+    except ValueError as error:  # also of a number with thousands of digits
+        raise BadInput(f"{path}: not valid TOML ({error}); correct that line.") from None
 
 
 def fish_of(content: Mapping[str, Any]) -> Fish:

@@ -19,7 +19,7 @@ from tailbeat.robot import doctor_computer as computer
 from tailbeat.robot import doctor_devices as devices
 from tailbeat.robot import doctor_link
 from tailbeat.robot.findings import BAD, Finding, finding
-from tailbeat.robot.fits import check_swims
+from tailbeat.robot.fits import NONE, check_swims, check_yaw_rate
 from tailbeat.robot.ports import Ports
 
 Check = Callable[[], list[Finding]]
@@ -51,7 +51,8 @@ def examine(
         *check_policy(policy, fish),
         *of_computer(logs),
         *of_servo(parts, hardware),
-        *of_imu(parts),
+        *of_imu(parts, hardware),
+        *check_yaw_source(policy, parts.imu),
         *of_link(parts),
         *(finding for check in cameras for finding in check()),
     ]
@@ -105,9 +106,30 @@ def of_servo(parts: Parts, hardware: Hardware) -> list[Finding]:
     return _of_device("servo's port", parts.servo, find, check)
 
 
-def of_imu(parts: Parts) -> list[Finding]:
-    """Check the IMU: its port, its answer, its noise."""
-    return _of_device("IMU's port", parts.imu, devices.find_imu, devices.check_imu)
+def of_imu(parts: Parts, hardware: Hardware) -> list[Finding]:
+    """Check the IMU: its port, its answer, its mounting, its noise."""
+    if parts.imu == NONE:
+        return [finding("IMU answers", "none: the camera gives the yaw rate")]
+    find = partial(devices.find_imu, hardware=hardware)
+    check = partial(devices.check_imu, hardware=hardware)
+    return _of_device("IMU's port", parts.imu, find, check)
+
+
+def check_yaw_source(policy: str, imu: str) -> list[Finding]:
+    """Whether the policy was trained with the yaw rate that this robot has."""
+    if not imu:
+        return []
+    try:
+        contract = load_policy(policy).contract
+    except BadInput:
+        return []  # `check_policy` says it
+    try:
+        check_yaw_rate(contract, imu)
+    except BadInput as error:
+        do = "take a policy that fits the robot; --force-camera-yaw-rate tries this one"
+        return [finding("policy's yaw rate", str(error), bad=True, do=do)]
+    source = "an IMU" if contract.yaw_rate == "imu" else "the camera"
+    return [finding("policy's yaw rate", f"from {source}")]
 
 
 def _of_device(

@@ -11,18 +11,25 @@ from pathlib import Path
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Hardware
-from tailbeat.robot import imu as imus
+from tailbeat.robot import dynamixel, feetech, imus
 from tailbeat.robot import servo as servos
 from tailbeat.robot.findings import BAD, Finding, finding
-from tailbeat.robot.imu import Imu, ImuFault
-from tailbeat.robot.safety import SafetyLimits, limits_for
+from tailbeat.robot.imu import ACCGYRO, MODE, STATUS, Imu, ImuFault, mounting_of
+from tailbeat.robot.imus import YawSensor
+from tailbeat.robot.safety import limits_for
 from tailbeat.robot.servo import Servo, ServoFault
+from tailbeat.robot.servo_state import PATIENCE
+from tailbeat.robot.settings import BAUD_RATE
 
-REVERSED, OVERLOAD = 0b1, 0b100000  # bits of drive mode and shutdown
-BAUDS = (57_600, 115_200, 2_000_000, 3_000_000, 4_000_000, 9_600)  # besides 1,000,000
+REVERSED, GOAL_TURNS_ON, OVERLOAD = 0b1, 0b1000, 0b100000  # bits of drive mode and shutdown
+NO_WATCHDOG = (
+    "the servo has no watchdog of its own: if loop and watchdog process both die, it keeps its last"
+    " goal with torque on; have the switch of its power within reach"
+)
 FIRMWARE = 42  # older firmware of the X series was not checked
 READS = 50
 MENDED = {"servo torque", "servo limits"}  # by arming
+BY_ARMING = "nothing: arming sets it to 0, position"
 
 # ---- ports --------------------------------------------------------------------------------------
 
@@ -74,20 +81,24 @@ def find_servo(
         return found, finding(name, f"{hardware.model}, id {ident}, 1000000 baud")
     except BadInput as error:
         said = str(error)
-    for baud in BAUDS:
+    for baud in [one for one in _bauds(hardware) if one != BAUD_RATE]:
         with contextlib.suppress(BadInput):
             servos.connect(path, hardware, ident, baud, deadline=deadline).port.close()
-            do = "set its baud rate, register 8, to 3 with Dynamixel Wizard"
+            do = f"run `tailbeat prepare --servo {path} --fish FISH`: it sets the rate"
             return None, finding(name, f"at {baud} baud, not at 1000000", bad=True, do=do)
     return None, finding(name, said, bad=True)
+
+
+def _bauds(hardware: Hardware) -> dict[int, int]:
+    return feetech.BAUDS if hardware.family == "feetech-sts" else dynamixel.BAUDS
 
 
 def check_servo(servo: Servo, hardware: Hardware) -> list[Finding]:
     """Check firmware, supply, temperature, errors, mode, limits, gain, delays, and the time of a
     reading."""
     try:
-        condition = _condition(servo, limits_for(hardware))
-        return [*condition, *_settings(servo), _gain(servo, hardware), _reading_time(servo)]
+        own = [*_condition(servo, hardware), *_settings(servo, hardware)]
+        return [*own, _gain(servo, hardware), _reading_time(servo)]
     except ServoFault as fault:
         return [finding("servo", str(fault), bad=True)]
 
@@ -96,53 +107,89 @@ def check_before_driving(path: str, servo: Servo, hardware: Hardware) -> None:
     """Raises BadInput for what makes a drive wrong or dangerous and arming does not mend: a servo
     that turns the other way, reports an error, has a bad supply, or does not shut down under
     overload."""
+    usual, servo.deadline = servo.deadline, max(servo.deadline, PATIENCE)  # nothing moves yet
     try:
-        found = [*_condition(servo, limits_for(hardware)), *_settings(servo)]
+        found = [*_condition(servo, hardware), *_settings(servo, hardware)]
     except ServoFault as fault:
         raise BadInput(f"{path}: {fault}; run `tailbeat doctor`.") from None
+    finally:
+        servo.deadline = usual
     bad = [one for one in found if one.verdict == BAD and one.name not in MENDED]
     if bad:
         told = "; ".join(f"{one.name} is {one.found}: {one.do}" for one in bad)
         raise BadInput(f"{path}: {told}.")
 
 
-def _condition(servo: Servo, limits: SafetyLimits) -> list[Finding]:
-    state, errors, version = servo.read(), servo.hardware_errors(), servo.get((6, 1))
+def _condition(servo: Servo, hardware: Hardware) -> list[Finding]:
+    state, errors, limits = servo.read(), servo.hardware_errors(), limits_for(hardware)
     volts, heat = state.voltage, state.temperature
     sags = not limits.voltage_low <= volts <= limits.voltage_high
     on, latched = servo.is_on(), servo.stopped_itself()
+    watchdog = finding("servo stopped itself", "yes" if latched else "no", warn=latched)
+    if not servo.own_watchdog:
+        watchdog = finding("servo's own watchdog", "none", warn=True, do=NO_WATCHDOG)
     return [
-        finding("servo firmware", str(version), warn=version < FIRMWARE),
+        _firmware(servo, hardware),
         finding("servo supply", f"{volts:.1f} V", bad=sags, warn=volts < limits.voltage_low + 1),
         finding("servo temperature", f"{heat:.0f} deg C", bad=heat >= limits.temperature_hold),
         finding("servo hardware error", ", ".join(errors) or "none", bad=bool(errors)),
         finding("servo torque", "on" if on else "off", bad=on),
-        finding("servo stopped itself", "yes" if latched else "no", warn=latched),
+        watchdog,
     ]
 
 
-def _settings(servo: Servo) -> list[Finding]:
-    """Check the EEPROM. Arming sets mode, return delay and limits; the other registers stay as they
-    are."""
-    mode, delay = servo.get(servos.OPERATING_MODE), servo.get(servos.RETURN_DELAY)
-    low, high = servo.get(servos.LOWEST), servo.get(servos.HIGHEST)
-    drive, homing, shutdown = servo.get((10, 1)), servo.get((20, 4)), servo.get((63, 1))
-    outside = not low < servos.CENTRE < high
+def _firmware(servo: Servo, hardware: Hardware) -> Finding:
+    if hardware.family == "feetech-sts":
+        version = f"{servo.get(feetech.MAJOR)}.{servo.get(feetech.MINOR)}"
+        return finding("servo firmware", version)
+    number = servo.get((6, 1))
+    return finding("servo firmware", str(number), warn=number < FIRMWARE)
+
+
+def _settings(servo: Servo, hardware: Hardware) -> list[Finding]:
+    """Check the EEPROM. Arming sets mode, return delay and limits; `tailbeat prepare` sets the
+    other registers too."""
+    return _of_feetech(servo) if hardware.family == "feetech-sts" else _of_dynamixel(servo)
+
+
+def _of_dynamixel(servo: Servo) -> list[Finding]:
+    mode, delay = servo.get(dynamixel.OPERATING_MODE), servo.get(dynamixel.RETURN_DELAY)
+    low, high = servo.get(dynamixel.LOWEST), servo.get(dynamixel.HIGHEST)
+    drive, homing = servo.get(dynamixel.DRIVE_MODE), servo.get(dynamixel.HOMING)
+    shutdown = servo.get(dynamixel.SHUTDOWN)
+    outside, turned = not low < dynamixel.CENTRE < high, bool(drive & (REVERSED | GOAL_TURNS_ON))
     return [
-        finding("servo mode", str(mode), warn=mode != servos.POSITION_MODE),
+        finding("servo mode", str(mode), warn=mode != dynamixel.POSITION_MODE),
         finding("servo return delay", f"{2 * delay} us", warn=delay > 5),
         finding("servo limits", f"{low} to {high} counts", bad=outside),
-        finding("servo drive mode", str(drive), bad=bool(drive & REVERSED)),
+        finding("servo drive mode", str(drive), bad=turned, warn=drive != 0),
         finding("servo homing offset", str(homing), warn=homing != 0),
         finding("servo shutdown", f"{shutdown:#b}", bad=not shutdown & OVERLOAD),
     ]
 
 
+def _of_feetech(servo: Servo) -> list[Finding]:
+    mode, phase = servo.get(feetech.MODE), servo.get(feetech.PHASE)
+    low, high = servo.get(feetech.LOWEST), servo.get(feetech.HIGHEST)
+    unloading = servo.get(feetech.UNLOADING)
+    outside = not low < feetech.CENTRE < high
+    reversed_ = bool(phase & feetech.REVERSED)
+    return [
+        finding("servo mode", str(mode), warn=mode != feetech.POSITION_MODE, do=BY_ARMING),
+        finding("servo limits", f"{low} to {high} counts", bad=outside),
+        finding("servo turns", "counted" if phase & feetech.TURNS else "within one",
+                bad=bool(phase & feetech.TURNS)),
+        finding("servo phase", str(phase), bad=reversed_),
+        finding("servo unloading", f"{unloading:#b}", bad=not unloading & OVERLOAD),
+    ]  # fmt: skip
+
+
 def _gain(servo: Servo, hardware: Hardware) -> Finding:
     """Check the gain of its position loop: with another, it is not the servo that was identified.
     The driver does not set it."""
-    gain = servo.get(servos.GAIN)
-    do = f"write {hardware.gain} to register 84, or identify the servo again with {gain}"
+    register = feetech.GAIN if hardware.family == "feetech-sts" else dynamixel.GAIN
+    gain = servo.get(register)
+    do = f"write {hardware.gain} to register {register[0]}, or identify the servo again with {gain}"
     return finding("servo position gain", str(gain), warn=gain != hardware.gain, do=do)
 
 
@@ -161,20 +208,22 @@ def _reading_time(servo: Servo) -> Finding:
 # ---- IMU ----------------------------------------------------------------------------------------
 
 
-def find_imu(path: str, deadline: float = 0.05) -> tuple[Imu | None, Finding]:
-    """Find the BNO055, or say why none answers."""
+def find_imu(
+    path: str, hardware: Hardware, deadline: float = 0.05
+) -> tuple[YawSensor | None, Finding]:
+    """Find out which IMU is there, or say why none answers."""
     try:
-        return imus.connect(path, deadline=deadline), finding("IMU answers", "BNO055")
+        found = imus.connect(path, mounting_of(hardware), deadline)
     except BadInput as error:
         return None, finding("IMU answers", str(error), bad=True)
+    return found, finding("IMU answers", found.name)
 
 
-def check_imu(imu: Imu) -> list[Finding]:
-    """Check its own errors, its mode, its readings, and its noise at rest."""
+def check_imu(imu: YawSensor, hardware: Hardware) -> list[Finding]:
+    """Check its own errors, its mode, its mounting, its readings, and its noise at rest."""
     try:
-        error = imu.registers(imus.STATUS, 2)[1]
-        imu.prepare()
-        mode = imu.registers(imus.MODE, 1)[0] & 0x0F
+        own = _own_state(imu) if isinstance(imu, Imu) else []
+        up = imu.up()
         rates = []
         for _ in range(READS):
             rates.append(imu.read())
@@ -186,8 +235,27 @@ def check_imu(imu: Imu) -> list[Finding]:
     mean = abs(statistics.fmean(came)) if came else math.nan
     said = f"turning at {mean:.3f} rad/s, noise {still:.3f} rad/s"
     return [
-        finding("IMU's own error", str(error), bad=error != 0),
-        finding("IMU mode", str(mode), bad=mode != imus.ACCGYRO),
+        *own,
+        _mounting(imu, up, hardware),
         finding("IMU readings", f"{len(came)} of {READS}", bad=len(came) < READS / 2),
         finding("IMU at rest", said, warn=not (mean < 0.1 and still < 0.1)),
     ]
+
+
+def _own_state(imu: Imu) -> list[Finding]:
+    """What a BNO055 reports about itself."""
+    error = imu.registers(STATUS, 2)[1]
+    imu.prepare()
+    mode = imu.registers(MODE, 1)[0] & 0x0F
+    return [
+        finding("IMU's own error", str(error), bad=error != 0),
+        finding("IMU mode", str(mode), bad=mode != ACCGYRO),
+    ]
+
+
+def _mounting(imu: YawSensor, up: str, hardware: Hardware) -> Finding:
+    """Compare gravity with the fish's file. The yaw of a BNO085 has the same sign with z and -z."""
+    wrong = up not in ("", hardware.imu_up)
+    told = f"{up or 'no axis'} is up by gravity, {hardware.imu_up} by the fish's file"
+    harmless = imu.name != "BNO055" and up in ("z", "-z")
+    return finding("IMU mounting", told, bad=wrong and not harmless, warn=wrong or not up)

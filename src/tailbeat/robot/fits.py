@@ -8,6 +8,7 @@ from tailbeat.fish.store import digest, fish_of, load_fish, shipped
 
 # Fields of a description that an identification may change; all others describe the body. The servo
 # as bought is none: the driver itself compares the model that answers.
+NONE = "none"  # instead of an IMU's port
 LAW = ("zones", "added_inertia", "added_along", "trailing_edge")  # of the fluid
 FITTED = ("name", "summary", "servo", "simulation", "uncertain", "hardware", *LAW)
 FITTED_IN_TAIL = ("tail.damping_time", "tail.friction", "tail.k_eff", "tail.stiffness_scale")
@@ -51,6 +52,23 @@ def check_driven(contract: Contract) -> None:
             f"policy: it turns {contract.fish}'s motor without end, and the robot's driver commands"
             f" angles within a turn; try it with `tailbeat evaluate`."
         )
+
+
+def check_yaw_rate(contract: Contract, imu: str, forced: bool = False) -> None:
+    """Raises BadInput if a policy was trained with another yaw rate than the robot has. `imu` is
+    its port, or "none": then the camera gives the yaw rate. `forced` accepts the camera's for a
+    policy that was trained with an IMU."""
+    camera = imu == NONE
+    if forced and not camera:
+        raise BadInput("--force-camera-yaw-rate: it needs --imu none; omit it.")
+    if camera and contract.yaw_rate == "imu" and not forced:
+        raise BadInput(
+            "policy: it was trained with an IMU, and with --imu none it gets the camera's yaw rate,"
+            " which is later and noisier; train one with `tailbeat train --imu none`, or add"
+            " --force-camera-yaw-rate."
+        )
+    if not camera and contract.yaw_rate == "camera":
+        raise BadInput("policy: it was trained without an IMU; give --imu none.")
 
 
 def check_swims(policy: Policy, twin: str | None, fish: Fish) -> Fish:

@@ -15,13 +15,26 @@ from dataclasses import dataclass
 import serial
 
 from tailbeat.files import BadInput
+from tailbeat.fish.description import Hardware
 from tailbeat.robot.wire import GONE, heard, reopen
 
-CHIP_ID, GYRO, STATUS, UNITS, MODE, TRIGGER, PAGE = 0x00, 0x14, 0x39, 0x3B, 0x3D, 0x3F, 0x07
+CHIP_ID, ACCELERATION, GYRO, STATUS, UNITS, MODE, TRIGGER, PAGE = (
+    0x00,
+    0x08,
+    0x14,
+    0x39,
+    0x3B,
+    0x3D,
+    0x3F,
+    0x07,
+)
 CHIP = 0xA0
 CONFIG, ACCGYRO = 0x00, 0x05  # raw rates: the fusion modes recalibrate during use
 RATE = math.radians(1 / 16)  # rad/s per count
 FASTEST = math.radians(2000)
+GRAVITY = 981  # counts of 0.01 m/s^2
+AXES = "xyz"
+TILTED = 0.8  # g along an axis below which it does not point up (chosen)
 TO_CONFIG, TO_OPERATE = 0.019, 0.007  # s that a change of mode takes
 DEADLINE = 0.008  # s for a reply: 12 bytes at 115,200 baud plus the sensor's time
 PATIENCE = 0.1  # s for the first one
@@ -44,6 +57,10 @@ class ImuFault(Exception):
         self.kind = kind
 
 
+class NoAnswer(BadInput):
+    """Nothing that can be understood arrives from the port."""
+
+
 @dataclass(frozen=True)
 class Mounting:
     """Which sensor axis (0, 1, 2) is along the fish's z axis, and its sign: 1 if it points up, -1
@@ -51,6 +68,23 @@ class Mounting:
 
     axis: int = 2
     sign: int = 1
+
+    def __str__(self) -> str:
+        return ("-" if self.sign < 0 else "") + AXES[self.axis]
+
+
+def mounting_of(hardware: Hardware) -> Mounting:
+    """The mounting that a fish's file gives."""
+    up = hardware.imu_up
+    return Mounting(AXES.index(up[-1]), -1 if up.startswith("-") else 1)
+
+
+def axis_up(accelerations: tuple[float, float, float], gravity: float) -> str:
+    """Axis that points up, such as "-z", of a sensor at rest; "" if each is tilted by more than 37
+    degrees. `gravity` is one g in the accelerations' unit."""
+    axis = max(range(3), key=lambda one: abs(accelerations[one]))
+    sign = 1 if accelerations[axis] > 0 else -1
+    return str(Mounting(axis, sign)) if abs(accelerations[axis]) > TILTED * gravity else ""
 
 
 @dataclass(frozen=True)
@@ -69,6 +103,7 @@ class Imu:
     port: serial.Serial
     mounting: Mounting
     deadline: float = DEADLINE
+    name: str = "BNO055"
     missed: int = 0
     over_runs: int = 0
     last: bytes = b""
@@ -109,6 +144,12 @@ class Imu:
     def healthy(self) -> bool:
         """Whether the sensor reports no error of its own."""
         return self.registers(STATUS, 2)[1] == 0
+
+    def up(self) -> str:
+        """Axis that points up, by gravity, such as "-z"; "" if none does. It needs `prepare`.
+        Raises ImuFault."""
+        x, y, z = struct.unpack("<3h", self.registers(ACCELERATION, 6))
+        return axis_up((x, y, z), GRAVITY)
 
     def registers(self, first: int, length: int) -> bytes:
         """Read a burst of registers. Raises ImuFault."""
@@ -169,14 +210,18 @@ class Imu:
             self.port.close()
 
 
-def connect(path: str, mounting: Mounting | None = None, deadline: float = DEADLINE) -> Imu:
-    """Open a port and check that a BNO055 answers. `deadline` [s] is for a reply. Raises
-    BadInput."""
+def opened(path: str, deadline: float) -> serial.Serial:
+    """The open port of an IMU; both kinds speak 115,200 baud. Raises BadInput."""
     try:
-        port = serial.Serial(path, 115_200, timeout=deadline, write_timeout=0.1, exclusive=True)
+        return serial.Serial(path, 115_200, timeout=deadline, write_timeout=0.1, exclusive=True)
     except (*GONE, ValueError) as error:
         raise BadInput(f"{path}: {error}; give the IMU's port, closed in other programs.") from None
-    imu = Imu(port, mounting or Mounting(), max(deadline, PATIENCE))
+
+
+def connect(path: str, mounting: Mounting | None = None, deadline: float = DEADLINE) -> Imu:
+    """Open a port and check that a BNO055 answers. `deadline` [s] is for a reply. Raises BadInput,
+    NoAnswer if nothing answers."""
+    imu = Imu(opened(path, deadline), mounting or Mounting(), max(deadline, PATIENCE))
     fault = None
     for _ in range(5):
         try:
@@ -187,7 +232,7 @@ def connect(path: str, mounting: Mounting | None = None, deadline: float = DEADL
             fault = one
     else:
         imu.close()
-        raise BadInput(
+        raise NoAnswer(
             f"{path}: no BNO055 answers at 115200 baud ({fault}); check cable, power and"
             f" its PS1 pin (high for UART)."
         )

@@ -35,7 +35,7 @@ NUMBERS = {
     "setpoint_rad": "setpoint of the policy, before limits; while it swims [rad]",
     "motor_angle_rad": "shaft angle that the servo measured [rad]",
     "motor_velocity_rad_s": "shaft speed that the servo measured [rad/s]",
-    "yaw_rate_rad_s": "yaw rate of the IMU, counter-clockwise positive [rad/s]",
+    "yaw_rate_rad_s": "yaw rate of IMU or camera, counter-clockwise positive [rad/s]",
     "x_m": "newest accepted pose: x in the pool [m]",
     "y_m": "newest accepted pose: y in the pool [m]",
     "yaw_rad": "newest accepted pose: heading, counter-clockwise from x [rad]",
@@ -52,6 +52,13 @@ NUMBERS = {
     "missed": "periods missed within the last second",
     "spikes": "yaw rates rejected since the start",
     "pose_jumps": "implausible poses in a row",
+    "signal_turning": "the camera's turning minus the IMU's, over 2 s [rad/s]",
+    "signal_drifting": "the same over 2.5 s, minus the time before [rad/s]",
+    "signal_stroke": "motor angle over the one that its setpoints lead to",
+    "signal_recoil": "yaw rate over the one that the motor angle leads to",
+    "signal_progress": "speed over the rms of the motor velocity [m]",
+    "signal_same": "equal poses in a row",
+    "signal_wander": "path of the target within 1 s, without its displacement [m]",
 }
 ARRAYS = {
     "observation": "24 inputs of the policy, scaled; empty while it does not swim",
@@ -60,7 +67,7 @@ ARRAYS = {
     " [m, m, rad, m, m, s]; empty while the policy does not swim",
 }
 TEXTS = {
-    "state": "disarmed, armed, run, hold or stop",
+    "state": "disarmed, armed, test, run, hold or stop",
     "reason": "why it is in this state, as the operator reads it",
     "cause": "the reason's name",
 }

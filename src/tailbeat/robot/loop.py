@@ -28,8 +28,9 @@ from tailbeat.robot.plausible import Bounds
 from tailbeat.robot.poses import FRAMES, Poses
 from tailbeat.robot.reporter import Reporter
 from tailbeat.robot.safety import Health, SafetyLimits, SafetyStatus
-from tailbeat.robot.sensors import Sensors
+from tailbeat.robot.sensors import CameraYaw, Sensors
 from tailbeat.robot.servo import ServoFault
+from tailbeat.robot.signals import Signals
 from tailbeat.robot.timing import Pace, sleep_until, without_collection
 from tailbeat.robot.torque import Torque
 
@@ -57,6 +58,7 @@ class Loop:
     bounds: Bounds = field(default_factory=Bounds)
     alive: Callable[[bool], bool] = lambda torque: True
     pace: Pace = field(default_factory=Pace)
+    sign_test: bool = True  # before the first swim, if the policy's file says what to expect
 
     def __post_init__(self) -> None:
         contract = self.policy.contract
@@ -68,21 +70,28 @@ class Loop:
         floor, edge = contract.band
         self.sensors = Sensors(self.period, self.bounds, Monitor(edge, floor=floor))
         self.poses = Poses(self.devices.receiver, self.bounds, self.target)
+        self.yaw_sensor = self.devices.imu or CameraYaw(self.poses)
         self.torque, self.reporter = Torque(), Reporter()
+        turns = (self.low, self.high)
+        self.signals = Signals(self.policy.expected, contract.band, turns, contract.measure)
+        self.signals.tested = not self.sign_test
+        self.signals.imu = self.devices.imu is not None
         self.runner_state, self.decided_on = runner.begin(self.policy), np.zeros((FRAMES, 6))
         self.finite, self.guarded, self.ordered = True, True, False
         self.missed: deque[float] = deque()  # when periods were missed
         self.late = 0.0  # s, of this period
+        self.decided_at = 0  # ns, monotonic
 
     def tick(self, now: float) -> None:
         """One period that begins at `now` [s], monotonic."""
         began, worked = time.monotonic(), time.thread_time()
         self.guarded = self.alive(self.torque.on)
         self._listen(now)
-        self.sensors.read(self.devices.servo, self.devices.imu, self.torque.sent)
+        self.sensors.read(self.devices.servo, self.yaw_sensor, self.torque.sent)
         if self.torque.on:
             alert = self.sensors.servo is not None and self.sensors.servo.alert
             self.torque.check(self.devices.servo, alert)
+            self._compare(now)
         health = self.health(now)
         decision = self._act(health)
         if self.safety_status.state is not State.RUN:
@@ -98,11 +107,13 @@ class Loop:
         """Apply the safety rules, let the policy decide in RUN, and send the setpoint."""
         before = self.safety_status.state
         self.safety_status = safety.judge(self.safety_status, health, self.limits)
+        if self.safety_status.state is State.TEST and self.signals.over:
+            self.safety_status = safety.after_test(self.signals.verdict())
         state = self.safety_status.state
         decision = self._decide() if state is State.RUN else None
         if state is State.STOP and before is not State.STOP:
             self._torque_off()
-        elif state in (State.ARMED, State.RUN, State.HOLD):
+        elif state in (State.ARMED, State.TEST, State.RUN, State.HOLD):
             self._send(decision)
         elif self.torque.owing:
             self._torque_off(tries=1)
@@ -119,6 +130,17 @@ class Loop:
         question = self.poses.question(now)
         if question is not None:
             self._to_station(question)
+
+    def _compare(self, now: float) -> None:
+        """Add this period to the robot's own signals, and look at them while it swims."""
+        servo, receiver = self.sensors.servo, self.devices.receiver
+        if servo is None:
+            return
+        stamped = self.poses.stamped(now, time.monotonic_ns())
+        target = self.poses.newest_target() or (math.nan, math.nan)
+        self.signals.add(now, self.torque.sent, servo.angle, self.sensors.yaw.rate, stamped, target)
+        if self.safety_status.state is State.RUN:
+            self.signals.look(receiver.room if receiver.told >= 0 else None)
 
     def _to_station(self, datagram: bytes) -> None:
         with contextlib.suppress(OSError):  # the age of the poses shows that a network is down
@@ -160,22 +182,26 @@ class Loop:
             clock_step=self.poses.clock_step,
             guarded=self.guarded,
             outside=self.poses.outside(),
+            signals=self.signals.trouble,
+            warning=self.signals.warned,
         )
 
     def _decide(self) -> runner.Decision:
         servo = self.sensors.servo
         assert servo is not None
-        self.decided_on = self.poses.frames(time.monotonic_ns())
+        now = time.monotonic_ns()
+        elapsed, self.decided_at = (now - self.decided_at) / SECOND, now
+        self.decided_on = self.poses.frames(now)
         readings = runner.Readings(
-            servo.angle, servo.velocity, self.sensors.yaw.rate, self.decided_on
+            servo.angle, servo.velocity, self.sensors.yaw.rate, self.decided_on, elapsed
         )
         self.runner_state, decision = runner.steer(self.policy, self.runner_state, readings)
         self.finite = math.isfinite(decision.setpoint)
         return decision
 
     def _send(self, decision: runner.Decision | None) -> None:
-        """Send the setpoint: the policy's in RUN, the held angle when armed, slowly to straight in
-        HOLD.
+        """Send the setpoint: the policy's in RUN, the sign test's in TEST, the held angle when
+        armed, slowly to straight in HOLD.
 
         If the servo's own watchdog stopped it, HOLD first makes it accept setpoints again from
         where it is.
@@ -187,6 +213,8 @@ class Loop:
         last = self.torque.sent
         if decision is not None:
             wanted, speed = decision.setpoint, limits.slew
+        elif self.safety_status.state is State.TEST:
+            wanted, speed = self.signals.setpoint(last, limits.ramp * self.period), limits.slew
         else:
             wanted, speed = 0.0 if on_hold else last, limits.ramp
         angle = safety.shaped(wanted, last, self.low, self.high, speed, self.period)
@@ -210,12 +238,14 @@ class Loop:
         """Turn torque on where the tail is now, if no rule of `safety` is broken."""
         self.finite, self.stop_asked = True, ""
         self.poses.clock_step, self.torque.hardware = 0.0, ""
+        self.signals.forget()
         self.safety_status = safety.arm(self.safety_status, self.health(now), self.limits)
         if self.safety_status.state is State.ARMED:
             try:
                 self.devices.servo.prepare(self.low, self.high)
                 self.alive(True)  # the watchdog knows before torque is on
                 self.torque.switch_on(self.devices.servo)
+                self.signals.begin(self.torque.sent)
                 self.sensors.travelled.clear()
                 self.runner_state = runner.begin(self.policy)
             except ServoFault as fault:
@@ -224,8 +254,8 @@ class Loop:
         return self.safety_status
 
     def swim(self) -> SafetyStatus:
-        """Let the policy swim; only from ARMED."""
-        self.safety_status = safety.run(self.safety_status)
+        """Let the policy swim, the first time after the sign test; only from ARMED."""
+        self.safety_status = safety.run(self.safety_status, self.signals.wanted)
         return self.safety_status
 
     def disarm(self) -> SafetyStatus:
@@ -302,6 +332,7 @@ class Loop:
             "missed": health.overruns,
             "spikes": sensors.gate.count,
             "pose_jumps": self.poses.jumps,
+            **self.signals.row(),
             "observation": decision.observation if decision else [],
             "action": decision.action if decision else [],
             "setpoint_rad": decision.setpoint if decision else math.nan,

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Ports:
-    """Addresses: serial ports of servo and IMU, our own address, the station's address."""
+    """Addresses: serial ports of servo and IMU ("none": there is no IMU), our own address, the
+    station's address."""
 
     servo: str
     imu: str

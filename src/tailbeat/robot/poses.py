@@ -4,10 +4,12 @@ import math
 import time
 from collections import deque
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control import camera_yaw
 from tailbeat.link import datagrams as link
 from tailbeat.link import places
 from tailbeat.link.clock import SECOND
@@ -31,7 +33,7 @@ class Poses:
     receiver: Receiver
     bounds: Bounds
     target: tuple[float, float] | None = None
-    seen: deque[Frame] = field(default_factory=lambda: deque(maxlen=FRAMES))
+    seen: deque[Frame] = field(default_factory=lambda: deque(maxlen=camera_yaw.FRAMES))
     jumps: int = 0
     jumped_at: int = 0  # ns, capture of the newest implausible frame
     clock_step: float = 0.0
@@ -101,6 +103,27 @@ class Poses:
         newest = self.seen[-1].fish if self.seen else None
         return newest or (math.nan, math.nan, math.nan)
 
+    def stamped(
+        self, now: float, now_ns: int
+    ) -> tuple[float, float, tuple[float, float, float]] | None:
+        """The newest pose with its capture [s] on the station's clock and on the robot's; None
+        without one."""
+        newest = self.seen[-1] if self.seen else None
+        age = self.age(now_ns)
+        if newest is None or newest.fish is None or age is None:
+            return None
+        return newest.captured / SECOND, now - age, newest.fish
+
+    def yaw_rate(self) -> float | None:
+        """The slope of the accepted headings [rad/s], see `control.camera_yaw`; None before the
+        first pose, and 0 while the poses are too few."""
+        if not self.seen:
+            return None
+        newest = self.seen[-1].captured
+        rows = [((frame.fish or self.pose())[2], frame.captured) for frame in reversed(self.seen)]
+        yaw, staleness = zip(*((yaw, (newest - at) / SECOND) for yaw, at in rows), strict=True)
+        return float(camera_yaw.yaw_rate(np.array([yaw]), np.array([staleness]))[0])
+
     def has_target(self) -> bool:
         """Whether the newest pose has a target."""
         return bool(self.seen) and self.target_of(self.seen[-1]) is not None
@@ -124,7 +147,7 @@ class Poses:
         x, y, age. A frame without the target has that of the newest one."""
         rows = []
         newest = self.target_of(self.seen[-1])
-        for frame in reversed(self.seen):
+        for frame in islice(reversed(self.seen), FRAMES):
             target = self.target_of(frame) or newest or (0.0, 0.0)
             age = self.receiver.age(frame, now_ns)
             rows.append([*(frame.fish or ()), *target, math.nan if age is None else age])

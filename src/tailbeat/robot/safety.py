@@ -36,6 +36,7 @@ class SafetyLimits:
     jumps_hold: int = 6  # frames in a row whose pose is implausible
     slew: float = 20.0  # rad/s of the setpoint: above the generator's fastest
     ramp: float = 1.0  # rad/s of the return to straight
+    own_watchdog: bool = True  # whether the servo has a watchdog; without one its rule is not used
 
 
 def limits_for(hardware: Hardware) -> SafetyLimits:
@@ -47,6 +48,7 @@ def limits_for(hardware: Hardware) -> SafetyLimits:
         voltage_low=round((1 + SAG) * low, 3),
         voltage_high=high,
         current_stop=hardware.current_limit,
+        own_watchdog=hardware.family == "dynamixel-x",
     )
 
 
@@ -63,7 +65,8 @@ class Health:
     `imu_frozen`: the IMU's numbers do not change. `follows`: the shaft follows its setpoints.
     `jumps`: implausible poses in a row. `clock_step` [s]: jump of the station's clock since arming.
     `guarded`: the watchdog process would turn torque off if the loop failed. `outside` says
-    where the pool ends if the set target lies outside it, else "".
+    where the pool ends if the set target lies outside it, else "". `signals` says what the robot's
+    own signals contradict in, and `warning` what does not keep it from swimming; else "".
     """
 
     pose_age: float = math.inf
@@ -88,6 +91,8 @@ class Health:
     clock_step: float = 0.0
     guarded: bool = True
     outside: str = ""
+    signals: str = ""
+    warning: str = ""
 
 
 @dataclass(frozen=True)
@@ -132,10 +137,11 @@ STOPS = (
          lambda h: abs(h.current)),
     Rule(Reason.SERVO_LOST, lambda h, lim: h.servo_age >= lim.servo_stop, lambda h: h.servo_age),
     Rule(Reason.POSE_LOST, lambda h, lim: h.pose_age >= lim.pose_stop, lambda h: h.pose_age),
+    Rule(Reason.NO_WATCHDOG, lambda h, _: not h.guarded),
 )  # fmt: skip
 HOLDS = (
     Rule(Reason.NOT_A_NUMBER, lambda h, _: not h.finite),
-    Rule(Reason.BUS_WATCHDOG, lambda h, _: h.watchdog),
+    Rule(Reason.BUS_WATCHDOG, lambda h, lim: lim.own_watchdog and h.watchdog),
     Rule(Reason.SERVO_LATE, lambda h, lim: not h.servo_age < lim.servo_hold, lambda h: h.servo_age),
     Rule(Reason.YAW_RATE_LATE, lambda h, lim: not h.imu_age < lim.imu_hold, lambda h: h.imu_age),
     Rule(Reason.POSE_LATE, lambda h, lim: not h.pose_age < lim.pose_hold, lambda h: h.pose_age),
@@ -153,7 +159,7 @@ HOLDS = (
     Rule(Reason.PERIODS_MISSED, lambda h, lim: h.overruns >= lim.overruns_hold,
          lambda h: h.overruns),
     Rule(Reason.LOG_FAILED, lambda h, _: not h.logging),
-    Rule(Reason.NO_WATCHDOG, lambda h, _: not h.guarded),
+    Rule(Reason.SIGNALS_DISAGREE, lambda h, _: bool(h.signals), note=lambda h: h.signals),
 )  # fmt: skip
 
 
@@ -168,9 +174,10 @@ def judge(before: SafetyStatus, health: Health, limits: SafetyLimits) -> SafetyS
         return before
     if rule := first_broken(STOPS, health, limits):
         return _status(State.STOP, rule, health)
-    if before.state is State.RUN and (rule := first_broken(HOLDS, health, limits)):
+    moves = before.state in (State.TEST, State.RUN)
+    if moves and (rule := first_broken(HOLDS, health, limits)):
         return _status(State.HOLD, rule, health)
-    return before
+    return swimming(health.warning) if before.state is State.RUN else before
 
 
 def arm(before: SafetyStatus, health: Health, limits: SafetyLimits) -> SafetyStatus:
@@ -193,9 +200,21 @@ def _status(state: State, rule: Rule, health: Health) -> SafetyStatus:
     return SafetyStatus(state, rule.reason, rule.value(health), rule.note(health))
 
 
-def run(before: SafetyStatus) -> SafetyStatus:
-    """RUN if the state is ARMED, else no change."""
-    return SafetyStatus(State.RUN, Reason.SWIMMING) if before.state is State.ARMED else before
+def run(before: SafetyStatus, test: bool = False) -> SafetyStatus:
+    """RUN if the state is ARMED, or TEST if the sign test comes first; else no change."""
+    if before.state is not State.ARMED:
+        return before
+    return SafetyStatus(State.TEST, Reason.TESTING) if test else swimming()
+
+
+def swimming(warning: str = "") -> SafetyStatus:
+    """RUN, with a warning if there is one."""
+    return SafetyStatus(State.RUN, Reason.SWIMMING, note=warning and f"; warning: {warning}")
+
+
+def after_test(said: str) -> SafetyStatus:
+    """RUN after a sign test that found nothing; else STOP with what it `said`."""
+    return SafetyStatus(State.STOP, Reason.SIGN_TEST, note=said) if said else swimming()
 
 
 def disarm(before: SafetyStatus) -> SafetyStatus:

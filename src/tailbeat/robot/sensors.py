@@ -1,6 +1,7 @@
 """The newest readings of servo and IMU, and which are accepted."""
 
 import math
+import time
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -8,8 +9,10 @@ import numpy as np
 
 from tailbeat.control.band import Monitor, Shares
 from tailbeat.robot import plausible
-from tailbeat.robot.imu import Imu, ImuFault, YawRate
+from tailbeat.robot.imu import ImuFault, YawRate
+from tailbeat.robot.imus import YawSensor
 from tailbeat.robot.plausible import Bounds, Gate
+from tailbeat.robot.poses import Poses
 from tailbeat.robot.servo import Servo, ServoFault, ServoState
 
 CURRENT_TIME = 0.5  # s over which the servo's current is averaged
@@ -17,6 +20,19 @@ FOLLOWING = 0.5  # s within which the shaft must follow its setpoint
 REOPEN_EVERY = 0.5  # s between two tries to open an unplugged port again
 NEVER = YawRate(-math.inf, 0.0)
 UNKNOWN = Shares(math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraYaw:
+    """What stands in for an IMU: the slope of the headings in the accepted poses."""
+
+    poses: Poses
+
+    def read(self) -> YawRate | None:
+        """The yaw rate, with the time at which the newest frame was taken; None before the first
+        pose."""
+        age, rate = self.poses.age(time.monotonic_ns()), self.poses.yaw_rate()
+        return None if age is None or rate is None else YawRate(time.monotonic() - age, rate)
 
 
 @dataclass(eq=False)
@@ -45,7 +61,7 @@ class Sensors:
         self.volts = deque(maxlen=round(CURRENT_TIME / self.period))
         self.travelled = deque(maxlen=round(FOLLOWING / self.period))
 
-    def read(self, servo: Servo, imu: Imu, sent: float) -> None:
+    def read(self, servo: Servo, imu: "YawSensor | CameraYaw", sent: float) -> None:
         """Read both devices; `sent` [rad] is the last setpoint. A missing reply shows in a
         reading's age."""
         try:
@@ -92,7 +108,7 @@ class Sensors:
         """Compute in which frequencies the tail's power is; takes longer than a decision."""
         self.shares = self.monitor.shares() or UNKNOWN
 
-    def reopen(self, servo: Servo, imu: Imu, now: float) -> None:
+    def reopen(self, servo: Servo, imu: YawSensor | None, now: float) -> None:
         """Open the port of an unplugged device, or of a frozen IMU, again; at most twice a
         second."""
         broken = self.servo_gone or self.imu_gone or self.imu_fault == "frozen"
@@ -102,7 +118,7 @@ class Sensors:
         try:
             if self.servo_gone:
                 servo.reopen()
-            else:
+            elif imu is not None:
                 imu.reopen()
         except (ServoFault, ImuFault):
             pass  # the next call tries again

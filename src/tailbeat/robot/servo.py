@@ -1,251 +1,79 @@
-"""The fish's servo: a ROBOTIS X-series servo on a serial port, Protocol 2.0.
+"""The fish's servo, of either family: what the robot asks of a driver, and which driver answers.
 
-Own driver. The maker's library blocks 34 ms on a lost reply, reads that as the value 0, and writes
-without stuffing. Here a reply must come within 5 ms, a read is tried twice, a write once, and every
-error byte is checked. Addresses and units: e-manual of the XW430-T200 (not checked on a real one);
-model and unit of current: the fish's `Hardware`. The X series and the MX-28 (2.0) share addresses.
+`dynamixel` drives ROBOTIS X-series servos and the MX-28 (2.0), `feetech` Feetech STS servos. The
+fish's `[hardware]` names the family.
 """
 
-import contextlib
-import math
-import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from typing import Protocol
 
 import serial
 
 from tailbeat.files import BadInput
-from tailbeat.fish.description import Hardware
-from tailbeat.robot.packet import (
-    ERRORS,
-    PING,
-    READ,
-    REBOOT,
-    STATUS,
-    WRITE,
-    Packet,
-    Parser,
-    encode,
-)
-from tailbeat.robot.wire import GONE, heard, reopen
+from tailbeat.fish.description import Family, Hardware
+from tailbeat.robot import dynamixel, feetech
+from tailbeat.robot.servo_state import DEADLINE, PATIENCE, ServoFault, ServoState
+from tailbeat.robot.wire import open_port
 
-COUNT = 2 * math.pi / 4096  # rad
-CENTRE = 2048
-VELOCITY = 0.229 * 2 * math.pi / 60  # rad/s
-VOLTAGE = 0.1  # V
-RETURN_DELAY, OPERATING_MODE, HIGHEST, LOWEST = (9, 1), (11, 1), (48, 4), (52, 4)
-TORQUE, RETURN_LEVEL, HARDWARE_ERROR = (64, 1), (68, 1), (70, 1)
-GAIN, BUS_WATCHDOG, GOAL = (84, 2), (98, 1), (116, 4)
-STATE_FIRST, STATE_LENGTH = 122, 25  # moving ... temperature: no gap
-POSITION_MODE = 3
-WATCHDOG_UNIT = 0.020  # s
-DEADLINE = 0.005  # s for a reply
-PATIENCE = 0.1  # s for the first reply and for arming: nothing moves yet
-HARDWARE = {0: "voltage", 2: "overheat", 3: "encoder", 4: "electrical shock", 5: "overload"}
+FAMILIES: tuple[Family, ...] = ("dynamixel-x", "feetech-sts")
+
+__all__ = ["DEADLINE", "FAMILIES", "Servo", "ServoFault", "ServoState", "connect", "on_port"]
 
 
-class ServoFault(Exception):
-    """The servo did not follow a command. `kind`: "silent" (no reply), "gone" (the port is
-    missing), "refused" (an error in its status), "watchdog" (it stopped itself and must be armed
-    again)."""
-
-    def __init__(self, kind: str, text: str) -> None:
-        super().__init__(text)
-        self.kind = kind
-
-
-@dataclass(frozen=True)
-class ServoState:
-    """One reading: `time` [s] monotonic at its arrival, angle [rad] and velocity [rad/s] of the
-    shaft, current [A], voltage [V], temperature [deg C], and whether there is a hardware error."""
-
-    time: float
-    angle: float
-    velocity: float
-    current: float
-    voltage: float
-    temperature: float
-    alert: bool
-
-
-@dataclass(eq=False)
-class Servo:
-    """An open servo; see `connect`. `silent` counts missing replies. `sign` is 1 if counts increase
-    with the motor angle, else -1."""
+class Servo(Protocol):
+    """A driver. Every method raises ServoFault, but for `stopped_itself` of a servo without a
+    watchdog, and `close`. Registers are pairs of address and bytes."""
 
     port: serial.Serial
     ident: int
-    sign: int = 1
-    deadline: float = DEADLINE
-    current_unit: float = math.nan  # A per count, of the fish's hardware
-    parser: Parser = field(default_factory=Parser)
-    silent: int = 0
+    deadline: float  # s for a reply
+    silent: int  # replies that did not come
 
-    # ---- what the loop calls --------------------------------------------------------------------
+    @property
+    def own_watchdog(self) -> bool:
+        """Whether the servo itself stops if the bus is silent."""
 
     def read(self) -> ServoState:
-        """Read the servo's state in one transaction. Raises ServoFault."""
-        status = self._ask(READ, _pair(STATE_FIRST, STATE_LENGTH), STATE_LENGTH, tries=2)
-        data = status.data
-        return ServoState(
-            time=time.monotonic(),
-            angle=self.sign * COUNT * (_signed(data, 132, 4) - CENTRE),
-            velocity=self.sign * VELOCITY * _signed(data, 128, 4),
-            current=self.sign * self.current_unit * _signed(data, 126, 2),
-            voltage=VOLTAGE * _signed(data, 144, 2),
-            temperature=float(data[146 - STATE_FIRST]),
-            alert=status.alert,
-        )
+        """Read the servo's state in one transaction."""
 
     def write(self, angle: float) -> float:
-        """Send a setpoint [rad]; returns the angle sent, rounded to whole counts. Raises
-        ServoFault, of kind "watchdog" if the servo had stopped itself."""
-        counts = CENTRE + self.sign * round(angle / COUNT)
-        try:
-            self.set(GOAL, counts)
-        except ServoFault as fault:
-            if fault.kind == "refused" and self.stopped_itself():
-                raise ServoFault("watchdog", "the servo's bus watchdog stopped it") from None
-            raise
-        return self.sign * COUNT * (counts - CENTRE)
-
-    # ---- arming ---------------------------------------------------------------------------------
+        """Send a setpoint [rad]; returns the angle sent, rounded to whole counts."""
 
     def prepare(self, low: float, high: float) -> None:
-        """Turn torque off and set position mode, limits [rad] in the servo itself, and fast replies
-        to all packets. Raises ServoFault."""
-        with self._patient():
-            self._prepare(low, high)
-
-    def _prepare(self, low: float, high: float) -> None:
-        self.torque_off()
-        ends = sorted(CENTRE + self.sign * round(end / COUNT) for end in (low, high))
-        wanted = {OPERATING_MODE: POSITION_MODE, RETURN_DELAY: 0, LOWEST: ends[0], HIGHEST: ends[1]}
-        for register, value in wanted.items():
-            if self.get(register) != value:  # saves write cycles of the EEPROM
-                self.set(register, value)
-        self.set(RETURN_LEVEL, 2)
+        """Turn torque off; set position mode, limits [rad] in the servo itself, and replies."""
 
     def arm(self, watchdog: float = 0.1) -> float:
-        """Turn torque on and hold the present angle; returns that angle [rad].
-
-        The goal is set first, then the servo's own watchdog [s] (at most 2.54), then torque: it is
-        never on without the watchdog. Raises ServoFault.
-        """
-        with self._patient():
-            held = self.release(watchdog)
-            self.set(TORQUE, 1)
-        return held
-
-    @contextlib.contextmanager
-    def _patient(self) -> Iterator[None]:
-        """Wait longer for replies: nothing moves yet, and EEPROM is slow."""
-        usual, self.deadline = self.deadline, max(self.deadline, PATIENCE)
-        try:
-            yield
-        finally:
-            self.deadline = usual
+        """Turn torque on and hold the present angle; returns it [rad]. `watchdog` [s] sets the
+        servo's own, if it has one."""
 
     def release(self, watchdog: float = 0.1) -> float:
-        """Accept goals again after the servo's own watchdog stopped it; returns the angle held
-        [rad].
-
-        The first goal is the present angle, then the watchdog [s] is set again. Torque does not
-        change. Raises ServoFault.
-        """
-        self.set(BUS_WATCHDOG, 0)
-        held = self.write(self.read().angle)
-        self.set(BUS_WATCHDOG, _periods(watchdog))
-        return held
+        """Accept goals from the present angle; returns it [rad]. Torque does not change."""
 
     def torque_off(self) -> None:
-        """Turn torque off in any state, then the servo's watchdog. Raises ServoFault.
-
-        The register is read back, because a late reply to an earlier write looks like the reply to
-        this one.
-        """
-        self.set(TORQUE, 0)
-        if self.is_on():
-            raise ServoFault("refused", "torque is still on after the command to turn it off")
-        self.set(BUS_WATCHDOG, 0)
-
-    def stopped_itself(self) -> bool:
-        """Whether the servo's own watchdog stopped it; then goals are refused until `release`."""
-        return self.get(BUS_WATCHDOG) == 0xFF
+        """Turn torque off in any state, and read it back."""
 
     def is_on(self) -> bool:
         """Whether the servo holds torque."""
-        return bool(self.get(TORQUE))
+
+    def stopped_itself(self) -> bool:
+        """Whether the servo's own watchdog stopped it."""
 
     def hardware_errors(self) -> list[str]:
-        """Names of the present hardware errors. After a shutdown, only `reboot` clears them."""
-        bits = self.get(HARDWARE_ERROR)
-        return [name for bit, name in HARDWARE.items() if bits >> bit & 1]
+        """Names of the present hardware errors."""
 
     def reboot(self) -> None:
         """Restart the servo: torque is off afterwards, and its RAM is lost."""
-        self._ask(REBOOT, b"", 0, tries=1)
-
-    # ---- registers ------------------------------------------------------------------------------
 
     def get(self, register: tuple[int, int]) -> int:
-        """Read an unsigned register (address, bytes). Raises ServoFault."""
-        status = self._ask(READ, _pair(*register), register[1], tries=2)
-        return int.from_bytes(status.data, "little")
+        """Read an unsigned register."""
 
     def set(self, register: tuple[int, int], value: int) -> None:
-        """Write a register (address, bytes). Raises ServoFault."""
-        address, size = register
-        body = address.to_bytes(2, "little") + (value % (1 << 8 * size)).to_bytes(size, "little")
-        self._ask(WRITE, body, 0, tries=1)
+        """Write a register."""
 
     def reopen(self) -> None:
-        """Open the port again after the cable was unplugged. Raises ServoFault."""
-        try:
-            reopen(self.port)
-        except GONE as error:
-            raise ServoFault("gone", f"{self.port.port}: {error}; check the cable") from None
+        """Open the port again after the cable was unplugged."""
 
     def close(self) -> None:
         """Turn torque off if the servo still answers, and close the port."""
-        with contextlib.suppress(ServoFault):
-            self.torque_off()
-        with contextlib.suppress(*GONE):
-            self.port.close()
-
-    def _ask(self, instruction: int, body: bytes, length: int, tries: int) -> Packet:
-        """One transaction; returns a status with `length` bytes of data. Raises ServoFault."""
-        for _ in range(tries):
-            status = self._once(Packet(self.ident, instruction, body))
-            if status is None:
-                self.silent += 1
-            elif status.error:
-                said = ERRORS.get(status.error, f"number {status.error}")
-                raise ServoFault("refused", f"the servo refused: {said} error")
-            elif len(status.data) == length:
-                return status
-        raise ServoFault("silent", f"no reply within {1e3 * self.deadline:g} ms")
-
-    def _once(self, packet: Packet) -> Packet | None:
-        try:
-            self.port.reset_input_buffer()
-            self.parser.held.clear()  # drop a late reply to an earlier request
-            self.port.write(encode(packet))
-            for status in self._replies():
-                if (
-                    status.ident == self.ident
-                    and status.instruction == STATUS
-                    and status.parameters
-                ):
-                    return status
-        except GONE as error:
-            raise ServoFault("gone", f"{self.port.port}: {error}; check the cable") from None
-        return None
-
-    def _replies(self) -> Iterator[Packet]:
-        end = time.monotonic() + self.deadline
-        while time.monotonic() < end and (data := heard(self.port, end)):
-            yield from self.parser.feed(data)
 
 
 def connect(
@@ -256,44 +84,28 @@ def connect(
     sign: int = 1,
     deadline: float = DEADLINE,
 ) -> Servo:
-    """Open a port and check that the fish's servo model answers. `deadline` [s] is for a reply.
-    Raises BadInput."""
+    """Open a port and check that the fish's servo model answers. `deadline` [s] is for a reply;
+    `sign` is 1 if counts increase with the motor angle, else -1. Raises BadInput."""
+    port = open_port(path, baud, deadline)
+    told = port, ident, sign, max(deadline, PATIENCE), hardware.current_unit
     try:
-        port = serial.Serial(path, baud, timeout=deadline, write_timeout=0.1, exclusive=True)
-    except (serial.SerialException, OSError, ValueError) as error:
-        raise BadInput(
-            f"{path}: {error}; give the servo's port, closed in other programs."
-        ) from None
-    with contextlib.suppress(ValueError, OSError, NotImplementedError):
-        port.set_low_latency_mode(True)  # a pty has none
-    servo = Servo(port, ident, sign, max(deadline, PATIENCE), hardware.current_unit)
-    try:
-        model = int.from_bytes(servo._ask(PING, b"", 3, tries=3).data[:2], "little")
-    except ServoFault as fault:
+        if hardware.family == "feetech-sts":
+            sts = feetech.Servo(*told)
+            feetech.check(sts, path, hardware, baud)
+            sts.deadline = deadline
+            return sts
+        servo = dynamixel.Servo(*told)
+        dynamixel.check(servo, path, hardware, baud)
+    except BadInput:
         port.close()
-        raise BadInput(
-            f"{path}: no servo {ident} answers at {baud} baud ({fault}); check cable, power,"
-            f" id and baud rate."
-        ) from None
+        raise
     servo.deadline = deadline
-    if model != hardware.number:
-        port.close()
-        raise BadInput(
-            f"{path}: model number {model} answers, the fish's {hardware.model} has"
-            f" {hardware.number}; give its port, or the right servo in the fish's [hardware] table."
-        )
     return servo
 
 
-def _periods(watchdog: float) -> int:
-    """A bus watchdog [s] in its own unit."""
-    return min(max(round(watchdog / WATCHDOG_UNIT), 1), 127)
-
-
-def _pair(address: int, length: int) -> bytes:
-    return address.to_bytes(2, "little") + length.to_bytes(2, "little")
-
-
-def _signed(data: bytes, address: int, size: int) -> int:
-    first = address - STATE_FIRST
-    return int.from_bytes(data[first : first + size], "little", signed=True)
+def on_port(port: serial.Serial, family: Family, ident: int, deadline: float) -> Servo:
+    """A driver on a port that is open, without asking the servo anything. It may be one that
+    answers no writes."""
+    if family == "feetech-sts":
+        return feetech.Servo(port, ident, deadline=deadline, answers_writes=False)
+    return dynamixel.Servo(port, ident, deadline=deadline, answers_writes=False)

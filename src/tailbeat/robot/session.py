@@ -13,18 +13,20 @@ from importlib.metadata import version
 from pathlib import Path
 
 from tailbeat import __version__
-from tailbeat.control.policy import Contract, load_policy, policy_path
+from tailbeat.control.policy import Contract, Policy, load_policy, policy_path
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.fish.description import Hardware
-from tailbeat.fish.store import hardware_of
+from tailbeat.fish.store import hardware_of, load_fish
 from tailbeat.link import datagrams as link
 from tailbeat.link.reasons import Reason
 from tailbeat.link.status import State
-from tailbeat.robot import imu, safety, servo, systemd, timing, watchdog
+from tailbeat.robot import imus, safety, servo, systemd, timing, watchdog
 from tailbeat.robot import log as log_file
 from tailbeat.robot.devices import Devices
-from tailbeat.robot.doctor_devices import check_before_driving
-from tailbeat.robot.fits import carried, check_driven
+from tailbeat.robot.doctor_devices import NO_WATCHDOG, check_before_driving
+from tailbeat.robot.fits import NONE, carried, check_driven, check_yaw_rate
+from tailbeat.robot.imu import PATIENCE, ImuFault, mounting_of
+from tailbeat.robot.imus import YawSensor
 from tailbeat.robot.loop import Loop
 from tailbeat.robot.ports import Ports
 from tailbeat.robot.results import DriveResult, summarise
@@ -48,7 +50,10 @@ class DriveConfig:
     The policy (a file or a shipped policy's name), the devices' ports, the key's file, the log's
     file. `target` [m], if set, replaces the target's tag; if it is outside the pool, whose size the
     station sends, the robot does not arm. The drive lasts `seconds`. It arms and swims `by_itself`,
-    or when ordered. A robot that stopped ends the drive, unless `stay` is set.
+    or when ordered. A robot that stopped ends the drive, unless `stay` is set. The first swim
+    begins with the sign test, unless `sign_test` is False. `fish` is the fish that drives, by file
+    or name: its `[hardware]` counts; None: the fish inside the policy. With `force_camera` a policy
+    that was trained with an IMU swims without one.
     """
 
     policy: str
@@ -59,6 +64,9 @@ class DriveConfig:
     seconds: float = 30.0
     by_itself: bool = True
     stay: bool = False
+    sign_test: bool = True
+    fish: str | None = None
+    force_camera: bool = False
 
 
 def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> DriveResult:
@@ -71,17 +79,31 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
         say(f"        {refused}")
     loaded, secret = load_policy(config.policy), link.read_key(config.key)
     check_driven(loaded.contract)
-    hardware = hardware_of(carried(loaded.contract))
+    check_yaw_rate(loaded.contract, config.ports.imu, config.force_camera)
+    hardware = _hardware(config, loaded.contract)
+    if hardware.family == "feetech-sts":
+        say(f"        {hardware.model}: {NO_WATCHDOG}")
     refuse_existing(config.log)
     with _open_devices(config, secret, hardware) as devices:
-        noted = notes(config.policy, loaded.contract)
+        found = yaw_source(devices, hardware, config.force_camera)
+        say(f"        yaw rate: {found}")
+        noted = notes(config.policy, loaded.contract) | {"yaw_rate": found}
+        noted["sign_test"] = _sign_test(config, loaded, say)
         with contextlib.closing(log_file.start(config.log, noted)) as written:
             limits = safety.limits_for(hardware)
-            own = Loop(loaded, devices, written.put, limits, target=config.target)
+            own = Loop(
+                loaded, devices, written.put, limits,
+                target=config.target, sign_test=config.sign_test,
+            )  # fmt: skip
             own.logging = lambda: written.healthy
-            _guarded(own, config, say, each)
+            _guarded(own, config, hardware, say, each)
             written.last_notes["pace"] = json.dumps(own.pace.report())
         return _result(own, config)
+
+
+def _hardware(config: DriveConfig, contract: Contract) -> Hardware:
+    """The servo of the fish that drives."""
+    return hardware_of(load_fish(config.fish) if config.fish else carried(contract))
 
 
 def notes(policy: str, contract: Contract) -> dict[str, str]:
@@ -98,15 +120,45 @@ def notes(policy: str, contract: Contract) -> dict[str, str]:
     }
 
 
+def _sign_test(config: DriveConfig, policy: Policy, say: Say) -> str:
+    """What the log says of the sign test; `say` gets why there is none."""
+    if not config.sign_test:
+        said = "skipped as asked: nobody checked servo, IMU and camera against each other"
+    elif policy.expected is None:
+        said = (
+            "missing: the policy's file does not say what to expect; run `tailbeat policy expect`"
+        )
+    else:
+        return "before the first swim"
+    say(f"sign test: {said}")
+    return said
+
+
+def yaw_source(devices: Devices, hardware: Hardware, forced: bool = False) -> str:
+    """Where the yaw rate comes from, for the operator and the log. A sensor at rest whose gravity
+    contradicts the fish's file is named."""
+    if devices.imu is None:
+        return "the camera" + (", forced: the policy was trained with an IMU" if forced else "")
+    try:
+        up = devices.imu.up()
+    except ImuFault as fault:
+        return f"{devices.imu.name}; {fault}"
+    told = f"{devices.imu.name}, {hardware.imu_up} up"
+    wrong = up not in ("", hardware.imu_up)
+    return f"{told}; WARNING: by gravity {up} is up, see `tailbeat doctor`" if wrong else told
+
+
 @contextlib.contextmanager
 def _open_devices(config: DriveConfig, key: bytes, hardware: Hardware) -> Iterator[Devices]:
     """Open servo, IMU and the link's socket; close them at the end."""
-    ports, gyro = config.ports, None
+    ports = config.ports
+    gyro: YawSensor | None = None
     motor = servo.connect(ports.servo, hardware)
     try:
         check_before_driving(ports.servo, motor, hardware)
-        gyro = imu.connect(ports.imu)
-        _prepare(gyro, ports.imu)
+        if ports.imu != NONE:
+            gyro = imus.connect(ports.imu, mounting_of(hardware))
+            _prepare(gyro, ports.imu)
         receiver = link.Receiver(key)  # the station sends the pool's size
         with link.bind(*ports.listen) as heard:
             yield Devices(motor, gyro, receiver, heard, ports.station)
@@ -116,9 +168,9 @@ def _open_devices(config: DriveConfig, key: bytes, hardware: Hardware) -> Iterat
             gyro.close()
 
 
-def _guarded(own: Loop, config: DriveConfig, say: Say, each: Each) -> None:
+def _guarded(own: Loop, config: DriveConfig, hardware: Hardware, say: Say, each: Each) -> None:
     """Swim with a watchdog process; it ends without action once the torque is off."""
-    with watchdog.guard(config.ports.servo) as watcher:
+    with watchdog.guard(config.ports.servo, families=[hardware.family]) as watcher:
         own.alive = Alive(own, watcher, systemd.from_environment())
         try:
             _swim(own, config, say, each)
@@ -141,12 +193,12 @@ def _result(own: Loop, config: DriveConfig) -> DriveResult:
     )
 
 
-def _prepare(gyro: imu.Imu, path: str) -> None:
+def _prepare(gyro: YawSensor, path: str) -> None:
     """Set the IMU up, with a longer deadline. Raises BadInput."""
-    gyro.deadline, usual = imu.PATIENCE, gyro.deadline
+    gyro.deadline, usual = PATIENCE, gyro.deadline
     try:
         gyro.prepare()
-    except imu.ImuFault as fault:
+    except ImuFault as fault:
         raise BadInput(f"{path}: {fault}; run `tailbeat doctor`.") from None
     gyro.deadline = usual
 

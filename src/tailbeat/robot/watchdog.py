@@ -1,34 +1,39 @@
 """The watchdog: a process that turns torque off when the loop fails.
 
-The loop writes a byte into a pipe every period. The watchdog turns torque off if the pipe closes
-without a farewell byte, or if no byte comes for a second while torque is on. It ignores what ends
+The loop writes a byte into a pipe every period, and the watchdog answers it. The watchdog turns
+torque off if the pipe closes without a farewell byte, or if no byte comes for a second while torque
+is on. The loop stops if no answer comes for 0.4 s. It ignores what ends
 the loop (Ctrl-C, SIGTERM) and needs neither network nor policy. If both processes die,
 `ExecStopPost` of the systemd unit does the same.
 """
 
 import contextlib
+import math
 import os
 import select
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import serial
 
 from tailbeat.files import BadInput
+from tailbeat.fish.description import Family
 from tailbeat.processes import start
-from tailbeat.robot.servo import DEADLINE, Servo, ServoFault
+from tailbeat.robot.servo import DEADLINE, FAMILIES, ServoFault, on_port
 from tailbeat.robot.wire import GONE
 
 HELD, FREE, FAREWELL = b"t", b".", b"q"
 SILENCE = 1.0  # s without a byte while torque is on: the loop hangs
 TRYING = 10.0  # s that it tries to turn torque off: a cable may be plugged in again
+LAST_ID, FASTEST = 252, 4_500_000  # of a servo, and its baud rate (e-manual, X series, 7 and 8)
 START = 30.0  # s for the watchdog to start
+DEAF = 0.4  # s without an answer: the watchdog hangs
 
 
 # ---- the loop's end -----------------------------------------------------------------------------
@@ -36,13 +41,28 @@ START = 30.0  # s for the watchdog to start
 
 @dataclass(eq=False)
 class Watchdog:
-    """A running watchdog. Call `beat` every period, and `farewell` once torque is off."""
+    """A running watchdog. Call `beat` every period, and `farewell` once torque is off. `answered`
+    [s] is when its last answer was read, `asked` [s] when it was asked last."""
 
     process: subprocess.Popen[bytes]
+    answered: float = field(default_factory=time.monotonic)
+    asked: float = math.inf
 
     def beat(self, torque: bool) -> bool:
-        """Tell the watchdog that the loop runs; returns whether it still reads."""
-        return self._say(HELD if torque else FREE)
+        """Tell the watchdog that the loop runs; returns whether it still answers."""
+        now = time.monotonic()
+        if self._hears() or now - self.asked > DEAF / 2:  # else the loop itself was late
+            self.answered = now
+        self.asked = now
+        return self._say(HELD if torque else FREE) and now - self.answered < DEAF
+
+    def _hears(self) -> bool:
+        """Whether an answer has come since the last call."""
+        assert self.process.stdout is not None
+        try:
+            return bool(os.read(self.process.stdout.fileno(), 4096))
+        except OSError:
+            return False
 
     def farewell(self) -> None:
         """Tell the watchdog that torque is off and it may end."""
@@ -60,9 +80,12 @@ class Watchdog:
 
 
 @contextmanager
-def guard(path: str, ident: int = 1, baud: int = 1_000_000) -> Iterator[Watchdog]:
-    """Start a watchdog for the servo on a port, before anything moves. Raises BadInput."""
-    words = ["-m", "tailbeat.robot.watchdog", path, str(ident), str(baud)]
+def guard(
+    path: str, ident: int = 1, baud: int = 1_000_000, families: Sequence[Family] = FAMILIES
+) -> Iterator[Watchdog]:
+    """Start a watchdog for the servo on a port, before anything moves. It speaks to a servo of the
+    `families`. Raises BadInput."""
+    words = ["-m", "tailbeat.robot.watchdog", path, str(ident), str(baud), *families]
     process = start(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdin is not None and process.stdout is not None
     ready, _, _ = select.select([process.stdout], [], [], START)
@@ -73,13 +96,17 @@ def guard(path: str, ident: int = 1, baud: int = 1_000_000) -> Iterator[Watchdog
             "the watchdog process did not start, so the robot will not arm; torque would stay on"
             " if the loop failed. Start the drive again."
         )
-    os.set_blocking(process.stdin.fileno(), False)
+    for pipe in (process.stdin, process.stdout):
+        os.set_blocking(pipe.fileno(), False)
     try:
         yield Watchdog(process)
     finally:
         process.stdin.close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
+        try:
             process.wait(TRYING + 1)
+        except subprocess.TimeoutExpired:
+            process.kill()  # it hangs, and torque is off
+            process.wait()
         process.stdout.close()
 
 
@@ -99,20 +126,34 @@ def watch(pipe: int, parent: int) -> bool:
             if not data:
                 return last != FAREWELL
             last = data[-1:]
+            _answer()
         elif last == HELD and os.getppid() == parent:
             os.kill(parent, signal.SIGKILL)
             return True
 
 
-def try_torque_off(path: str, ident: int = 1, baud: int = 1_000_000, trying: float = TRYING) -> str:
+def _answer() -> None:
+    """Tell the loop that it is watched; a loop that reads no more is not waited for."""
+    with contextlib.suppress(OSError):
+        os.write(1, FREE)
+
+
+def try_torque_off(
+    path: str,
+    ident: int = 1,
+    baud: int = 1_000_000,
+    trying: float = TRYING,
+    families: Sequence[Family] = FAMILIES,
+) -> str:
     """Try to turn torque off until it is confirmed; "" on success, else the last error.
 
-    The port may be in use. Half-written packets of a dead process on the bus do no harm.
+    The port may be in use. Half-written packets of a dead process on the bus do no harm, and
+    neither do packets of a family that the servo does not understand.
     """
     end, said = time.monotonic() + trying, "not tried"
     while time.monotonic() < end:
         try:
-            _once(path, ident, baud)
+            _once(path, ident, baud, families)
             return ""
         except (ServoFault, ValueError, *GONE) as fault:
             said = str(fault)
@@ -124,37 +165,45 @@ def torque_off(servo: str, ident: int, baud: int) -> None:
     """Turn the servo's torque off. Raises BadInput if the servo does not confirm it."""
     if not Path(servo).exists():
         raise BadInput(f"--servo {servo}: no such port; give the servo's port, like /dev/ttyUSB0.")
+    if not 0 <= ident <= LAST_ID:
+        raise BadInput(f"--id {ident}: give 0 to {LAST_ID}.")
+    if not 0 < baud <= FASTEST:
+        raise BadInput(f"--baud {baud}: give 1 to {FASTEST}.")
     said = try_torque_off(servo, ident, baud, trying=3.0)
     if said:
         raise BadInput(f"{servo}: {said}; TORQUE MAY BE ON: cut the servo's power.")
 
 
-def _once(path: str, ident: int, baud: int) -> None:
-    """Try three times with one opening of the port. Raises ServoFault, or one of `GONE`."""
+def _once(path: str, ident: int, baud: int, families: Sequence[Family]) -> None:
+    """Try each family three times with one opening of the port. Raises ServoFault, or one of
+    `GONE`."""
     with serial.Serial(path, baud, timeout=DEADLINE, write_timeout=0.1) as port:
-        servo = Servo(port, ident, deadline=4 * DEADLINE)
-        for attempt in range(3):
+        servos = [on_port(port, family, ident, 4 * DEADLINE) for family in families]
+        for left in range(3 * len(servos) - 1, -1, -1):
             try:
-                servo.torque_off()
+                servos[-1 - left % len(servos)].torque_off()
                 return
             except ServoFault:
-                if attempt == 2:
+                if left == 0:
                     raise
 
 
 def main() -> None:
-    """`python -m tailbeat.robot.watchdog PORT ID BAUD [now]`: watch standard input, then turn
-    torque off; with `now` at once. Exit code 1 if torque may still be on."""
+    """`python -m tailbeat.robot.watchdog PORT ID BAUD [FAMILY ...] [now]`: watch standard input,
+    then turn torque off; with `now` at once. Without a family it tries all. Exit code 1 if torque
+    may still be on."""
     path, ident, baud = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
-    if sys.argv[4:] != ["now"]:
+    families = [one for one in FAMILIES if one in sys.argv[4:]] or FAMILIES
+    if "now" not in sys.argv[4:]:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)
         parent = os.getppid()
         sys.stdout.write("ready\n")
         sys.stdout.flush()
+        os.set_blocking(1, False)
         if not watch(sys.stdin.fileno(), parent):
             return
-    said = try_torque_off(path, ident, baud)
+    said = try_torque_off(path, ident, baud, families=families)
     print(f"tailbeat: {said or 'the loop failed; torque is off'}", file=sys.stderr, flush=True)
     sys.exit(1 if said else 0)
 

@@ -1,4 +1,4 @@
-"""Reading bytes until a deadline, for both serial drivers.
+"""Reading bytes until a deadline, for all serial drivers.
 
 pyserial configures the whole line again whenever a time-out changes, eight system calls for one
 reply. Here it is one `select` and one `read`.
@@ -9,10 +9,37 @@ import os
 import select
 import termios
 import time
+from collections.abc import Iterator
+from typing import Protocol, TypeVar
 
 import serial
 
+from tailbeat.files import BadInput
+
+P = TypeVar("P")  # a packet
 GONE = (serial.SerialException, OSError, termios.error)  # raised when the cable is unplugged
+
+
+class Feeding(Protocol[P]):
+    """A parser: `held` are bytes of an unfinished packet."""
+
+    held: bytearray
+
+    def feed(self, data: bytes) -> list[P]:
+        """Packets that `data` completes."""
+
+
+def open_port(path: str, baud: int, deadline: float) -> serial.Serial:
+    """Open a servo's port for this process alone; `deadline` [s] is for a read. Raises BadInput."""
+    try:
+        port = serial.Serial(path, baud, timeout=deadline, write_timeout=0.1, exclusive=True)
+    except (serial.SerialException, OSError, ValueError) as error:
+        raise BadInput(
+            f"{path}: {error}; give the servo's port, closed in other programs."
+        ) from None
+    with contextlib.suppress(ValueError, OSError, NotImplementedError):
+        port.set_low_latency_mode(True)  # a pty has none
+    return port
 
 
 def reopen(port: serial.Serial) -> None:
@@ -32,3 +59,14 @@ def heard(port: serial.Serial, end: float, most: int = 4096) -> bytes:
     if not data:
         raise serial.SerialException("the port reports data but gives none")
     return data
+
+
+def replies(port: serial.Serial, sent: bytes, parser: Feeding[P], deadline: float) -> Iterator[P]:
+    """Send a request and yield the packets that come within `deadline` [s]. What came before is
+    dropped, because it may be a late reply to an earlier request. Raises one of `GONE`."""
+    port.reset_input_buffer()
+    parser.held.clear()
+    port.write(sent)
+    end = time.monotonic() + deadline
+    while time.monotonic() < end and (data := heard(port, end)):
+        yield from parser.feed(data)

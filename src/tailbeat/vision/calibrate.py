@@ -77,7 +77,9 @@ def calibrate(
         "points": [point.name for point in points], "board": vars(board),
         "tailbeat": __version__, "opencv": version("opencv-python-headless"),
     }  # fmt: skip
-    made = Calibration(lens, hung, fish, target, pool=sheet.pool, provenance=provenance)
+    fixed = {point.tag: point.place for point in points if point.tag is not None}
+    made = Calibration(lens, hung, fish, target, pool=sheet.pool, fixed=fixed,
+                       provenance=provenance)  # fmt: skip
     write_calibration(out, made)
     return CalibrationResult(
         file=str(out), views=len(images), lens_rms_px=lens.rms,

@@ -8,6 +8,7 @@ camera.) Fish and target may be in different planes. Pixel centres are at whole 
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -53,7 +54,8 @@ class Hung:
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """A calibration: lens, pose, refraction `index` of water, the tags' sizes and heights, length
-    and width of the pool [m] (None in older files), and provenance."""
+    and width of the pool [m] (None in older files), surveyed x, y, z [m] of the tags that may stay
+    in the pool, by id (`fixed`), and provenance."""
 
     lens: Lens
     hung: Hung
@@ -62,6 +64,7 @@ class Calibration:
     index: float = WATER
     made: str = ""
     pool: tuple[float, float] | None = None
+    fixed: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def places(self, pixels: Array, height: float) -> Array:
@@ -104,6 +107,7 @@ def write_calibration(path: Path, made: Calibration) -> None:
             "place_rms_m": made.hung.rms,
             "index": made.index,
             "pool": made.pool,
+            "fixed": {str(ident): place for ident, place in made.fixed.items()},
             "fish": vars(made.fish),
             "target": vars(made.target),
             "provenance": made.provenance,
@@ -116,6 +120,8 @@ def read_calibration(
 ) -> Calibration:
     """Read a file of `write_calibration` that is at most `oldest` days old. Raises BadInput if a
     field is missing, has another shape, is not finite or is out of range."""
+    if not path.is_file():  # a device or a pipe would be read without end
+        raise BadInput(f"{path}: no such file; give a file of tailbeat calibrate.")
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -174,7 +180,20 @@ def _checked(path: Path, data: dict[str, Any]) -> Calibration:
     hung = Hung(rotation, position, float(take("place_rms_m")))
     fish, target = (_tag(path, name, data[name], position[2]) for name in ("fish", "target"))
     pool = _pool(path, data.get("pool"))
-    return Calibration(lens, hung, fish, target, index, data["made"], pool, data["provenance"])
+    fixed = _fixed(path, data.get("fixed", {}))
+    told = data["made"], pool, fixed, data["provenance"]
+    return Calibration(lens, hung, fish, target, index, *told)
+
+
+def _fixed(path: Path, value: Any) -> dict[int, tuple[float, float, float]]:
+    """The surveyed tags; none in older files."""
+    if not isinstance(value, dict) or not all(str(one).isdigit() for one in value):
+        raise BadInput(f"{path}: fixed = {value}; allowed: a table of tags. Calibrate again.")
+    found = {}
+    for ident, place in value.items():
+        x, y, z = _numbers(path, f"fixed.{ident}", place, (3,)).tolist()
+        found[int(ident)] = (x, y, z)
+    return found
 
 
 def _pool(path: Path, value: Any) -> tuple[float, float] | None:

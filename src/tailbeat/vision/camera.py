@@ -30,6 +30,7 @@ LARGEST = 4096  # px, longest side
 SECOND = 1_000_000_000
 PATIENCE = 1.0  # s without a frame: sixty frames
 FIRST = 10.0  # s for the first frame: cameras set their exposure
+BRIEF = 0.1  # s between two calls of `waiting`
 FROZEN = 60  # equal pictures that are a fault: a live picture has noise
 
 
@@ -40,9 +41,9 @@ class CameraFault(Exception):
 class Camera(Protocol):
     """A source of pictures, see `open_camera`."""
 
-    def read(self) -> Stamped:
+    def read(self, waiting: Callable[[], None] = lambda: None) -> Stamped:
         """The newest grey frame (rows, columns) not yet read, and the middle of its exposure [ns].
-        Raises CameraFault."""
+        Calls `waiting` now and then while there is none. Raises CameraFault."""
 
     def close(self) -> None:
         """Close it."""
@@ -84,10 +85,12 @@ class Drained:
             self.newest, self.fault = frame, fault
             self.changed.notify_all()
 
-    def read(self) -> Stamped:
+    def read(self, waiting: Callable[[], None] = lambda: None) -> Stamped:
         """See `Camera`."""
+        end = time.monotonic() + self.wait
+        while not self._wait(min(BRIEF, end - time.monotonic())) and time.monotonic() < end:
+            waiting()
         with self.changed:
-            self.changed.wait_for(lambda: self.newest is not None or self.fault, self.wait)
             frame, self.newest = self.newest, None
         if frame is None:
             why = self.fault or f"no frame for {self.wait:g} s"
@@ -95,6 +98,13 @@ class Drained:
         self.wait = self.patience
         self._check_alive(frame[0])
         return frame[0], frame[1] - self.lag
+
+    def _wait(self, seconds: float) -> bool:
+        """Whether there is a frame or a fault, waited for up to `seconds`."""
+        with self.changed:
+            return self.changed.wait_for(
+                lambda: self.newest is not None or bool(self.fault), seconds
+            )
 
     def _check_alive(self, image: Picture) -> None:
         sample = image[::8, ::8].tobytes()
@@ -117,7 +127,7 @@ class Film:
     capture: Any
     number: int = 0
 
-    def read(self) -> Stamped:
+    def read(self, waiting: Callable[[], None] = lambda: None) -> Stamped:
         """See `Camera`; the end of the film raises CameraFault too."""
         good, image = self.capture.read()
         if not good:

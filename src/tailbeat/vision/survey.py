@@ -4,6 +4,7 @@ the pool, also under water.
 
 import csv
 import math
+import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,6 +89,8 @@ class Surveyed:
 def read_survey(path: Path) -> list[Surveyed]:
     """Read a table x_m, y_m, z_m (0: the surface, negative under water) with `tag`, or u_px and
     v_px. Raises BadInput."""
+    if not path.is_file():  # a device or a pipe would be read without end
+        raise BadInput(f"{path}: no such file; give a CSV table of surveyed points.")
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
@@ -105,11 +108,17 @@ def _surveyed(path: Path, number: int, row: dict[str, str]) -> Surveyed:
             made = Surveyed((x, y, z), pixel=(float(row["u_px"]), float(row["v_px"])))
     except (KeyError, TypeError, ValueError):
         raise BadInput(
-            f"{path}, row {number}: {row}; give x_m, y_m, z_m and tag, or u_px and v_px: numbers."
+            f"{path}, row {number}: {_short(row)}; give x_m, y_m, z_m and tag, or u_px and v_px:"
+            f" numbers."
         ) from None
     if not all(map(math.isfinite, (x, y, z, *(made.pixel or ())))):
-        raise BadInput(f"{path}, row {number}: {row}; the numbers must be finite.")
+        raise BadInput(f"{path}, row {number}: {_short(row)}; the numbers must be finite.")
     return made
+
+
+def _short(row: dict[str, str]) -> str:
+    """A row for a message."""
+    return textwrap.shorten(str(row), 200)
 
 
 def hang(lens: Lens, points: Sequence[Surveyed], pixels: Array, index: float = WATER) -> Hung:

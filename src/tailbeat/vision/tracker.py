@@ -17,6 +17,7 @@ from tailbeat.files import BadInput
 from tailbeat.link.datagrams import Frame
 from tailbeat.vision.calibration import Calibration
 from tailbeat.vision.detector import Detector, Seen, open_detector
+from tailbeat.vision.fixed import FixedTags
 from tailbeat.vision.tags import FISH, TARGET, Tag
 
 Array = NDArray[np.float64]
@@ -48,7 +49,7 @@ class TrackerLimits:
 class Sighting:
     """Result of one frame: the `frame` to send, corners (4, 2) [px] of accepted tags by id; so far
     rejects by reason, accepted tags by id, and frames; frames per second; whether the whole picture
-    was searched."""
+    was searched; how far [m] a tag that is fixed to the pool is from its place."""
 
     frame: Frame
     corners: dict[int, Array]
@@ -57,6 +58,7 @@ class Sighting:
     frames: int
     rate: float
     whole: bool
+    moved: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +88,7 @@ class Tracker:
     stamps: deque[int] = field(default_factory=lambda: deque(maxlen=61))
 
     def __post_init__(self) -> None:
+        self.fixed = FixedTags(self.calibration)
         if self.ids[0] == self.ids[1]:
             raise BadInput(f"fish and target both have tag {self.ids[0]}; give two different ones.")
 
@@ -101,6 +104,9 @@ class Tracker:
             )
         whole = self._search_all(stamp)
         found = self.detector.find(image) if whole else self._windows(image)
+        if whole:
+            self.fixed.see(found)
+            found = [one for one in found if one.ident not in self.fixed.known]
         believed = self._believed(found, size, stamp)
         self.frames += 1
         self.stamps.append(stamp)
@@ -205,7 +211,7 @@ class Tracker:
         corners = {ident: one.corners for ident, one in believed.items()}
         self.counts.update(believed.keys())
         told = dict(self.rejected), dict(self.counts)
-        return Sighting(frame, corners, *told, self.frames, rate, whole)
+        return Sighting(frame, corners, *told, self.frames, rate, whole, self.fixed.moved())
 
 
 def planar_pose(corners: Array) -> Pose:

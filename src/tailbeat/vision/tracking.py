@@ -5,6 +5,7 @@ that imports only this room, so that a restart is fast. Both ends of the pipe ar
 its messages are pickled.
 """
 
+import contextlib
 import multiprocessing
 import signal
 import subprocess
@@ -29,10 +30,11 @@ PREVIEW = 0.1  # s between two pictures for the operator page
 PREVIEW_SIZE = (640, 360)  # px of each of its two halves, the fish close up and the whole pool
 CLOSE = 3  # times larger than in the whole picture
 QUALITY = 70  # of their JPEG
-SILENT = (
-    5.0  # s without a message from a process that has sent one: it hangs; cameras give up earlier
-)
+SILENT = 0.4  # s without a message from a process that has sent one: it hangs; this is reported
+HUNG = 1.5  # s: it is replaced; a new one takes a second to start
+LOOK = 0.05  # s between two looks at its silence
 STARTING = 60.0  # s for its first message
+SLOW = 5.0  # s that its first sighting may take, and its end after a fault
 RUN = "import sys; from tailbeat.vision.tracking import work; work(int(sys.argv[1]))"
 PAUSES = (0.1, 0.5, 1.0, 2.0)  # s before the first, second, … restart in a row
 
@@ -63,6 +65,8 @@ class TrackerProcess:
     changed: threading.Condition = field(default_factory=threading.Condition)
     seen: Sighting | None = None
     shown: bytes = b""
+    heard: bool = False  # whether the present process saw anything
+    due: float = 0.0  # when it is silent for too long [s]
 
     def newest(self) -> Sighting | None:
         """The newest sighting, None before the first. Check its time: it may be old."""
@@ -87,7 +91,7 @@ class TrackerProcess:
         return None if self.process is None else self.process.pid
 
     def close(self) -> None:
-        """End it."""
+        """End it, also if it hangs."""
         self.over.set()
         self.thread.join(10)
 
@@ -112,45 +116,50 @@ class TrackerProcess:
         end = theirs.fileno()
         self.process = start(["-c", RUN, str(end)], pass_fds=[end], stdin=subprocess.DEVNULL)
         theirs.close()
-        try:
+        self.heard, self.due = False, time.monotonic() + STARTING
+        reader = threading.Thread(target=self._read, args=(ours,), daemon=True)
+        reader.start()
+        self._attend(reader)
+        self.process.kill()  # then the reader finds the pipe's end, also within a message
+        self.process.wait()
+        reader.join()
+        ours.close()
+        return self.heard
+
+    def _read(self, ours: Connection) -> None:
+        """Handle its messages until they end."""
+        with contextlib.suppress(EOFError, OSError):
             ours.send(self.watching)
-            return self._listen(ours)
-        except OSError:  # it ended before it read
-            self._obituary()
-            return False
-        finally:
-            ours.close()
-            self.process.kill()
-            self.process.wait()
+            while True:
+                word = ours.recv()
+                self._take(word)
+                steady = self.heard and not isinstance(word, str)
+                self.due = time.monotonic() + (SILENT if steady else SLOW)
 
-    def _listen(self, ours: Connection) -> bool:
-        """Handle its messages; report why they ended."""
-        heard, due = False, time.monotonic() + STARTING
+    def _attend(self, reader: threading.Thread) -> None:
+        """Return when its messages have ended, or it has hung for too long; report why."""
         while not self.over.is_set():
-            try:
-                if ours.poll(0.1):
-                    heard = self._take(ours.recv()) or heard
-                    due = time.monotonic() + SILENT
-                elif time.monotonic() > due:
-                    self._say("the tracker's process hung; it is started again")
-                    return heard
-            except (EOFError, OSError):
+            reader.join(LOOK)
+            silent = time.monotonic() - self.due
+            if not reader.is_alive():
                 self._obituary()
-                return heard
-        return heard
+                return
+            if silent > HUNG - SILENT:
+                self._say("the tracker's process hung; it is started again")
+                return
+            if silent > 0:
+                self._say("the tracker's process hangs")
 
-    def _take(self, word: Sighting | bytes | str) -> bool:
-        """Handle a sighting, a preview, or a fault; returns whether it was a sighting."""
+    def _take(self, word: Sighting | bytes | str | None) -> None:
+        """Handle a sighting, a preview, a fault, or None: it waits for the camera."""
         if isinstance(word, str):
             self._say(word)
         elif isinstance(word, bytes):
             self.shown = word
-        else:
+        elif word is not None:
             with self.changed:
-                self.seen, self.fault = word, ""
+                self.seen, self.fault, self.heard = word, "", True
                 self.changed.notify_all()
-            return True
-        return False
 
     def _obituary(self) -> None:
         try:
@@ -209,7 +218,7 @@ def _watch(made: Watching, speak: Connection) -> None:
     due, middle = 0.0, np.array(made.calibration.lens.size) / 2
     try:
         while True:
-            image, stamp = camera.read()
+            image, stamp = camera.read(lambda: speak.send(None))
             sighting = tracker.see(image, stamp)
             speak.send(sighting)
             if made.ids[0] in sighting.corners:
@@ -217,6 +226,8 @@ def _watch(made: Watching, speak: Connection) -> None:
             if time.monotonic() >= due:
                 due = time.monotonic() + PREVIEW
                 speak.send(preview(image, middle))
+    except CameraFault as fault:
+        speak.send(str(fault))  # before the camera is closed, which takes time
     finally:
         camera.close()
 

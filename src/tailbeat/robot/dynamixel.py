@@ -1,0 +1,264 @@
+"""Driver of ROBOTIS X-series servos on a serial port, Protocol 2.0.
+
+Own driver. The maker's library blocks 34 ms on a lost reply, reads that as the value 0, and writes
+without stuffing. Here a reply must come within 5 ms, a read is tried twice, a write once, and every
+error byte is checked. Addresses and units: e-manual of the XW430-T200 (not checked on a real one);
+model and unit of current: the fish's `Hardware`. The X series (without the XL-320) and the MX-28
+(2.0) share addresses.
+"""
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import serial
+
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Hardware
+from tailbeat.robot.models import check_model, no_answer
+from tailbeat.robot.packet import (
+    ERRORS,
+    PING,
+    READ,
+    REBOOT,
+    STATUS,
+    WRITE,
+    Packet,
+    Parser,
+    encode,
+)
+from tailbeat.robot.servo_state import DEADLINE, PATIENCE, ServoFault, ServoState
+from tailbeat.robot.wire import GONE, reopen, replies
+
+COUNT = 2 * math.pi / 4096  # rad
+CENTRE = 2048
+VELOCITY = 0.229 * 2 * math.pi / 60  # rad/s
+VOLTAGE = 0.1  # V
+ID, BAUD, RETURN_DELAY, DRIVE_MODE, OPERATING_MODE = (7, 1), (8, 1), (9, 1), (10, 1), (11, 1)
+HOMING, HIGHEST, LOWEST, SHUTDOWN = (20, 4), (48, 4), (52, 4), (63, 1)
+TORQUE, RETURN_LEVEL, HARDWARE_ERROR = (64, 1), (68, 1), (70, 1)
+GAIN, BUS_WATCHDOG, PROFILE_ACCELERATION = (84, 2), (98, 1), (108, 4)
+PROFILE_VELOCITY, GOAL = (112, 4), (116, 4)
+STATE_FIRST, STATE_LENGTH = 122, 25  # moving ... temperature: no gap
+POSITION_MODE = 3
+WATCHDOG_UNIT = 0.020  # s
+BAUDS = {1_000_000: 3, 57_600: 1, 115_200: 2, 2_000_000: 4, 3_000_000: 5, 4_000_000: 6, 9_600: 0}
+ANSWERS_ALL = 2  # status return level: the servo answers writes too
+HARDWARE = {0: "voltage", 2: "overheat", 3: "encoder", 4: "electrical shock", 5: "overload"}
+
+
+@dataclass(eq=False)
+class Servo:
+    """An open servo; see `connect`. `silent` counts missing replies. `sign` is 1 if counts increase
+    with the motor angle, else -1. Without `answers_writes` (status return level 0 or 1), torque is
+    off if the register says so, although the write is not answered."""
+
+    port: serial.Serial
+    ident: int
+    sign: int = 1
+    deadline: float = DEADLINE
+    current_unit: float = math.nan  # A per count, of the fish's hardware
+    parser: Parser = field(default_factory=Parser)
+    silent: int = 0
+    answers_writes: bool = True
+    own_watchdog: ClassVar[bool] = True
+
+    # ---- what the loop calls --------------------------------------------------------------------
+
+    def read(self) -> ServoState:
+        """Read the servo's state in one transaction. Raises ServoFault."""
+        status = self._ask(READ, _pair(STATE_FIRST, STATE_LENGTH), STATE_LENGTH, tries=2)
+        data = status.data
+        return ServoState(
+            time=time.monotonic(),
+            angle=self.sign * COUNT * (_signed(data, 132, 4) - CENTRE),
+            velocity=self.sign * VELOCITY * _signed(data, 128, 4),
+            current=self.sign * self.current_unit * _signed(data, 126, 2),
+            voltage=VOLTAGE * _signed(data, 144, 2),
+            temperature=float(data[146 - STATE_FIRST]),
+            alert=status.alert,
+        )
+
+    def write(self, angle: float) -> float:
+        """Send a setpoint [rad]; returns the angle sent, rounded to whole counts. Raises
+        ServoFault, of kind "watchdog" if the servo had stopped itself."""
+        counts = CENTRE + self.sign * round(angle / COUNT)
+        try:
+            self.set(GOAL, counts)
+        except ServoFault as fault:
+            if fault.kind == "refused" and self.stopped_itself():
+                raise ServoFault("watchdog", "the servo's bus watchdog stopped it") from None
+            raise
+        return self.sign * COUNT * (counts - CENTRE)
+
+    # ---- arming ---------------------------------------------------------------------------------
+
+    def prepare(self, low: float, high: float) -> None:
+        """Turn torque off and set position mode, limits [rad] in the servo itself, goals without a
+        profile, and fast replies to all packets. Raises ServoFault."""
+        with self._patient():
+            self._prepare(low, high)
+
+    def _prepare(self, low: float, high: float) -> None:
+        self.torque_off()
+        ends = sorted(CENTRE + self.sign * round(end / COUNT) for end in (low, high))
+        wanted = {OPERATING_MODE: POSITION_MODE, RETURN_DELAY: 0, LOWEST: ends[0], HIGHEST: ends[1]}
+        for register, value in wanted.items():
+            if self.get(register) != value:  # saves write cycles of the EEPROM
+                self.set(register, value)
+        for register in (PROFILE_ACCELERATION, PROFILE_VELOCITY):
+            self.set(register, 0)
+        self.set(RETURN_LEVEL, ANSWERS_ALL)
+
+    def arm(self, watchdog: float = 0.1) -> float:
+        """Turn torque on and hold the present angle; returns that angle [rad].
+
+        The goal is set first, then the servo's own watchdog [s] (at most 2.54), then torque: it is
+        never on without the watchdog. Raises ServoFault.
+        """
+        with self._patient():
+            held = self.release(watchdog)
+            self.set(TORQUE, 1)
+        return held
+
+    @contextlib.contextmanager
+    def _patient(self) -> Iterator[None]:
+        """Wait longer for replies: nothing moves yet, and EEPROM is slow."""
+        usual, self.deadline = self.deadline, max(self.deadline, PATIENCE)
+        try:
+            yield
+        finally:
+            self.deadline = usual
+
+    def release(self, watchdog: float = 0.1) -> float:
+        """Accept goals again after the servo's own watchdog stopped it; returns the angle held
+        [rad].
+
+        The first goal is the present angle, then the watchdog [s] is set again. Torque does not
+        change. Raises ServoFault.
+        """
+        self.set(BUS_WATCHDOG, 0)
+        held = self.write(self.read().angle)
+        self.set(BUS_WATCHDOG, _periods(watchdog))
+        return held
+
+    def torque_off(self) -> None:
+        """Turn torque off in any state, then the servo's watchdog. Raises ServoFault.
+
+        The register is read back, because a late reply to an earlier write looks like the reply to
+        this one.
+        """
+        self._send(TORQUE, 0)
+        if self.is_on():
+            raise ServoFault("refused", "torque is still on after the command to turn it off")
+        self._send(BUS_WATCHDOG, 0)
+
+    def stopped_itself(self) -> bool:
+        """Whether the servo's own watchdog stopped it; then goals are refused until `release`."""
+        return self.get(BUS_WATCHDOG) == 0xFF
+
+    def is_on(self) -> bool:
+        """Whether the servo holds torque."""
+        return bool(self.get(TORQUE))
+
+    def hardware_errors(self) -> list[str]:
+        """Names of the present hardware errors. After a shutdown, only `reboot` clears them."""
+        bits = self.get(HARDWARE_ERROR)
+        return [name for bit, name in HARDWARE.items() if bits >> bit & 1]
+
+    def reboot(self) -> None:
+        """Restart the servo: torque is off afterwards, and its RAM is lost."""
+        self._ask(REBOOT, b"", 0, tries=1)
+
+    # ---- registers ------------------------------------------------------------------------------
+
+    def get(self, register: tuple[int, int]) -> int:
+        """Read an unsigned register (address, bytes). Raises ServoFault."""
+        status = self._ask(READ, _pair(*register), register[1], tries=2)
+        return int.from_bytes(status.data, "little")
+
+    def set(self, register: tuple[int, int], value: int) -> None:
+        """Write a register (address, bytes). Raises ServoFault."""
+        address, size = register
+        body = address.to_bytes(2, "little") + (value % (1 << 8 * size)).to_bytes(size, "little")
+        self._ask(WRITE, body, 0, tries=1)
+
+    def _send(self, register: tuple[int, int], value: int) -> None:
+        """Write a register; of a servo that answers no writes, a missing reply is no fault."""
+        try:
+            self.set(register, value)
+        except ServoFault as fault:
+            if fault.kind != "silent" or self.answers_writes:
+                raise
+
+    def reopen(self) -> None:
+        """Open the port again after the cable was unplugged. Raises ServoFault."""
+        try:
+            reopen(self.port)
+        except GONE as error:
+            raise ServoFault("gone", f"{self.port.port}: {error}; check the cable") from None
+
+    def close(self) -> None:
+        """Turn torque off if the servo still answers, and close the port."""
+        with contextlib.suppress(ServoFault):
+            self.torque_off()
+        with contextlib.suppress(*GONE):
+            self.port.close()
+
+    def _ask(self, instruction: int, body: bytes, length: int, tries: int) -> Packet:
+        """One transaction; returns a status with `length` bytes of data. Raises ServoFault."""
+        for _ in range(tries):
+            status = self._once(Packet(self.ident, instruction, body))
+            if status is None:
+                self.silent += 1
+            elif status.error:
+                said = ERRORS.get(status.error, f"number {status.error}")
+                raise ServoFault("refused", f"the servo refused: {said} error")
+            elif len(status.data) == length:
+                return status
+        raise ServoFault("silent", f"no reply within {1e3 * self.deadline:g} ms")
+
+    def _once(self, packet: Packet) -> Packet | None:
+        try:
+            for status in replies(self.port, encode(packet), self.parser, self.deadline):
+                ours = status.ident == self.ident and status.instruction == STATUS
+                if ours and status.parameters:
+                    return status
+        except GONE as error:
+            raise ServoFault("gone", f"{self.port.port}: {error}; check the cable") from None
+        return None
+
+
+def check(servo: Servo, path: str, hardware: Hardware, baud: int) -> None:
+    """Raises BadInput where not the fish's servo answers, or not to every packet."""
+    try:
+        model = int.from_bytes(servo._ask(PING, b"", 3, tries=3).data[:2], "little")
+    except ServoFault as fault:
+        raise no_answer(path, servo.ident, baud, fault) from None
+    check_model(path, model, hardware)
+    try:
+        level = servo.get(RETURN_LEVEL)
+    except ServoFault:
+        level = 0
+    if level < ANSWERS_ALL:
+        raise BadInput(
+            f"{path}: the servo's status return level (register 68) is {level}, so it answers no"
+            f" writes and confirms no command; run `tailbeat prepare --servo {path} --fish FISH`."
+        )
+
+
+def _periods(watchdog: float) -> int:
+    """A bus watchdog [s] in its own unit."""
+    return min(max(round(watchdog / WATCHDOG_UNIT), 1), 127)
+
+
+def _pair(address: int, length: int) -> bytes:
+    return address.to_bytes(2, "little") + length.to_bytes(2, "little")
+
+
+def _signed(data: bytes, address: int, size: int) -> int:
+    first = address - STATE_FIRST
+    return int.from_bytes(data[first : first + size], "little", signed=True)

@@ -1,0 +1,35 @@
+"""Which servo models the drivers refuse: another than the fish's, or one with other addresses."""
+
+from tailbeat.files import BadInput
+from tailbeat.fish.description import Hardware
+
+# ROBOTIS servos that speak Protocol 2.0 and have other addresses, by model number (DynamixelSDK).
+ELSEWHERE = (
+    (range(350, 351), "XL-320"),
+    (range(2000, 2200), "P series"),
+    (range(4000, 5000), "Y series"),
+)
+
+
+def check_model(path: str, number: int, hardware: Hardware) -> None:
+    """Raises BadInput if the servo that answers is not the fish's, or no driver has its
+    addresses."""
+    series = next((name for numbers, name in ELSEWHERE if number in numbers), "")
+    if series and hardware.family == "dynamixel-x":
+        raise BadInput(
+            f"{path}: model number {number} answers ({series}); its control table has other"
+            f" addresses than the X series, and tailbeat does not support it."
+        )
+    if number != hardware.number:
+        raise BadInput(
+            f"{path}: model number {number} answers, the fish's {hardware.model} has"
+            f" {hardware.number}; give its port, or the right servo in the fish's [hardware] table."
+        )
+
+
+def no_answer(path: str, ident: int, baud: int, fault: Exception) -> BadInput:
+    """What to raise where no servo with this id answers."""
+    return BadInput(
+        f"{path}: no servo {ident} answers at {baud} baud ({fault}); check cable, power,"
+        f" id and baud rate, or find it with `tailbeat prepare --servo {path} --fish FISH`."
+    )
