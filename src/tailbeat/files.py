@@ -34,9 +34,34 @@ class BadInput(ValueError):
 
 
 def refuse_existing(path: Path) -> None:
-    """Raises BadInput if an output path exists. Call it before the work begins."""
-    if path.exists():
+    """Raises BadInput if an output path exists, also as a link to nothing, or if nothing can be
+    written there. Call it before the work begins."""
+    if _is_there(path):
         raise BadInput(f"{path}: exists already; choose another name or move it away.")
+    check_folder(path.parent)
+
+
+def check_folder(path: Path) -> None:
+    """Raises BadInput if a path is no folder to write in, and cannot become one. Call it before the
+    work begins."""
+    above = next((one for one in (path, *path.parents) if _is_there(one)), Path())
+    if not above.is_dir():
+        raise BadInput(f"{path}: {above} is not a folder; choose a folder you can write to.")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise BadInput(f"{path}: Permission denied; choose a folder you can write to.")
+
+
+def _is_there(path: Path) -> bool:
+    """Whether a path exists. Raises BadInput if none can."""
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise BadInput(f"{path}: {error.strerror}; choose another path.") from None
+    except ValueError:  # a character that no file system takes
+        raise BadInput(f"{path}: has a character that no path has; choose another.") from None
+    return True
 
 
 @contextmanager
@@ -69,6 +94,27 @@ def _beside(target: Path) -> Path:
     os.close(handle)
     os.chmod(name, 0o644)  # mkstemp's own mode hides the file from others
     return Path(name)
+
+
+def write_secret(path: Path, secret: bytes) -> None:
+    """Write a short secret to a new file that only its owner may read, from its first byte on.
+
+    No copy is made beside it, which a crash would leave. Makes the parent folder. Raises BadInput
+    if the file exists, or if nothing can be written there.
+    """
+    refuse_existing(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except OSError as error:
+        raise BadInput(f"{path}: {error.strerror}; choose a folder you can write to.") from None
+    try:
+        with open(handle, "wb", buffering=0) as file:
+            file.write(secret)
+            os.fsync(file.fileno())
+    except OSError as error:
+        path.unlink()
+        raise BadInput(f"{path}: {error.strerror}; nothing is left there.") from None
 
 
 def write_json(path: str | Path, data: Any, overwrite: bool = False) -> None:

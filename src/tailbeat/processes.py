@@ -2,12 +2,17 @@
 
 import contextlib
 import ctypes
+import fcntl
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.files import BadInput
@@ -18,6 +23,7 @@ if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
 
 LINGER = 10.0  # s that a process may take to end
+OWNER, NEW = ".owner", 60.0  # lock in a temporary folder, and the age [s] from which it is tried
 # One fish needs one thread.
 ALONE = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "TAILBEAT_THREADS": "1"}
 
@@ -86,12 +92,16 @@ def end_with_parent() -> None:
         ctypes.CDLL(None).prctl(1, signal.SIGTERM)
 
 
-def end(process: "subprocess.Popen[Any]") -> None:
-    """End a process as Ctrl-C would; kill it after ten seconds."""
+def end(
+    process: "subprocess.Popen[Any]",
+    number: signal.Signals = signal.SIGINT,
+    patience: float = LINGER,
+) -> None:
+    """End a process by a signal, as Ctrl-C would; kill it after `patience` [s]."""
     if process.poll() is None:
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
     try:
-        process.wait(LINGER)
+        process.wait(patience)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
@@ -106,6 +116,24 @@ def told_to_end(*numbers: signal.Signals) -> list[int]:
     return ended
 
 
-def temporary() -> "tempfile.TemporaryDirectory[str]":
-    """A temporary folder, as a context manager that removes it at the end."""
-    return tempfile.TemporaryDirectory(prefix="tailbeat-")
+@contextmanager
+def temporary() -> Iterator[str]:
+    """A temporary folder that only its owner may read, removed at the end. First removes those
+    that were left by processes that were killed: keys of emulated devices are in them."""
+    _sweep()
+    with (
+        tempfile.TemporaryDirectory(prefix="tailbeat-") as name,
+        open(Path(name) / OWNER, "wb") as owner,
+    ):
+        fcntl.flock(owner, fcntl.LOCK_EX)  # the kernel gives it back when this process dies
+        yield name
+
+
+def _sweep() -> None:
+    """Remove our temporary folders whose lock nobody holds; one that is new may not have it yet."""
+    for folder in Path(tempfile.gettempdir()).glob("tailbeat-*"):
+        with contextlib.suppress(OSError), open(folder / OWNER, "rb") as owner:
+            seen = os.fstat(owner.fileno())
+            if seen.st_uid == os.getuid() and time.time() - seen.st_mtime > NEW:
+                fcntl.flock(owner, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder)

@@ -89,8 +89,7 @@ def _read_csv(file: Path) -> tuple[pl.DataFrame, dict[str, str]]:
     found = [COMMENT.fullmatch(line.rstrip()) for line in lines if line.startswith("#")]
     meta = {match[1]: (match[2] or "").strip() for match in found if match}
     body = [line for line in lines if line.strip() and not line.startswith("#")]
-    _check_cells(file, body)
-    return _parse(file, "\n".join(body)), meta
+    return _parse(file, body), meta
 
 
 def _check_cells(file: Path, body: Sequence[str]) -> None:
@@ -108,10 +107,11 @@ def _check_cells(file: Path, body: Sequence[str]) -> None:
             )
 
 
-def _parse(file: Path, body: str) -> pl.DataFrame:
+def _parse(file: Path, body: Sequence[str]) -> pl.DataFrame:
     try:
-        frame = pl.read_csv(io.StringIO(body), infer_schema=False)
-    except pl.exceptions.PolarsError as error:
+        _check_cells(file, body)
+        frame = pl.read_csv(io.StringIO("\n".join(body)), infer_schema=False)
+    except (csv.Error, pl.exceptions.PolarsError) as error:
         raise BadInput(f"{file}: not a table ({_first_line(error)}); correct the CSV.") from None
     return frame.select(pl.all().str.strip_chars().replace("", None).name.map(str.strip))
 

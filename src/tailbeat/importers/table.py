@@ -145,11 +145,11 @@ def _read_csv(file: Path) -> dict[str, Sequence[Any]]:
     """Cells as text; separated by comma, semicolon or tab, whichever the header has most of."""
     try:
         text = file.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
+        lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+        mark = max(",;\t", key=(lines[0] if lines else "").count)
+        cells = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
+    except (UnicodeDecodeError, csv.Error):
         raise BadInput(f"{file}: not text; give a CSV in UTF-8, JSON or Parquet.") from None
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    mark = max(",;\t", key=(lines[0] if lines else "").count)
-    cells = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
     if len(cells) < 3:
         raise BadInput(f"{file}: give a table with a header and at least two rows.")
     for row, line in enumerate(cells[1:], start=1):
@@ -164,7 +164,7 @@ def _read_csv(file: Path) -> dict[str, Sequence[Any]]:
 def _read_json(file: Path, rows: str | None) -> Table:
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except ValueError as error:  # also of a number with thousands of digits
         raise BadInput(f"{file}: not JSON ({error}); give another file.") from None
     header: dict[str, Any] = {}
     if isinstance(data, dict):

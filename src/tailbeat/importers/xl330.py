@@ -69,7 +69,7 @@ def _read_log(file: Path) -> dict[str, Any]:
         raise BadInput(f"{file}: no such file; give a JSON log of an XL330 pendulum.")
     try:
         log = json.loads(file.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except ValueError as error:  # also of a number with thousands of digits
         raise BadInput(f"{file}: not JSON ({error}); give an XL330 pendulum log.") from None
     if not isinstance(log, dict) or not isinstance(log.get("entries"), list):
         raise BadInput(f"{file}: field entries is missing; give an XL330 pendulum log.")

@@ -13,5 +13,6 @@ def address(text: str, option: str) -> tuple[str, int]:
         raise BadInput(f"{option} {text!r}: give host:port, like 127.0.0.1:5151.")
     try:
         return socket.gethostbyname(host), int(port)  # once, not in every period of the loop
-    except OSError as error:
-        raise BadInput(f"{option} {host}: {error.strerror}; give its numeric address.") from None
+    except (OSError, UnicodeError) as error:  # the second for names that no host may have
+        said = getattr(error, "strerror", None) or "no name of a host"
+        raise BadInput(f"{option} {host}: {said}; give its numeric address.") from None

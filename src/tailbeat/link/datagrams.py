@@ -20,8 +20,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
 
-from tailbeat.files import BadInput, new_file
-from tailbeat.link.clock import SECOND, Clock, Loss
+from tailbeat.files import BadInput, write_secret
+from tailbeat.link.clock import DRIFT, SECOND, Clock, Loss
 from tailbeat.link.places import POOL, is_pool
 
 KEY_BYTES, MAC_BYTES = 32, 16
@@ -39,6 +39,7 @@ LENGTHS = {
     TELL: HEAD.size + TIMES.size + POOL_SIZE.size + MAC_BYTES,
     ORDER: HEAD.size + ORDERED.size + MAC_BYTES,
 }
+YAW = 1e4  # rad: float32 tells a larger heading to no better than a milliradian
 MARGIN = 0.03  # m beyond a wall that a pose may lie: ten times the camera's noise
 ORDER_AGE = 2.0  # s: an older order to arm or to swim is rejected as delayed
 
@@ -70,9 +71,7 @@ class Frame:
 
 def make_key(path: Path) -> None:
     """Write a new key that only its owner may read. Raises BadInput if the file exists."""
-    with new_file(path) as beside:
-        beside.write_bytes(secrets.token_bytes(KEY_BYTES))
-        beside.chmod(0o600)
+    write_secret(path, secrets.token_bytes(KEY_BYTES))
 
 
 def read_key(path: Path) -> bytes:
@@ -225,7 +224,8 @@ class Receiver:
             self.rejected["old"] += 1
             return
         pool = POOL_SIZE.unpack_from(data, HEAD.size + TIMES.size)
-        if not is_pool(*pool):
+        whole = (now - asked) * (1 + DRIFT)  # a longer stay at the sender would give a false offset
+        if sent - received > whole or not is_pool(*pool):
             self.rejected["implausible"] += 1
             return
         self._follow(run)
@@ -276,7 +276,8 @@ class Receiver:
         numbers = [*(frame.fish or ()), *(frame.target or ())]
         half = self.room[0] / 2 + MARGIN, self.room[1] / 2 + MARGIN
         inside = all(abs(x) <= half[0] and abs(y) <= half[1] for x, y in places)
-        return all(map(math.isfinite, numbers)) and inside
+        turned = abs(frame.fish[2]) <= YAW if frame.fish else True
+        return all(map(math.isfinite, numbers)) and inside and turned
 
     def age(self, frame: Frame, now: int) -> float | None:
         """Age of a frame [s], or None while the clocks are not compared."""
@@ -290,7 +291,7 @@ class Receiver:
 def bind(host: str, port: int) -> socket.socket:
     """Open a non-blocking datagram socket on one address. Raises BadInput."""
     if host in ("", "0.0.0.0"):
-        raise BadInput("link address {host!r}: this means all networks; give the address of one.")
+        raise BadInput(f"link address {host!r}: this means all networks; give the address of one.")
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     made.setblocking(False)
     try:

@@ -40,6 +40,24 @@ def place(
     return x, y
 
 
+def pose(
+    text: str, option: str = "--start", pool: tuple[float, float] = POOL
+) -> tuple[float, float, float]:
+    """Parse `x,y,heading` [m, m, deg] inside a pool of this length and width [m]; returns x, y [m]
+    and yaw [rad]. Raises BadInput."""
+    try:
+        x, y, heading = map(float, text.split(","))
+    except ValueError:
+        heading = x = y = math.nan
+    if not math.isfinite(heading):
+        raise BadInput(
+            f"{option} {text!r}: give x,y,heading in metres and degrees, like 1.2,-0.4,90."
+        )
+    if where := outside((x, y), pool):
+        raise BadInput(f"{option} {text}: {where}.")
+    return x, y, math.radians(heading)
+
+
 def outside(at: tuple[float, float], pool: tuple[float, float]) -> str:
     """A sentence part if `at` [m] is outside a pool of this length and width [m]; "" if it is
     inside."""

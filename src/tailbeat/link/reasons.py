@@ -10,7 +10,8 @@ class Reason(Enum):
 
     NOT_ARMED = "not armed yet"
     ARMED = "armed"
-    SWIMMING = "swimming"
+    TESTING = "sign test: the tail beats and bends"
+    SWIMMING = "swimming{note}"
     ARMING_FAILED = "arming failed: {note}"
 
     # The robot stops: torque off.
@@ -22,6 +23,8 @@ class Reason(Enum):
     OVERCURRENT = "servo current {value:.1f} A"
     SERVO_LOST = "no servo for {value:.1f} s"
     POSE_LOST = "no pose for {value:.1f} s"
+    NO_WATCHDOG = "the watchdog process ended or hangs: torque would stay on if the loop failed"
+    SIGN_TEST = "the sign test failed: {note}"
 
     # The robot holds: back to straight, with torque.
     NOT_A_NUMBER = "the policy's answer is not a number"
@@ -40,7 +43,7 @@ class Reason(Enum):
     SUPPLY = "supply {value:.1f} V"
     PERIODS_MISSED = "{value:.0f} periods missed within a second"
     LOG_FAILED = "the log cannot be written"
-    NO_WATCHDOG = "the watchdog process has ended: torque would stay on if the loop failed"
+    SIGNALS_DISAGREE = "{note}"
 
 
 REASONS = tuple(Reason)  # a status carries the index in this tuple

@@ -16,23 +16,52 @@ from tailbeat.link import datagrams as link
 from tailbeat.link.clock import Loss
 from tailbeat.link.datagrams import Frame, Order
 from tailbeat.link.places import POOL
-from tailbeat.link.status import Status, read_status
+from tailbeat.link.status import State, Status, read_status
 
 REPEAT = 0.05  # s between two sendings of an order
 GIVE_UP = 3.0  # s until an order that the fish has not taken is given up
 LIVE = 1.0  # s since the last status in which another start's request does not replace the fish
 STATUSES = 50  # five seconds of statuses
+OUTCOMES = 16  # of orders that are kept
+# States in which the robot is when it has followed an order.
+FOLLOWED = {
+    Order.ARM: (State.ARMED, State.RUN),
+    Order.SWIM: (State.RUN,),
+    Order.DISARM: (State.DISARMED,),
+    Order.STOP: (State.STOP, State.DISARMED),
+}
 
 
 @dataclass(eq=False)
 class Pending:
     """An order that the fish has not taken yet: its number, when it was given and when it is sent
-    again [s]."""
+    again [s], and who gave it."""
 
     order: Order
     number: int
     given: float
     due: float = -math.inf
+    asker: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """News of an order: a rising number, who gave the order, a text, whether it was in vain."""
+
+    number: int
+    asker: str
+    text: str
+    bad: bool = False
+
+
+def result(order: Order, status: Status) -> tuple[str, bool]:
+    """What the robot did with an order that it has taken: the state that it is in now, or why it
+    did not follow, and then True."""
+    name, now = order.name, status.state
+    if now in FOLLOWED[order]:
+        return f"{name} done: {now.value}", False
+    first = "; disarm first" if now is State.STOP and "disarm first" not in status.text else ""
+    return f"{name} refused: {status.text}{first}", True
 
 
 @dataclass(eq=False)
@@ -42,7 +71,7 @@ class Sender:
 
     `clock` gives the station's monotonic time [ns]. `target` [m], if set, replaces the target that
     the camera saw. `pool` is the length and width [m] that the fish is told. `status` is the fish's
-    last one, received at `heard` [s]. `said` tells what happened to the last order.
+    last one, received at `heard` [s]. `outcomes` tells what became of the last orders.
     """
 
     key: bytes
@@ -61,10 +90,11 @@ class Sender:
     heard: float = -math.inf
     loss: Loss = field(default_factory=lambda: Loss(deque(maxlen=STATUSES)))
     rejected: Counter[str] = field(default_factory=Counter)
-    said: str = ""
+    outcomes: deque[Outcome] = field(default_factory=lambda: deque(maxlen=OUTCOMES))
     sequence: int = 0
     answered: int = -1  # sequence of the last status
     orders: int = 0
+    told: int = 0
     pending: deque[Pending] = field(default_factory=deque)
 
     def work(self, now: float) -> None:
@@ -86,14 +116,19 @@ class Sender:
         frames = list(self.frames)
         self._send(link.pose_datagram(self.key, self.run, self.nonce, self.sequence, frames))
 
-    def order(self, order: Order, now: float) -> None:
-        """Send an order until the status shows that it is taken. STOP and DISARM cancel all earlier
-        orders."""
+    @property
+    def said(self) -> str:
+        """What happened to the last order."""
+        return self.outcomes[-1].text if self.outcomes else ""
+
+    def order(self, order: Order, now: float, asker: str = "") -> None:
+        """Send an order of `asker` until the status shows that it is taken. STOP and DISARM cancel
+        all earlier orders."""
         if order in (Order.STOP, Order.DISARM):
-            self.pending.clear()
+            self._drop(f"{order.name} was ordered")
         self.orders += 1
-        self.pending.append(Pending(order, self.orders, now))
-        self.said = f"{order.name} sent"
+        self.pending.append(Pending(order, self.orders, now, asker=asker))
+        self._tell(asker, f"{order.name} sent")
         self._repeat(now)
 
     # ---- inside ---------------------------------------------------------------------------------
@@ -132,24 +167,34 @@ class Sender:
         """Switch to a fish that restarted; it does not get the orders given before."""
         if self.answerer is not None:
             self.left.add(self.answerer)
-            self.pending.clear()
+            self._drop("the fish started again")
         self.answerer, self.loss = nonce, Loss(deque(maxlen=STATUSES))
 
     def _repeat(self, now: float) -> None:
         """Send the oldest order that the fish has not taken; later orders wait for it."""
         taken = self.status.order if self.status else 0
-        while self.pending and self.pending[0].number <= taken:
-            self.said = f"{self.pending.popleft().order.name} taken"
+        while self.status and self.pending and self.pending[0].number <= taken:
+            first = self.pending.popleft()
+            self._tell(first.asker, *result(first.order, self.status))
         if not self.pending or now < self.pending[0].due:
             return
         first = self.pending[0]
         if now - first.given > GIVE_UP:
-            self.pending.clear()
-            self.said = f"{first.order.name} not taken: the fish does not answer"
+            self._drop("the fish does not answer")
         elif self.nonce is not None:
             first.due = now + REPEAT
             words = self.run, self.nonce, first.number, first.order, self.clock()
             self._send(link.order_datagram(self.key, *words))
+
+    def _drop(self, why: str) -> None:
+        """Forget the orders that the fish has not taken."""
+        for one in self.pending:
+            self._tell(one.asker, f"{one.order.name} not taken: {why}", True)
+        self.pending.clear()
+
+    def _tell(self, asker: str, text: str, bad: bool = False) -> None:
+        self.told += 1
+        self.outcomes.append(Outcome(self.told, asker, text, bad))
 
     def _send(self, datagram: bytes) -> None:
         with contextlib.suppress(OSError):  # the age of the status shows that a network is down

@@ -13,16 +13,18 @@ from enum import Enum
 from tailbeat.link.datagrams import HEAD, MAC_BYTES, is_signed, sign
 from tailbeat.link.reasons import REASONS, Reason
 
-STATUS = b"tbR2"
-TEXT_BYTES = 96  # of the reason's text, UTF-8; a longer text is cut
+STATUS = b"tbR3"
+TEXT_BYTES = 160  # of the reason's text, UTF-8; a longer text is cut
 
 
 class State(Enum):
-    """DISARMED: no torque. ARMED: torque on, tail held. RUN: the policy swims. HOLD: tail moves to
-    straight and waits. STOP: no torque, until the robot is disarmed."""
+    """DISARMED: no torque. ARMED: torque on, tail held. TEST: the sign test before the first swim.
+    RUN: the policy swims. HOLD: tail moves to straight and waits. STOP: no torque, until the robot
+    is disarmed."""
 
     DISARMED = "disarmed"
     ARMED = "armed"
+    TEST = "test"
     RUN = "run"
     HOLD = "hold"
     STOP = "stop"
@@ -102,11 +104,13 @@ def status_datagram(key: bytes, run: int, nonce: int, sequence: int, status: Sta
 
 def read_status(key: bytes, data: bytes) -> tuple[int, int, int, Status] | None:
     """The sender's run, the fish's nonce, the sequence number and the status; None if the datagram
-    is not a signed status."""
+    is not a signed status of this version."""
     if not is_signed(key, data, STATUS, LENGTH):
         return None
     _, run, nonce, sequence = HEAD.unpack_from(data)
     state, why, missed, rejects, order, offset, text = FIRST.unpack_from(data, HEAD.size)
+    if state >= len(STATES) or why >= len(REASONS):
+        return None  # of another version
     numbers = Numbers(*NUMBERS.unpack_from(data, HEAD.size + FIRST.size))
     words = text.rstrip(b"\0").decode(errors="replace")
     status = Status(STATES[state], REASONS[why], words, missed, rejects, order, offset, numbers)
