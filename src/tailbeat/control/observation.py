@@ -2,7 +2,8 @@
 
 The observation is the paper's. The paper does not print the scales; they are chosen so that each
 number is of order one. The table is the definition: `observe` fills it in its order, a test checks
-each row against its sample, and the policy's contract holds it.
+each row against its sample, and the policy's contract holds it. A policy that follows moving
+targets sees four more numbers (ours): the filtered velocities of target and fish.
 """
 
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control import motion
 from tailbeat.control.measure import PAPER, Measure
 
 Array = NDArray[np.float64]
@@ -39,7 +41,8 @@ class Samples:
 
     `motor_angle` [rad], `motor_velocity` [rad/s], `yaw_rate` [rad/s], `phase` [rad] (n,);
     `commands` (n, 3, 2) frequency [rad/s] and centre [rad]; `frames` (n, 3, 6) fish x, y [m], yaw
-    [rad], target x, y [m] in the pool, staleness [s]: the time since the frame was taken.
+    [rad], target x, y [m] in the pool, staleness [s]: the time since the frame was taken. `motion`
+    (n, 4) are the velocities of `motion.observed`, None for a policy that does not see them.
     """
 
     motor_angle: Array
@@ -48,6 +51,7 @@ class Samples:
     phase: Array
     commands: Array
     frames: Array
+    motion: Array | None = None
 
 
 def _table() -> tuple[Entry, ...]:
@@ -77,36 +81,56 @@ def _table() -> tuple[Entry, ...]:
 
 
 TABLE = _table()  # of the paper's fish
+VELOCITIES = tuple(
+    Entry(name, "m/s", 0.5, "camera, filtered")
+    for name in (
+        "target's velocity ahead",
+        "target's velocity left",
+        "own velocity ahead",
+        "own velocity left",
+    )
+)
+FOLLOWING = TABLE + VELOCITIES  # of the paper's fish, for a policy that follows
+assert len(VELOCITIES) == motion.OBSERVED
 
 
 @cache
-def table(measure: Measure) -> tuple[Entry, ...]:
-    """The table of a fish: distances are divided by its reach, yaw rates by its turning."""
-    factors = {"m": measure.reach, "yaw rate": 1 / measure.time}
+def table(measure: Measure, yaw_rate: str = "imu", velocities: bool = False) -> tuple[Entry, ...]:
+    """The table of a fish: distances are divided by its reach, yaw rates by its turning, velocities
+    by its speed. `yaw_rate` is the source of the yaw rate, "imu" or "camera"; with `velocities` it
+    is that of a policy that follows."""
+    factors = {"m": measure.reach, "yaw rate": 1 / measure.time, "m/s": measure.speed}
+    sources = {"yaw rate": "camera"} if yaw_rate == "camera" else {}
     return tuple(
-        replace(one, scale=one.scale * factors.get(one.unit, factors.get(one.name, 1.0)))
-        for one in TABLE
+        replace(
+            one,
+            scale=one.scale * factors.get(one.unit, factors.get(one.name, 1.0)),
+            source=sources.get(one.name, one.source),
+        )
+        for one in (FOLLOWING if velocities else TABLE)
     )
 
 
 @cache
-def scales(measure: Measure) -> Array:
-    """The table's scales (24,), not to be written to."""
-    return np.array([entry.scale for entry in table(measure)])
+def scales(measure: Measure, velocities: bool = False) -> Array:
+    """The table's scales (24,), or (28,) with `velocities`; not to be written to."""
+    return np.array([entry.scale for entry in table(measure, velocities=velocities)])
 
 
 def observe(samples: Samples, measure: Measure = PAPER) -> NDArray[np.float32]:
-    """The observation (n, 24) of raw samples, in the table's order and divided by its scales.
-    Shapes and values are not checked."""
-    count = len(samples.phase)
-    seen = np.empty((count, len(TABLE)))
+    """The observation (n, 24) of raw samples, in the table's order and divided by its scales; (n,
+    28) if they have velocities. Shapes and values are not checked."""
+    count, moved = len(samples.phase), samples.motion is not None
+    seen = np.empty((count, len(FOLLOWING if moved else TABLE)))
     seen[:, 0], seen[:, 1] = np.cos(samples.motor_angle), np.sin(samples.motor_angle)
     seen[:, 2], seen[:, 3] = samples.motor_velocity, samples.yaw_rate
     seen[:, 4], seen[:, 5] = np.cos(samples.phase), np.sin(samples.phase)
     seen[:, 6:12] = samples.commands.reshape(count, -1)
-    seen[:, 12:] = relative(samples.frames).reshape(count, -1)
+    seen[:, 12:24] = relative(samples.frames).reshape(count, -1)
+    if moved:
+        seen[:, 24:] = samples.motion
     return np.divide(
-        seen, scales(measure), out=np.empty(seen.shape, np.float32), casting="same_kind"
+        seen, scales(measure, moved), out=np.empty(seen.shape, np.float32), casting="same_kind"
     )
 
 
@@ -136,9 +160,10 @@ def bearing(pose: Any, place: Any) -> Any:
 
 
 def as_markdown() -> str:
-    """The table as the docs print it."""
+    """The table as the docs print it, with the velocities at its end."""
     lines = ["| # | observed | unit | divided by | from |", "|---|---|---|---|---|"]
     lines += [
-        f"| {i} | {e.name} | {e.unit} | {e.scale:.4g} | {e.source} |" for i, e in enumerate(TABLE)
+        f"| {i} | {e.name} | {e.unit} | {e.scale:.4g} | {e.source} |"
+        for i, e in enumerate(FOLLOWING)
     ]
     return "\n".join(lines)

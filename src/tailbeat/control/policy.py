@@ -26,14 +26,19 @@ from tailbeat.control.actions import (
     Turning,
     check_space,
 )
+from tailbeat.control.camera_yaw import Source
+from tailbeat.control.expected import KEY as EXPECTED
+from tailbeat.control.expected import Expected
+from tailbeat.control.expected import read as read_expected
 from tailbeat.control.measure import PAPER, Measure
+from tailbeat.control.motion import MotionFilter
 from tailbeat.control.network_file import check_network
-from tailbeat.control.observation import Entry
+from tailbeat.control.observation import Entry, table
 from tailbeat.files import BadInput, leaves
 
 Single = NDArray[np.float32]
-VERSION = 1
-LATER = {"description", "measure"}  # fields that older files lack
+VERSIONS = (1, 2)  # 2: the policy sees velocities, and the contract has their filter
+LATER = {"description", "measure", "yaw_rate", "motion"}  # fields that older files lack
 KEY = "tailbeat"  # of the file's metadata
 SPACES = {"generator": Generator, "direct": Direct, "filtered": Filtered, "turning": Turning}
 
@@ -53,7 +58,7 @@ class Contract:
     period: float
     """Period of control [s]."""
     observation: tuple[Entry, ...]
-    """Inputs of the network in their order, with units and scales."""
+    """Inputs of the network in their order, with units and scales; 24, in version 2 28."""
     actions: ActionSpace
     """Action space with every scale, ceiling and time constant."""
     training: dict[str, Any]
@@ -65,19 +70,25 @@ class Contract:
     measure: Measure = field(default_factory=Measure)
     """The fish's measure, over the paper's fish, whose ratios are 1. It sizes arrivals, targets and
     the scales of the observation. Without it in the file they are 1."""
+    yaw_rate: Source = "imu"
+    """Source of the yaw rate, "imu" or "camera". Without it in the file it is the IMU."""
+    motion: MotionFilter | None = None
+    """Constants of the filter of velocities, in version 2; None in version 1, which has none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """A loaded policy: see `decide`."""
+    """A loaded policy: see `decide`. `expected` says what its swims look like to the robot, if its
+    file does."""
 
     contract: Contract
     session: onnxruntime.InferenceSession
+    expected: Expected | None = None
 
 
 def decide(policy: Policy, observation: Single) -> Single:
-    """Deterministic actions (n, size), within [-1, 1], for observations (n, 24). Values are not
-    checked: an observation that is not finite gives an action that is not."""
+    """Deterministic actions (n, size), within [-1, 1], for observations (n, 24 or 28). Values are
+    not checked: an observation that is not finite gives an action that is not."""
     answer: Single = policy.session.run(None, {"observation": observation})[0]
     return answer
 
@@ -90,6 +101,10 @@ def as_text(contract: Contract) -> str:
     content = asdict(contract)
     if contract.description is None:
         del content["description"], content["measure"]  # an older file stays as it was
+    if contract.motion is None:
+        del content["motion"]
+    if contract.yaw_rate == "imu":
+        del content["yaw_rate"]  # so does a file of before this field
     return json.dumps({"contract": content, "digests": _digests(content)}, sort_keys=True)
 
 
@@ -135,13 +150,16 @@ def load_policy(name_or_path: str | Path) -> Policy:
         )
     except Exception as error:  # onnxruntime raises a dozen kinds of its own
         raise BadInput(f"{path}: not a readable ONNX file; export the policy again.") from error
-    text = session.get_modelmeta().custom_metadata_map.get(KEY)
+    metadata = session.get_modelmeta().custom_metadata_map
+    text = metadata.get(KEY)
     if text is None:
         raise BadInput(
             f"{path}: an ONNX file without a contract; give a policy that tailbeat exported."
         )
-    policy = Policy(_contract(path, text), session)
-    checks.check_golden(path, session, policy.contract.golden, policy.contract.actions)
+    expected = read_expected(path, metadata.get(EXPECTED))
+    policy = Policy(_contract(path, text), session, expected)
+    held = policy.contract
+    checks.check_golden(path, session, held.golden, len(held.observation), held.actions)
     return policy
 
 
@@ -154,9 +172,9 @@ def _contract(path: Path, text: str) -> Contract:
             raise TypeError("digests are not a table")
     except (ValueError, KeyError, TypeError) as error:
         raise BadInput(f"{path}: its contract cannot be read; export the policy again.") from error
-    if version != VERSION:
+    if version not in VERSIONS:
         raise BadInput(
-            f"{path}: contract version {version}; this tailbeat reads {VERSION}. Use the tailbeat"
+            f"{path}: contract version {version}; this tailbeat reads 1 and 2. Use the tailbeat"
             f" that exported it."
         )
     names = [field.name for field in fields(Contract)]
@@ -178,8 +196,10 @@ def _contract(path: Path, text: str) -> Contract:
             f" again."
         ) from None
     checks.check_times(path, contract.band, contract.period)
-    checks.check_pairs(path, contract.golden, contract.actions)
-    checks.check_observation(path, contract.observation, contract.measure)
+    checks.check_source(path, contract.yaw_rate)
+    ours = table(contract.measure, contract.yaw_rate, contract.motion is not None)
+    checks.check_observation(path, contract.observation, ours)
+    checks.check_pairs(path, contract.golden, contract.observation, contract.actions)
     return contract
 
 
@@ -189,6 +209,7 @@ def _built(content: dict[str, Any]) -> Contract:
     low, high = map(float, content["band"])
     content["band"] = (low, high)
     content["golden"] = tuple(tuple(side) for side in content["golden"])
+    content["motion"] = checks.filter_from(content["version"], content.get("motion"))
     return Contract(**content)
 
 

@@ -11,8 +11,10 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from tailbeat.control.actions import PERIOD, ActionSpace, size
+from tailbeat.control.camera_yaw import SOURCES
 from tailbeat.control.measure import PAPER, Measure
-from tailbeat.control.observation import TABLE, Entry, table
+from tailbeat.control.motion import MotionFilter
+from tailbeat.control.observation import Entry
 from tailbeat.files import BadInput
 
 Single = NDArray[np.float32]
@@ -49,9 +51,11 @@ def check_times(path: Path, band: tuple[float, float], period: float) -> None:
         )
 
 
-def check_pairs(path: Path, golden: Pairs, space: ActionSpace) -> None:
+def check_pairs(
+    path: Path, golden: Pairs, observation: Sequence[Entry], space: ActionSpace
+) -> None:
     """Refuse golden pairs that are not as many observations as actions, of the right sizes."""
-    rows = (len(TABLE), size(space))
+    rows = (len(observation), size(space))
     paired = len(golden) == 2 and len(golden[0]) == len(golden[1]) > 0
     if not paired or any({len(row) for row in golden[i]} != {rows[i]} for i in (0, 1)):
         raise BadInput(
@@ -60,14 +64,35 @@ def check_pairs(path: Path, golden: Pairs, space: ActionSpace) -> None:
         )
 
 
-def check_observation(path: Path, observation: Sequence[Entry], measure: Measure) -> None:
-    """Refuse a table of observations that is not the one of this package."""
-    if len(observation) != len(TABLE):
+def check_source(path: Path, yaw_rate: object) -> None:
+    """Refuse a source of the yaw rate that this package does not have."""
+    if yaw_rate not in SOURCES:
         raise BadInput(
-            f"{path}: {len(observation)} observations; this tailbeat makes {len(TABLE)}."
+            f"{path}: its yaw rate comes from {yaw_rate!r}; allowed are {', '.join(SOURCES)}."
+            f" Export the policy again."
+        )
+
+
+def filter_from(version: int, held: Any) -> MotionFilter | None:
+    """The filter of velocities in a contract: version 2 has one, version 1 has none. Raises
+    TypeError or ValueError for anything else."""
+    if held is None and version == 1:
+        return None
+    found = MotionFilter(**held)
+    fits = all(_is_number(one) and 0 < one < 1000 for one in held.values())
+    if version == 1 or not fits or set(held) != set(vars(found)):
+        raise ValueError(f"motion {held} in version {version}")
+    return found
+
+
+def check_observation(path: Path, observation: Sequence[Entry], ours_of: Sequence[Entry]) -> None:
+    """Refuse a table of observations that is not the one of this package."""
+    if len(observation) != len(ours_of):
+        raise BadInput(
+            f"{path}: {len(observation)} observations; this tailbeat makes {len(ours_of)}."
             f" Use the tailbeat that exported it."
         )
-    for row, (theirs, ours) in enumerate(zip(observation, table(measure), strict=True)):
+    for row, (theirs, ours) in enumerate(zip(observation, ours_of, strict=True)):
         if theirs != ours:
             raise BadInput(
                 f"{path}: observation {row} is {theirs}; this tailbeat makes {ours}. Use the"
@@ -76,15 +101,18 @@ def check_observation(path: Path, observation: Sequence[Entry], measure: Measure
 
 
 def check_golden(
-    path: Path, session: onnxruntime.InferenceSession, golden: Pairs, space: ActionSpace
+    path: Path,
+    session: onnxruntime.InferenceSession,
+    golden: Pairs,
+    wide: int,
+    space: ActionSpace,
 ) -> None:
-    """Refuse a network that does not give the golden actions for the golden observations."""
+    """Refuse a network that does not take `wide` observations, or does not give the golden actions
+    for the golden ones."""
     seen, wanted = (np.array(side, dtype=np.float32) for side in golden)
     inputs = session.get_inputs()
-    if [one.name for one in inputs] != ["observation"] or inputs[0].shape[-1] != len(TABLE):
-        raise BadInput(
-            f"{path}: the network does not take {len(TABLE)} observations; export it again."
-        )
+    if [one.name for one in inputs] != ["observation"] or inputs[0].shape[-1] != wide:
+        raise BadInput(f"{path}: the network does not take {wide} observations; export it again.")
     try:
         answer = _timed(session, seen)
     except Exception as error:  # onnxruntime raises a dozen kinds of its own

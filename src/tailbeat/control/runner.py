@@ -4,13 +4,15 @@ It uses the same observation, network and action space as training, and keeps th
 decisions. It uses no device and no clock. Needs only numpy and onnxruntime.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
-from tailbeat.control.actions import ActionState
+from tailbeat.control import motion
+from tailbeat.control.actions import PERIOD, ActionState
+from tailbeat.control.motion import MotionState
 from tailbeat.control.observation import COMMANDS, Samples, observe
 from tailbeat.control.policy import Policy, decide
 
@@ -20,21 +22,25 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class Readings:
     """Input of one decision: motor angle [rad] and velocity [rad/s], yaw rate [rad/s], and the
-    three newest `frames` (3, 6) as in `observation.Samples`, newest first."""
+    three newest `frames` (3, 6) as in `observation.Samples`, newest first; `elapsed` [s] since the
+    last decision."""
 
     motor_angle: float
     motor_velocity: float
     yaw_rate: float
     frames: Array
+    elapsed: float = PERIOD
 
 
 @dataclass(frozen=True, eq=False)
 class RunnerState:
     """State between two decisions: the action space's state, and the last commands (1, 3, 2),
-    newest first, each a frequency [rad/s] and a centre [rad]."""
+    newest first, each a frequency [rad/s] and a centre [rad]. `motion` is the filters' state, None
+    before the first decision and for a policy that sees no velocities."""
 
     state: ActionState
     commands: Array
+    motion: MotionState | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +63,9 @@ def steer(
     policy: Policy, runner_state: RunnerState, readings: Readings
 ) -> tuple[RunnerState, Decision]:
     """The next state and the decision. If an output of the network is not finite, the setpoint is
-    NaN and the state does not change: the caller must check for NaN."""
+    NaN and the commands do not change: the caller must check for NaN."""
     space = policy.contract.actions
+    moved = _moved(policy, runner_state, readings)
     samples = Samples(
         np.array([readings.motor_angle]),
         np.array([readings.motor_velocity]),
@@ -66,13 +73,25 @@ def steer(
         runner_state.state.phase,
         runner_state.commands,
         readings.frames[None],
+        None if moved is None else motion.observed(moved, readings.frames[:1, 2]),
     )
     seen = observe(samples, policy.contract.measure)
     action = decide(policy, seen)
     if not np.isfinite(action).all():
-        return runner_state, Decision(seen[0], action[0], float("nan"))
+        kept = runner_state if moved is None else replace(runner_state, motion=moved)
+        return kept, Decision(seen[0], action[0], float("nan"))
     state = act.step(space, runner_state.state, np.asarray(action, float), policy.contract.period)
     newest = act.command(space, state)[:, None]
     commands = np.concatenate([newest, runner_state.commands[:, :-1]], axis=1)
     setpoint = float(act.setpoint(space, state)[0])
-    return RunnerState(state, commands), Decision(seen[0], action[0], setpoint)
+    return RunnerState(state, commands, moved), Decision(seen[0], action[0], setpoint)
+
+
+def _moved(policy: Policy, runner_state: RunnerState, readings: Readings) -> MotionState | None:
+    """The filters' state with this decision's frames; None if the policy sees no velocities."""
+    constants, frames = policy.contract.motion, readings.frames[None]
+    if constants is None:
+        return None
+    if runner_state.motion is None:
+        return motion.begin(constants, frames)
+    return motion.update(constants, runner_state.motion, frames, readings.elapsed)

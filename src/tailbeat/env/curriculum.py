@@ -1,9 +1,8 @@
-"""The curriculum: ten stages in three phases (sensors, physics, targets), and one of moving
-targets.
+"""The curriculum of reaching, ten stages in three phases (sensors, physics, targets), and that of
+following.
 
 The paper gives the three phases, the rule of promotion and the learning rate. The numbers of each
-stage are chosen here. The eleventh stage is ours and is entered only by name: no policy has passed
-it, and its effect on the ten stages before is not known.
+stage are chosen here. The stages of following are ours.
 """
 
 from dataclasses import dataclass, replace
@@ -11,8 +10,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from tailbeat.control import motion
 from tailbeat.control.actions import ActionSpace
 from tailbeat.control.measure import PAPER, Measure
+from tailbeat.control.motion import MotionFilter
 from tailbeat.env import randomize
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel
@@ -21,8 +22,9 @@ from tailbeat.env.task import Settings, Task, sized
 CONE = np.radians(30)  # half angle of the "narrow forward cone" (chosen)
 FALL = 0.3  # factor on the learning rate per stage within a phase (paper)
 LOWEST = 3e-5  # lowest rate: with 1e-5 stage ten did not improve, with 5e-5 it got worse
-FASTEST = 0.18  # m/s of moving targets: half of the fish's speed (chosen)
-FAR = 9.0  # m from the start at which a fish that follows a target is lost (chosen)
+FASTEST = 0.25  # m/s of moving targets: two thirds of the fish's speed (chosen)
+FOLLOWED = 30.0  # s of an episode with moving targets (chosen)
+FAR = 12.0  # m from the start at which a fish that follows a target is lost (chosen)
 PROMOTED = 0.95  # rolling success rate for promotion (paper)
 Figures = TypeVar("Figures", SensorModel, Randomisation)
 RATES = ("frame_rate",)  # numbers of a sensor model that are not errors
@@ -31,16 +33,13 @@ RATES = ("frame_rate",)  # numbers of a sensor model that are not errors
 @dataclass(frozen=True)
 class Stage:
     """One stage. `noise` and `physics` are fractions of the full values; `arc` [rad] is the half
-    angle of the targets' bearings; `following` is the fraction of episodes whose target keeps
-    moving. A stage `by_hand` is entered only if it is requested by name."""
+    angle of the targets' bearings at the start."""
 
     name: str
     phase: int
     noise: float
     physics: float
     arc: float
-    following: float = 0.0
-    by_hand: bool = False
 
 
 STAGES = (
@@ -54,11 +53,17 @@ STAGES = (
     Stage("arc 90", 3, 1.0, 1.0, np.radians(90)),
     Stage("arc 120", 3, 1.0, 1.0, np.radians(120)),
     Stage("arc 180", 3, 1.0, 1.0, np.pi),
-    Stage("following", 4, 1.0, 1.0, np.pi, 0.5, by_hand=True),
+)
+FOLLOWING = (
+    Stage("exact", 1, 0.0, 0.0, np.pi),
+    Stage("full noise", 1, 1.0, 0.0, np.pi),
+    Stage("half physics", 2, 1.0, 0.5, np.pi),
+    Stage("full physics", 2, 1.0, 1.0, np.pi),
 )
 
 
 OPEN_WATER = Task()  # the paper's targets
+MOVING = Task(0.3, 2.0, seconds=FOLLOWED, limit=FAR, target_speed=FASTEST, follow=True)
 
 
 def settings_of(
@@ -70,14 +75,13 @@ def settings_of(
     """The environment's settings in a stage of a task, which is given for the paper's fish, in
     another fish's measure."""
     task = replace(task, arc=float(stage.arc))
-    if stage.following:
-        task = replace(task, following=stage.following, target_speed=FASTEST, limit=FAR)
     return Settings(
         actions=actions,
         task=sized(task, measure),
         sensors=scaled(SensorModel(), stage.noise),
         physics=randomize.sized(scaled(Randomisation(), stage.physics), measure),
         measure=measure,
+        motion=motion.sized(MotionFilter(), measure) if task.follow else None,
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tailbeat.control import camera_yaw
 from tailbeat.control.actions import PERIOD
 
 Array = NDArray[np.float64]
@@ -182,20 +183,36 @@ def _film(figures, state, motion, i, step, period):  # type: ignore[no-untyped-d
 def newest(state: SensorState, now: Array) -> Array:
     """The three newest frames that have arrived, with their staleness (n, 3, 6)."""
     found = np.empty((len(now), 3, 6))
-    for fish, time in enumerate(now):
-        _newest(state.frames[fish], time, found[fish])
+    _gather(state.frames, now, found)
     return found
+
+
+def camera_yaw_rate(state: SensorState, now: Array) -> Array:
+    """Yaw rates (n,) [rad/s] from the frames that have arrived at `now` (n,) [s]."""
+    found = np.empty((len(now), camera_yaw.FRAMES, 6))
+    _gather(state.frames, now, found)
+    return camera_yaw.yaw_rate(found[..., 2], found[..., 5])
+
+
+@njit(cache=True)
+def _gather(frames, now, found):  # type: ignore[no-untyped-def]
+    for fish in range(len(now)):
+        _newest(frames[fish], now[fish], found[fish])
 
 
 @njit(cache=True)
 def _newest(frames, now, found):  # type: ignore[no-untyped-def]
+    """Fill `found` (k, 6) with the newest frames; the oldest one is repeated if there are fewer."""
     last = np.inf
-    for k in range(3):
+    for k in range(len(found)):
         best = -1
         for j in range(KEPT):
             late = frames[j, 6] > now + 1e-9 or frames[j, 5] >= last
             if not late and (best < 0 or frames[j, 5] > frames[best, 5]):
                 best = j
+        if best < 0 < k:
+            found[k] = found[k - 1]
+            continue
         last = frames[best, 5]
         for j in range(5):
             found[k, j] = frames[best, j]

@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, ActionSpace, Generator, Turning
+from tailbeat.control.camera_yaw import Source
 from tailbeat.control.measure import ARRIVAL, PATIENCE, Measure
+from tailbeat.control.motion import MotionFilter
 from tailbeat.control.policy import Contract
 from tailbeat.env import randomize
 from tailbeat.env.randomize import Randomisation
@@ -26,9 +28,8 @@ class Task:
     Targets are drawn at `nearest` to `farthest` [m] and within `arc` [rad], the half angle about
     straight ahead. `arrival` [m] is the paper's. `seconds` until time-out; `limit` [m] from the
     start at which the fish is lost; `walls` (length, width) [m] of a pool about the start, or None.
-    `target_speed` [m/s] of targets that move in straight lines. In a fraction `following` of
-    episodes the target moves along a bend at up to that speed, and continues until time-out; in the
-    others it stands still.
+    With `follow` an arrival ends nothing: targets stay or move at up to `target_speed` [m/s]
+    (`target_paths`) until time-out.
     """
 
     nearest: float = 0.5
@@ -39,7 +40,7 @@ class Task:
     limit: float = 6.0
     walls: tuple[float, float] | None = None
     target_speed: float = 0.0
-    following: float = 0.0
+    follow: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +76,16 @@ class Settings:
     physics: Randomisation = field(default_factory=Randomisation)
     draws: Array | None = field(default=None, compare=False)
     measure: Measure = field(default_factory=Measure)  # of rewards and observations
+    yaw_rate: Source = "imu"  # what the observed yaw rate comes from
+    motion: MotionFilter | None = None  # of the observed velocities; None: they are not observed
 
 
 def settings_for(contract: Contract) -> Settings:
-    """The settings that a policy's contract asks for: its actions, and targets in its measure."""
+    """The settings that a policy's contract asks for: its actions, targets in its measure, the
+    source of its yaw rate, and the filter of its velocities."""
     measure = contract.measure
-    return Settings(contract.actions, sized(Task(), measure), measure=measure)
+    found = Settings(contract.actions, sized(Task(), measure), measure=measure)
+    return replace(found, yaw_rate=contract.yaw_rate, motion=contract.motion)
 
 
 def sized(task: Task, measure: Measure) -> Task:

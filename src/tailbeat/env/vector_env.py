@@ -15,6 +15,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.observation import FOLLOWING, TABLE
 from tailbeat.env import rendering
 from tailbeat.env.reward import TERMS
 from tailbeat.env.simulator import Flags
@@ -23,13 +24,12 @@ from tailbeat.env.world import Outcome, World, seeds_from
 from tailbeat.fish.description import Fish
 
 Array = NDArray[np.float64]
-OBSERVED = 24
-POSE = [0, 1, 2, 5]  # of a frame: x, y, yaw, staleness
 
 
-def observation_space(count: int | None = None) -> gymnasium.spaces.Box:
-    """The observation space: 24 unbounded numbers, or a batch of them."""
-    shape = (OBSERVED,) if count is None else (count, OBSERVED)
+def observation_space(settings: Settings, count: int | None = None) -> gymnasium.spaces.Box:
+    """The observation space: 24 unbounded numbers, with velocities 28, or a batch of them."""
+    observed = len(TABLE if settings.motion is None else FOLLOWING)
+    shape = (observed,) if count is None else (count, observed)
     return gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
 
 
@@ -54,8 +54,9 @@ class FishVectorEnv(VectorEnv):
         self.world = World(fish, settings or Settings(), seeds_from(seed, count), threads)
         self.num_envs = count
         size = act.size(self.world.space)
-        self.single_observation_space = observation_space()
-        self.observation_space = observation_space(count)
+        seen = self.world.settings
+        self.single_observation_space = observation_space(seen)
+        self.observation_space = observation_space(seen, count)
         self.single_action_space = action_space(size)
         self.action_space = action_space(size, count)
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_fps": round(1 / PERIOD)}
@@ -99,7 +100,7 @@ class FishEnv(gymnasium.Env):
     ) -> None:
         self.view = view
         self.world = World(fish, settings or Settings(), seeds_from(seed, 1), threads=1)
-        self.observation_space = observation_space()
+        self.observation_space = observation_space(self.world.settings)
         self.action_space = action_space(act.size(self.world.space))
         self.render_mode = render_mode
         self.path: list[Array] = []
@@ -139,12 +140,14 @@ class FishEnv(gymnasium.Env):
 
 @dataclass(frozen=True, eq=False)
 class Behind:
-    """What one step of n fish was computed from: frames before and after (n, 3, 4) x, y, yaw,
-    staleness; the tag's true position after it (n, 2); the effort's reward term (n,)."""
+    """What one step of n fish was computed from: frames before and after (n, 3, 6), see
+    `observation.Samples`; the true positions of tag and target after it (n, 2); the effort's reward
+    term (n,)."""
 
     frames: Array
     next_frames: Array
     place: Array
+    target: Array
     effort: Array
 
 
@@ -167,7 +170,8 @@ class FishVecEnv(VecEnv):
         self.returns, self.lengths = np.zeros(count), np.zeros(count, dtype=int)
         self.sums = {name: np.zeros(count) for name in TERMS}
         self.actions: Array = np.zeros((count, act.size(self.world.space)))
-        super().__init__(count, observation_space(), action_space(act.size(self.world.space)))
+        spaces = observation_space(self.world.settings), action_space(act.size(self.world.space))
+        super().__init__(count, *spaces)
 
     def reset(self) -> NDArray[np.float32]:
         """Restart every fish."""
@@ -184,12 +188,12 @@ class FishVecEnv(VecEnv):
     def step_wait(self) -> Any:
         """SB3's four results; the info of an ended fish has its last observation, return and
         length."""
-        before = self.world.frames[..., POSE]
+        before = self.world.frames
         done = self.world.step(self.actions)
         self._count(done)
         ended = done.terminated | done.truncated
-        place = self.world.pose[:, :2].copy()
-        self.last = Behind(before, done.frames[..., POSE], place, done.terms.effort)
+        place, target = self.world.pose[:, :2].copy(), self.world.target.copy()
+        self.last = Behind(before, done.frames, place, target, done.terms.effort)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         seen = done.observation
         for fish in np.flatnonzero(ended):

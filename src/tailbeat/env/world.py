@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
+from tailbeat.control import motion
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import COMMANDS, Samples, observe
-from tailbeat.env import reward, sensors
+from tailbeat.env import reward, sensors, target_paths
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.reward import Terms
 from tailbeat.env.simulator import Flags, Simulator, TwinSimulator
@@ -24,15 +25,16 @@ from tailbeat.identify.runs import tracked_pose
 
 Array = NDArray[np.float64]
 PUSH_STEPS = 10  # control steps that a pulse lasts
-# Over the fish's reach: smallest radius of a moving target's bend, as tight as the fish turns, and
-# what counts as beside it; fraction of the second half that it must stay there (all chosen).
-TIGHTEST, BESIDE, KEPT = 0.6, 0.4, 0.8
+# A fish has followed if it was beside its target, this far over its reach, for a fraction of the
+# steps that count; none do for some seconds after a target appears (chosen).
+BESIDE, KEPT, SETTLING = 0.4, 0.8, 8.0
+JUMP = 0.1  # m in one step: a new target
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Results of one control step of n fish: observation (n, 24) and its frames (n, 3, 6), reward
-    and its terms (n,), ends (n,)."""
+    """Results of one control step of n fish: observation (n, 24 or 28) and its frames (n, 3, 6),
+    reward and its terms (n,), ends (n,)."""
 
     observation: NDArray[np.float32]
     frames: Array
@@ -70,14 +72,16 @@ class World:
         self.pushes = np.zeros((self.count, self.steps_per_episode, 2), dtype=np.float32)
         self.age = np.zeros(self.count, dtype=np.int64)
         self.along = np.zeros(self.count, dtype=np.int64)  # index of the present target of a scene
-        self.target, self.drift = np.zeros((self.count, 2)), np.zeros((self.count, 2))
-        self.turn, self.goes_on = np.zeros(self.count), np.zeros(self.count, bool)
-        self.near = np.zeros(self.count)  # steps of the second half spent near the target
+        self.target = np.zeros((self.count, 2))
+        self.paths = np.zeros((self.count, self.steps_per_episode + 1, 2))  # of moving targets
+        self.here = np.zeros(self.count)  # steps since the target appeared
+        self.counted, self.near = np.zeros(self.count), np.zeros(self.count)  # steps; beside it
         self.pose = np.zeros((self.count, 3))
         self.state = act.reset(self.space, self.count)
         self.commands = np.zeros((self.count, COMMANDS, 2))
         self.every = np.arange(self.count)
         self.frames = np.zeros((self.count, 3, 6))
+        self.motion = motion.begin(motion.MotionFilter(), self.frames)
         self.walls = np.array(settings.task.walls or (np.inf, np.inf)) / 2
 
     def reseed(self, seeds: list[int]) -> None:
@@ -98,7 +102,8 @@ class World:
     # ---- beginning ------------------------------------------------------------------------------
 
     def reset(self, which: Flags | None = None) -> NDArray[np.float32]:
-        """Start new episodes for the fish in `which` (all by default); observation (n, 24)."""
+        """Start new episodes for the fish in `which` (all by default); observation (n, 24 or
+        28)."""
         chosen = np.flatnonzero(np.ones(self.count, bool) if which is None else which)
         if chosen.size:
             self.simulator.rest(chosen)
@@ -107,7 +112,12 @@ class World:
                 self._begin(int(fish), self.rngs[fish])
             self.simulator.ready(chosen)
             self._clear(chosen)
-        return self._observe(self._first_readings())
+        readings = self._first_readings()
+        if chosen.size and self.settings.motion is not None:
+            first = motion.begin(self.settings.motion, readings.frames)
+            for held, new in zip(self.motion, first, strict=True):
+                held[chosen] = new[chosen]
+        return self._observe(readings)
 
     def _begin(self, fish: int, rng: np.random.Generator) -> None:
         """Draw one fish's episode: physics, target, pushes, sensor noise."""
@@ -120,21 +130,19 @@ class World:
             self.target[fish] = self.scene.target[fish, 0]
             self.simulator.qpos[fish, :3] = start
             self.simulator.qvel[fish, :3] = self.scene.velocity[fish]
-        self._draw_motion(fish, rng)
+        self._draw_path(fish, rng)
         self.pushes[fish] = _pulses(settings.physics, self.steps_per_episode, rng)
         sensors.begin(settings.sensors, self.seen, fish, self.pose[fish], self.target[fish], rng)
 
-    def _draw_motion(self, fish: int, rng: np.random.Generator) -> None:
-        """Draw whether and how a target moves: [m] and [rad] per control step."""
-        task, direction = self.task, rng.uniform(0, 2 * np.pi)
-        step, self.near[fish] = task.target_speed * PERIOD, 0.0
-        self.turn[fish], self.goes_on[fish] = 0.0, False
-        if task.following:
-            self.goes_on[fish] = rng.uniform() < task.following
-            step *= rng.uniform() * self.goes_on[fish]
-            tightest = TIGHTEST * self.settings.measure.reach
-            self.turn[fish] = rng.uniform(-1, 1) * step / tightest
-        self.drift[fish] = step * np.cos(direction), step * np.sin(direction)
+    def _draw_path(self, fish: int, rng: np.random.Generator) -> None:
+        """Draw where a target goes, from its first position."""
+        task, reach = self.task, self.settings.measure.reach
+        self.here[fish] = self.counted[fish] = self.near[fish] = 0.0
+        if not task.follow:
+            rng.uniform()  # earlier versions drew here; a seed gives the same noise as in them
+            return
+        begin, steps = self.target[fish], self.steps_per_episode
+        self.paths[fish] = target_paths.draw(begin, steps, task.target_speed, reach, rng)
 
     def _draw_target(self, rng: np.random.Generator) -> Array:
         """Draw a target by distance and bearing from the tag, inside the walls if there are any."""
@@ -175,8 +183,10 @@ class World:
         self.commands[:, 1:] = self.commands[:, :-1]
         self.commands[:, 0] = act.command(self.space, self.state)
         motor = simulator.qpos[:, simulator.motor], simulator.qvel[:, simulator.motor]
-        motion = sensors.Motion(before, self.pose, self.target, *motor, simulator.qvel[:, 2])
-        readings = sensors.sense(self.settings.sensors, self.seen, age, motion)
+        moved = sensors.Motion(before, self.pose, self.target, *motor, simulator.qvel[:, 2])
+        readings = sensors.sense(self.settings.sensors, self.seen, age, moved)
+        if self.settings.motion is not None:
+            self.motion = motion.update(self.settings.motion, self.motion, readings.frames, PERIOD)
         self.age = self.age + 1
         return self._judge(action, self._observe(readings), lost)
 
@@ -186,23 +196,33 @@ class World:
             self.along = self.along + (away < self.scene.lead)
             self.target = self.scene.at(self.along)
             return
-        self.target = self.target + self.drift
-        c, s, (x, y) = np.cos(self.turn), np.sin(self.turn), self.drift.T
-        self.drift = np.stack([c * x - s * y, s * x + c * y], axis=1)
+        if self.task.follow:
+            before = self.target
+            self.target = self.paths[self.every, np.minimum(self.age + 1, self.steps_per_episode)]
+            new = np.hypot(*(self.target - before).T) > JUMP * self.settings.measure.reach
+            self.here = np.where(new, 0.0, self.here + 1)
 
     def _observe(self, readings: sensors.Readings) -> NDArray[np.float32]:
-        self.frames = readings.frames
+        self.frames, yaw_rate = readings.frames, readings.yaw_rate
+        if self.settings.yaw_rate == "camera":
+            yaw_rate = sensors.camera_yaw_rate(self.seen, self.age.astype(np.float64) * PERIOD)
         return observe(
             Samples(
                 readings.motor_angle,
                 readings.motor_velocity,
-                readings.yaw_rate,
+                yaw_rate,
                 self.state.phase,
                 self.commands,
                 readings.frames,
+                self._velocities(),
             ),
             self.settings.measure,
         )
+
+    def _velocities(self) -> Array | None:
+        if self.settings.motion is None:
+            return None
+        return motion.observed(self.motion, self.frames[:, 0, 2])
 
     def _judge(self, action: Array, seen: NDArray[np.float32], lost: Flags) -> Outcome:
         """Reward and ends, from the exact distance (paper: only the reward uses it).
@@ -212,15 +232,15 @@ class World:
         """
         weights, task = self.settings.reward, self.task
         away = np.where(lost, task.limit, np.hypot(*(self.target - self.pose[:, :2]).T))
-        arrived = (away < task.arrival) & ~lost & ~self.goes_on
+        arrived = (away < task.arrival) & ~lost & (not task.follow)
         apart = away / self.settings.measure.reach
-        distance, bonus = reward.of_target(weights, apart, arrived, self.goes_on)
+        distance, bonus = reward.of_target(weights, apart, arrived, task.follow)
         terms = Terms(distance, reward.of_action(weights, action), bonus)
         if lost.any():
             seen = np.where(lost[:, None], np.float32(0), seen)
         over, ended = self.age >= self.steps_per_episode, arrived | lost
         truncated = (over | self._out_of_range()) & ~ended
-        reached = arrived | self._kept(-distance < BESIDE * weights.distance) & over
+        reached = arrived | self._followed(apart < BESIDE) & over
         return Outcome(seen, self.frames, terms.total(), terms, ended, truncated, reached)
 
     def _out_of_range(self) -> Flags:
@@ -228,11 +248,13 @@ class World:
         outside = (np.abs(place) > self.walls).any(axis=1)
         return np.asarray((np.hypot(*place.T) > self.task.limit) | outside)
 
-    def _kept(self, beside: Flags) -> Flags:
-        """Which moving targets have been followed so far, in the episode's second half."""
-        half = self.steps_per_episode / 2
-        self.near = self.near + (beside & self.goes_on & (self.age > half))
-        return np.asarray(self.near >= KEPT * half)
+    def _followed(self, beside: Flags) -> Flags:
+        """Which fish have stayed beside their targets so far."""
+        if not self.task.follow:
+            return np.zeros(self.count, bool)
+        counts = self.here * PERIOD > SETTLING * self.settings.measure.time
+        self.counted, self.near = self.counted + counts, self.near + (beside & counts)
+        return np.asarray((self.near >= KEPT * self.counted) & (self.counted > 0))
 
 
 def _pulses(ranges: Randomisation, steps: int, rng: np.random.Generator) -> Array:

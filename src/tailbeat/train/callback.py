@@ -159,7 +159,7 @@ class TrainingCallback(BaseCallback):
         shutil.copyfile(self.run.out / "policy.onnx", kept.with_suffix(".onnx"))
         settings = self.run.settings(progress.stage)
         rendering.film(self._decide, self.run.fish, settings, kept.with_suffix(".mp4"))
-        if all(stage.by_hand for stage in stages[progress.stage + 1 :]):
+        if progress.stage + 1 == len(stages):
             progress.finished = True
             return
         progress.stage, progress.stage_began = progress.stage + 1, progress.seconds

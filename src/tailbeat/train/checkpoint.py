@@ -106,6 +106,17 @@ def _row(greedy: dict[str, Any] | None = None, **rest: Any) -> TrainingRow:
 def load(place: Path, model: SAC, world: World) -> Saved:
     """Load a checkpoint into a new model and world; returns its counters. Raises BadInput."""
     state = read_state(place)
+    try:
+        _load(place, model, world, state)
+    except Exception as error:  # damaged bytes make torch, numpy and zipfile raise a dozen kinds
+        raise BadInput(
+            f"{place}: cannot be read ({type(error).__name__}); the checkpoint is damaged. Train"
+            f" again in another folder."
+        ) from error
+    return state
+
+
+def _load(place: Path, model: SAC, world: World, state: Saved) -> None:
     buffer = model.replay_buffer
     assert buffer is not None
     with np.load(place / "buffer.npz") as arrays:
@@ -122,7 +133,6 @@ def load(place: Path, model: SAC, world: World) -> Saved:
         model.log_ent_coef.data = learned["log_ent_coef"].to(model.device)
     torch.set_rng_state(learned["torch"])
     _restore(json.loads((place / "random.json").read_text(encoding="utf-8")), world)
-    return state
 
 
 def _optimizers(model: SAC) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import cuda
 
 from tailbeat.control.actions import ActionSpace, Direct, Filtered, Turning, generator
+from tailbeat.control.camera_yaw import Source
 from tailbeat.control.measure import PAPER, Measure
 from tailbeat.env.curriculum import settings_of
 from tailbeat.env.measured import measure_of
@@ -28,7 +29,8 @@ WORKING_SET = 1.5e9  # bytes for torch, engine and 64 fish without the buffer (m
 @dataclass(frozen=True)
 class RunRecord:
     """Contents of `run.json`: the fish's name and digest, action space, recipe, seed, what the
-    physics are drawn from (`ranges` or `posterior` with its digest), and the fish's measure."""
+    physics are drawn from (`ranges` or `posterior` with its digest), the fish's measure, and the
+    source of the yaw rate."""
 
     fish: str
     fish_digest: str
@@ -37,6 +39,7 @@ class RunRecord:
     seed: int
     physics: str = "ranges"
     measure: Measure = field(default_factory=Measure)
+    yaw_rate: Source = "imu"
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,8 @@ class RunConfig:
     `out` is its folder. `actions` None are the motor's own up to the fish's band, bound as the
     recipe says. `draws` are a posterior's coefficients (`Settings.draws`), None for ranges. `hours`
     is the most time of this session, `checkpoint_minutes` the time between two checkpoints.
-    `device` is cpu or cuda. `measure` is that of the fish; `measured_run` takes it.
+    `device` is cpu or cuda. `measure` is that of the fish; `measured_run` takes it. `yaw_rate` is
+    the source of the yaw rate that the policy sees: imu, or camera for a robot without an IMU.
     """
 
     fish: Fish
@@ -59,6 +63,7 @@ class RunConfig:
     checkpoint_minutes: float = 5.0
     draws: Array | None = field(default=None, compare=False)
     measure: Measure = field(default_factory=Measure)
+    yaw_rate: Source = "imu"
 
     @property
     def discount(self) -> float:
@@ -73,7 +78,7 @@ class RunConfig:
         """The environment's settings in a stage."""
         recipe = self.recipe
         found = settings_of(recipe.stages[stage], self.space(), recipe.task, self.measure)
-        return replace(found, draws=self.draws)
+        return replace(found, draws=self.draws, yaw_rate=self.yaw_rate)
 
     def record(self) -> RunRecord:
         """What must be equal when the run is resumed."""
@@ -86,6 +91,7 @@ class RunConfig:
             self.seed,
             _physics(self.draws),
             self.measure,
+            self.yaw_rate,
         )
 
 
@@ -179,6 +185,7 @@ def _check_same(run: RunConfig) -> None:
     if held.get("actions.kind") == "generator":
         held.setdefault("actions.floor", 0.0)  # older runs have no floor
     held.setdefault("physics", "ranges")  # and no posterior
+    held.setdefault("yaw_rate", "imu")  # and an IMU
     held.setdefault("recipe.greedy", run.recipe.greedy)  # and no verdict by greedy swims
     for name, ratio in vars(PAPER).items():
         held.setdefault(f"measure.{name}", ratio)  # and the paper's measure

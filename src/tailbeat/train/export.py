@@ -16,7 +16,7 @@ from stable_baselines3 import SAC
 
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import table
-from tailbeat.control.policy import KEY, VERSION, Contract, Policy, as_text, load_policy
+from tailbeat.control.policy import KEY, Contract, Policy, as_text, load_policy
 from tailbeat.files import new_file
 from tailbeat.fish.store import digest
 from tailbeat.train.config import RunConfig
@@ -32,23 +32,25 @@ PRODUCED_BY = ("tailbeat", "mujoco", "torch", "stable-baselines3")
 def export(model: SAC, run: RunConfig, seen: Single, training: Facts, path: Path) -> Policy:
     """Write a run's policy, read it back and check its golden pairs.
 
-    `seen` (k, 24) are observations of real swims, from which the golden ones are taken. `training`
-    says how the policy was trained. Raises BadInput.
+    `seen` (k, 24 or 28) are observations of real swims, from which the golden ones are taken.
+    `training` says how the policy was trained. Raises BadInput.
     """
-    fish, measure = run.fish, run.measure
+    fish, measure, filtered = run.fish, run.measure, run.settings(0).motion
     golden = seen[np.linspace(0, len(seen) - 1, GOLDEN).astype(int)]
     contract = Contract(
-        version=VERSION,
+        version=1 if filtered is None else 2,
         fish=fish.name,
         fish_digest=digest(fish),
         band=fish.band,
         period=PERIOD,
-        observation=table(measure),
+        observation=table(measure, run.yaw_rate, filtered is not None),
         actions=run.space(),
         training={**training, "versions": versions()},
         golden=(tuple(golden.tolist()), tuple(act(model, golden).tolist())),
         description=fish.model_dump(mode="json"),
         measure=measure,
+        yaw_rate=run.yaw_rate,
+        motion=filtered,
     )
     with new_file(path, overwrite=True) as beside:
         onnx.save(as_onnx(model, contract), str(beside))

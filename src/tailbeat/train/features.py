@@ -24,10 +24,10 @@ NEWEST = "frame 0 (newest): target "
 ADDED = 3  # ahead, left, and 1 - distance / (distance + RANGE)
 
 
-def _matrices(measure: Measure) -> dict[str, Single]:
-    """Matrices of the features (`above` o + `constant`) / (`below` o + RANGE) of an observation o
-    (24,): `above` (3, 24), `constant` (3,), `below` (1, 24), `range` (1,)."""
-    above, below = np.zeros((ADDED, len(TABLE))), np.zeros((1, len(TABLE)))
+def _matrices(measure: Measure, observed: int) -> dict[str, Single]:
+    """Matrices of the features (`above` o + `constant`) / (`below` o + RANGE) of an
+    observation o (k,): `above` (3, k), `constant` (3,), `below` (1, k), `range` (1,)."""
+    above, below = np.zeros((ADDED, observed)), np.zeros((1, observed))
     for row, name in enumerate(("ahead", "left")):
         above[row, _column(name)] = scales(measure)[_column(name)]
     below[0, _column("distance")] = scales(measure)[_column("distance")]
@@ -41,7 +41,7 @@ def _column(name: str) -> int:
 
 
 class TargetFeatures(BaseFeaturesExtractor):
-    """Observations (n, 24) to (n, 27), for SB3's `features_extractor_class`; no weights."""
+    """Observations (n, k) to (n, k + 3), for SB3's `features_extractor_class`; no weights."""
 
     above: torch.Tensor
     constant: torch.Tensor
@@ -49,8 +49,9 @@ class TargetFeatures(BaseFeaturesExtractor):
     range: torch.Tensor
 
     def __init__(self, observation_space: Any, measure: Measure) -> None:
-        super().__init__(observation_space, len(TABLE) + ADDED)
-        for name, matrix in _matrices(measure).items():
+        observed = observation_space.shape[0]
+        super().__init__(observation_space, observed + ADDED)
+        for name, matrix in _matrices(measure, observed).items():
             self.register_buffer(name, torch.as_tensor(matrix), persistent=False)
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:

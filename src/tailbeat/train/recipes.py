@@ -5,13 +5,13 @@ from typing import Literal
 
 import numpy as np
 
-from tailbeat.env.curriculum import STAGES, Stage
+from tailbeat.env.curriculum import FOLLOWING, MOVING, STAGES, Stage
 from tailbeat.env.task import Task
 from tailbeat.files import BadInput
 
 WIDTH, DEPTH = 286, 3  # of actor and critics (paper)
 # float32: two observations, action, reward, two ends, and the data for relabelling
-BYTES_PER_TRANSITION = 4 * (2 * 24 + 6 + 3 + 28)
+BYTES_PER_TRANSITION = 4 * (2 * 28 + 6 + 3 + 42)
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def quick() -> Recipe:
         batch=256,
         discount=0.996,
         tau=0.01,
-        rates=(5e-4, 5e-4, 1e-4, 1e-4),
+        rates=(5e-4, 5e-4, 1e-4),
         entropy="auto_0.02",
         reward_scale=0.01,
         buffer=1_200_000,
@@ -108,7 +108,7 @@ def paper() -> Recipe:
         returns=1,
         discount=0.99,
         tau=0.005,
-        rates=(3e-4, 3e-4, 3e-4, 3e-4),
+        rates=(3e-4, 3e-4, 3e-4),
         entropy="auto",
         buffer=1_000_000,
         budget_hours=6.0,
@@ -118,7 +118,6 @@ def paper() -> Recipe:
         close_up=False,
         rounded=False,
         greedy=False,
-        stages=STAGES[:10],
     )
 
 
@@ -133,11 +132,26 @@ def smoke() -> Recipe:
     )  # fmt: skip
 
 
+TASKS = ("reach", "follow")
+EPISODES = 120  # with moving targets that are judged at once; all of them last half a minute
 RECIPES = {"quick": quick, "paper": paper, "smoke": smoke}
 
 
-def recipe_of(name: str) -> Recipe:
-    """A recipe by its name. Raises BadInput."""
+def following(recipe: Recipe) -> Recipe:
+    """The recipe for following moving targets: other stages and another task. Its verdict asks that
+    the fish stays beside its target."""
+    task = MOVING
+    if recipe.name == "smoke":
+        task = replace(task, nearest=0.3, farthest=0.6, seconds=6.0, target_speed=0.1)
+        return replace(recipe, stages=FOLLOWING[:1], task=task)
+    return replace(recipe, stages=FOLLOWING, task=task, window=EPISODES)
+
+
+def recipe_of(name: str, task: str = "reach") -> Recipe:
+    """A recipe by its name, for a task, reach or follow. Raises BadInput."""
     if name not in RECIPES:
         raise BadInput(f"--recipe {name}: allowed are {', '.join(RECIPES)}.")
-    return RECIPES[name]()
+    if task not in TASKS:
+        raise BadInput(f"--task {task}: allowed are {', '.join(TASKS)}.")
+    found = RECIPES[name]()
+    return following(found) if task == "follow" else found

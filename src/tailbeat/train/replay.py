@@ -1,8 +1,12 @@
 """A replay buffer that uses each swim more than once, with other targets for the same path.
 
-Reward and observation depend on the target only through its position, so a swim gives the reward
+Reward and observation depend on the target only through its positions, so a swim gives the reward
 for any target. Part of every batch gets a target that the fish reached later, and part one anywhere
 near it. Rewards are recomputed as in the environment; an arrival ends a transition as there.
+
+A moving target's new path is its own, turned and moved: in complex numbers a p + b with |a| = 1, or
+a = 0 for a target that stays. The filters of its velocity are linear, so the observed velocity
+becomes a v, exactly as if the target had swum that path.
 """
 
 from dataclasses import dataclass
@@ -19,19 +23,21 @@ from tailbeat.env import reward
 from tailbeat.env.vector_env import FishVecEnv
 
 Single = NDArray[np.float32]
-FIRST = 12  # index of the first observed number that depends on the target
+Turns = NDArray[np.complex128]
+FIRST, LAST = 12, 24  # observed numbers of the frames; the target's velocity follows
 AHEAD = 300  # steps of the paper's fish: a position so much later may become the target (chosen)
-EXTRA = ("frames", "next_frames", "place", "effort", "episode")
+STAY = 0.25  # share of the new targets of a task with moving targets that stay (chosen)
+EXTRA = ("frames", "next_frames", "place", "target", "effort", "episode")
 
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
     """n transitions of up to k steps.
 
-    First observation `seen` (n, 24) and action (n, size), discounted reward (n,), last observation
-    `next` (n, 24), whether the last step ended the episode (n,). For relabelling: the effort's term
-    of every step (n, k), the tag's position `way` after every step (n, k, 2) [m], NaN after the
-    last, and the frames of both observations (n, 3, 4).
+    First observation `seen` (n, 24 or 28) and action (n, size), discounted reward (n,), last
+    observation `next`, whether the last step ended the episode (n,). For relabelling: the effort's
+    term of every step (n, k), the positions of the tag `way` and of the `target` after every step
+    (n, k, 2) [m], NaN after the last, and the frames of both observations (n, 3, 6).
     """
 
     seen: Single
@@ -41,8 +47,17 @@ class Transitions:
     effort: Single
     ended: Single
     way: Single
+    target: Single
     frames: Single
     next_frames: Single
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """New paths turn p + move of targets at p: complex (n,), each |turn| 1 or 0."""
+
+    turn: Turns
+    move: Turns
 
 
 class RelabelBuffer(ReplayBuffer):
@@ -69,9 +84,9 @@ class RelabelBuffer(ReplayBuffer):
         self.powers = discount ** np.arange(returns, dtype=np.float32)  # weights of the rewards
         self.later, self.anywhere, self.misses = later, anywhere, misses
         shape = (self.buffer_size, self.n_envs)
-        self.frames = np.zeros((*shape, 3, 4), np.float32)
-        self.next_frames = np.zeros((*shape, 3, 4), np.float32)
-        self.place = np.zeros((*shape, 2), np.float32)
+        self.frames = np.zeros((*shape, 3, 6), np.float32)
+        self.next_frames = np.zeros((*shape, 3, 6), np.float32)
+        self.place, self.target = (np.zeros((*shape, 2), np.float32) for _ in range(2))
         self.effort = np.zeros(shape, np.float32)
         self.episode = np.full(shape, -1, np.int32)
         self.begin_after(-1)
@@ -84,7 +99,8 @@ class RelabelBuffer(ReplayBuffer):
         """Add one step of every fish; the data for relabelling come from the source."""
         behind, row = self.source.last, self.pos
         self.frames[row], self.next_frames[row] = behind.frames, behind.next_frames
-        self.place[row], self.effort[row] = behind.place, behind.effort
+        self.place[row], self.target[row] = behind.place, behind.target
+        self.effort[row] = behind.effort
         self.episode[row] = self.begun
         self.begun = self.begun + self.n_envs * np.asarray(done, np.int32)
         super().add(obs, next_obs, action, reward, done, infos)
@@ -93,7 +109,7 @@ class RelabelBuffer(ReplayBuffer):
         fish = np.random.randint(0, self.n_envs, size=len(batch_inds))  # noqa: NPY002 (as SB3)
         at = batch_inds, fish
         found = self._gather(at)
-        self._retarget(found, self._other_targets(at))
+        self._retarget(found, self._other_paths(at))
         bootstrap = (self.discount ** np.isfinite(found.way[..., 0]).sum(axis=1)).astype(np.float32)
         columns = found.ended, found.reward, bootstrap
         order = found.seen, found.action, found.next
@@ -118,6 +134,7 @@ class RelabelBuffer(ReplayBuffer):
             effort=self.effort[rows, fish] * valid,
             ended=self.dones[last] * (1 - self.timeouts[last]),
             way=np.where(valid[..., None], self.place[rows, fish], np.nan),
+            target=self.target[rows, fish],
             frames=self.frames[at],
             next_frames=self.next_frames[last],
         )
@@ -125,67 +142,87 @@ class RelabelBuffer(ReplayBuffer):
     def _written(self, rows: Any) -> Any:
         return rows < (self.buffer_size if self.full else self.pos)
 
-    def _other_targets(self, at: Any) -> Single:
-        """Another target (n, 2) for part of the batch, NaN for the rest."""
-        draw = np.random.random_sample(len(at[0]))[:, None]  # noqa: NPY002
-        anywhere = np.where(draw < self.later + self.anywhere, self._anywhere(at), np.nan)
-        return np.where(draw < self.later, self._beside(self._later(at)), anywhere)
+    def _other_paths(self, at: Any) -> Paths:
+        """Another path of the target for part of the batch, NaN for the rest."""
+        draw = np.random.random_sample(len(at[0]))  # noqa: NPY002
+        later, anywhere = self._later(at), self._anywhere(at)
+        turn = np.where(draw < self.later, later.turn, anywhere.turn)
+        move = np.where(draw < self.later, later.move, anywhere.move)
+        return Paths(turn, np.where(draw < self.later + self.anywhere, move, np.nan))
 
-    def _retarget(self, found: Transitions, targets: Single) -> None:
-        """Replace the targets of transitions for which `targets` is finite, in place."""
+    def _retarget(self, found: Transitions, paths: Paths) -> None:
+        """Replace the targets of transitions for which `paths` are finite, in place."""
         lost = (found.ended > 0) & (found.reward < 0)
-        chosen = np.isfinite(targets[:, 0]) & ~lost
-        target, world = targets[chosen], self.source.world
-        measure = world.settings.measure
-        found.seen[chosen, FIRST:] = _seen(found.frames[chosen], target, measure)
-        found.next[chosen, FIRST:] = _seen(found.next_frames[chosen], target, measure)
-        away = np.linalg.norm(found.way[chosen] - target[:, None], axis=2)
-        follows = self._following(len(away))[:, None]
-        hit = (away < world.task.arrival) & ~follows  # NaN after an end is not a hit
-        before = np.cumsum(hit, axis=1) - hit == 0
-        apart = away / np.float32(measure.reach)
+        chosen = np.isfinite(paths.move) & ~lost
+        turn, move, world = paths.turn[chosen], paths.move[chosen], self.source.world
+        follows = world.task.follow
+        for seen, frames in ((found.seen, found.frames), (found.next, found.next_frames)):
+            seen[chosen] = _seen(seen[chosen], frames[chosen], turn, move, world.settings.measure)
+        target = turn[:, None] * _complex(found.target[chosen]) + move[:, None]
+        away = np.abs(_complex(found.way[chosen]) - target).astype(np.float32)
+        hit = (away < world.task.arrival) & (not follows)  # NaN after an end is not a hit
+        before: Any = np.cumsum(hit, axis=1) - hit == 0
+        apart = away / np.float32(world.settings.measure.reach)
         distance, bonus = reward.of_target(world.settings.reward, apart, hit, follows)
         earned = (distance + found.effort[chosen] + bonus) * before * self.powers
         found.reward[chosen] = self.source.reward_scale * np.nansum(earned, axis=1)
         found.ended[chosen] = hit.any(axis=1)
 
-    def _following(self, count: int) -> Any:
-        """Which of the new targets keep moving after an arrival: the same fraction as in the
-        task."""
-        share = self.source.world.task.following
-        return np.random.random_sample(count) < share if share else np.zeros(count, bool)  # noqa: NPY002
-
-    def _later(self, at: Any) -> Single:
-        """Position of each fish some time later in the same episode, else at this step's end."""
+    def _later(self, at: Any) -> Paths:
+        """Paths through the position of each fish some time later in the same episode, else at this
+        step's end. A moving target moves there in the direction that the fish took."""
         longest = round(AHEAD * self.source.world.settings.measure.time)
         ahead = np.random.randint(0, longest, size=len(at[0]))  # noqa: NPY002
         then = (at[0] + ahead) % self.buffer_size
-        same = self.episode[then, at[1]] == self.episode[at]
-        return self.place[np.where(same, then, at[0]), at[1]]
+        then = np.where(self.episode[then, at[1]] == self.episode[at], then, at[0]), at[1]
+        went = _complex(self.place[then] - self.place[at])
+        moved = _complex(self.target[then] - self.target[at])
+        turn = self._staying(_unit(went * moved.conj()))
+        return Paths(turn, self._beside(self.place[then]) - turn * _complex(self.target[then]))
 
-    def _beside(self, place: Single) -> Single:
+    def _staying(self, turn: Turns) -> Turns:
+        """The turns of new paths; 0 for targets that stay: all of them, unless the task's move."""
+        if not self.source.world.task.follow:
+            return np.zeros_like(turn)
+        return turn * (np.random.random_sample(len(turn)) >= STAY)  # noqa: NPY002
+
+    def _beside(self, place: Single) -> Turns:
         """Move half of the positions by a normal draw of `misses` along both axes."""
         if not self.misses:
-            return place
+            return _complex(place)
         moved = np.random.random_sample(len(place)) < 0.5  # noqa: NPY002
         misses = self.misses * self.source.world.settings.measure.size
         offset = misses * np.random.standard_normal(place.shape)  # noqa: NPY002
-        return (place + offset * moved[:, None]).astype(np.float32)
+        return _complex(place + offset * moved[:, None])
 
-    def _anywhere(self, at: Any) -> Single:
-        """Positions around the fish, by distance and bearing."""
+    def _anywhere(self, at: Any) -> Paths:
+        """Paths that pass around the fish, by distance and bearing, in any direction."""
         task, count = self.source.world.task, len(at[0])
         distance = task.farthest * np.random.random_sample(count)  # noqa: NPY002
-        bearing = 2 * np.pi * np.random.random_sample(count)  # noqa: NPY002
-        offset = distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-        return np.asarray(self.place[at] + offset, dtype=np.float32)
+        bearing, turned = 2 * np.pi * np.random.random_sample((2, count))  # noqa: NPY002
+        place = _complex(self.place[at]) + distance * np.exp(1j * bearing)
+        turn = self._staying(np.exp(1j * turned))
+        return Paths(turn, place - turn * _complex(self.target[at]))
 
 
-def _seen(frames: Single, target: Single, measure: Measure) -> Single:
-    """Observed numbers (n, 12) of frames (n, 3, 4) and targets (n, 2)."""
-    full = np.empty((len(frames), 3, 6))
-    full[..., :3], full[..., 5] = frames[..., :3], frames[..., 3]
-    full[..., 3:5] = target[:, None]
-    divided = scales(measure)[FIRST:]
-    found = relative(full).reshape(len(frames), divided.size) / divided
-    return np.asarray(found, dtype=np.float32)
+def _complex(place: Any) -> Turns:
+    """Positions (..., 2) as complex numbers."""
+    return np.asarray(place[..., 0] + 1j * place[..., 1], dtype=np.complex128)
+
+
+def _unit(turn: Turns) -> Turns:
+    """Complex numbers of size 1; 1 for those that are 0."""
+    size = np.abs(turn)
+    return np.asarray(np.where(size > 0, turn, 1.0) / np.where(size > 0, size, 1.0), np.complex128)
+
+
+def _seen(seen: Single, frames: Single, turn: Turns, move: Turns, measure: Measure) -> Single:
+    """The observations (n, 24 or 28) of frames (n, 3, 6) whose targets moved to turn p + move."""
+    full, after = np.array(frames, dtype=np.float64), seen.copy()
+    target = turn[:, None] * _complex(full[..., 3:5]) + move[:, None]
+    full[..., 3], full[..., 4] = target.real, target.imag
+    after[:, FIRST:LAST] = relative(full).reshape(len(full), LAST - FIRST) / scales(measure)[FIRST:]
+    if seen.shape[1] > LAST:
+        speed = turn * _complex(seen[:, LAST : LAST + 2])
+        after[:, LAST], after[:, LAST + 1] = speed.real, speed.imag
+    return after

@@ -75,7 +75,7 @@ def result(run: RunConfig, progress: Progress) -> TrainingResult:
         folder=run.out,
         policy=run.out / "policy.onnx",
         stages_passed=progress.passed(),
-        stages=sum(not one.by_hand for one in run.recipe.stages),
+        stages=len(run.recipe.stages),
         finished=progress.finished,
         stalled=progress.stalled,
         hours=progress.seconds / 3600,
