@@ -16,6 +16,7 @@ from tailbeat.cli.options import (
 )
 from tailbeat.evaluate.names import NAMES
 from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.link.places import LARGEST, SMALLEST, is_pool
 from tailbeat.report.tables import as_rows
 
 if TYPE_CHECKING:
@@ -73,6 +74,8 @@ def _walls(text: str | None) -> tuple[float, float] | None:
         length, width = map(float, text.split("x"))
     except ValueError:
         raise BadInput(f"--walls {text!r}: give length x width in metres, as 5.5x2.7.") from None
+    if not is_pool(length, width):
+        raise BadInput(f"--walls {text}: each side must be {SMALLEST:g} to {LARGEST:g} m.")
     return length, width
 
 
@@ -129,7 +132,9 @@ def speed_map(
     beyond the identified band."""
     from tailbeat.evaluate.speed_map import speed_map_of
     from tailbeat.report import figures
+    from tailbeat.report.pictures import check_picture
 
+    check_picture(out)
     for path in filter(None, (out, json)):
         refuse_existing(path)
     report = speed_map_of(fish, servo or [])

@@ -2,21 +2,47 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from tailbeat.cli import output, progress, results
 from tailbeat.cli.extras import need_training
 from tailbeat.cli.options import FishOption, JsonOption, PolicyFile, SeedOption
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import BadInput, refuse_existing, write_json
 from tailbeat.report.tables import as_rows
+
+if TYPE_CHECKING:
+    from tailbeat.control.camera_yaw import Source
 
 PhysicsOption = Annotated[
     Literal["ranges", "posterior"],
     typer.Option(
         help="Coefficients of the water. ranges: within 20 % of the fish's; posterior: from the"
         " draws beside the fish."
+    ),
+]
+
+
+SeenImu = Annotated[
+    Literal["bno055", "none"] | None,
+    typer.Option(
+        "--imu",
+        help="Yaw rate that the policy sees. bno055: this IMU's; none: the camera's. Default: the"
+        " policy's own; a new policy's is an IMU's.",
+    ),
+]
+
+
+def _source(imu: str | None) -> "Source | None":
+    """Source of the yaw rate; None if it is not given."""
+    return None if imu is None else "camera" if imu == "none" else "imu"
+
+
+BindsOption = Annotated[
+    str | None,
+    typer.Option(
+        help="What the frequency ceiling limits: fundamental or signal; default: the recipe's."
     ),
 ]
 
@@ -29,6 +55,9 @@ def train(
         typer.Option(help="generator, direct or filtered; of a crank turning. Default: the first."),
     ] = None,
     recipe: Annotated[str, typer.Option(help="Recipe: quick, paper or smoke.")] = "quick",
+    task: Annotated[
+        str, typer.Option(help="reach: targets that stay; follow: those that move, too.")
+    ] = "reach",
     seed: SeedOption = 0,
     hours: Annotated[
         float, typer.Option(help="Longest training time [h]; continue later with --resume.")
@@ -38,16 +67,12 @@ def train(
     servo: Annotated[
         str | None, typer.Option(help="Servo of the fish to train with; default: its own.")
     ] = None,
-    binds: Annotated[
-        str | None,
-        typer.Option(
-            help="What the frequency ceiling limits: fundamental or signal; default: the recipe's."
-        ),
-    ] = None,
+    binds: BindsOption = None,
     floor: Annotated[
         float, typer.Option(help="Lowest fundamental of the generator [Hz]; with 0 it can stop.")
     ] = 0.0,
     physics: PhysicsOption = "ranges",
+    imu: SeenImu = None,
     stage: Annotated[
         str | None, typer.Option(help="Stage to continue in; default: the checkpoint's.")
     ] = None,
@@ -65,16 +90,19 @@ def train(
     from tailbeat.train.train import train as learn
 
     with progress.training() as report:
-        described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe)
+        described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe, task)
         space = action_space(actions, described, binds or chosen.binds, floor)
         draws = _draws(fish) if physics == "posterior" else None
-        run = RunConfig(described, out, chosen, space, seed, hours, device, draws=draws)
+        told = described, out, chosen, space, seed, hours, device
+        run = RunConfig(*told, draws=draws, yaw_rate=_source(imu) or "imu")
         room = run.recipe.buffer_bytes / 1e6
         output.say(f"replay buffer: {room:.0f} MB in memory and in every checkpoint")
         course = learn(run, resume, report, stage)
-        courses({f"{space.kind}, seed {seed}": course.history}, out / "curve.png")
+    courses({f"{space.kind}, seed {seed}": course.history}, out / "curve.png")
     done = result(run, course)
     results.trained(done)
+    if done.finished and space.kind != "turning":
+        _expect_or_say(str(done.policy), recipe)
     if json is not None:
         write_json(json, asdict(done) | {"folder": str(done.folder), "policy": str(done.policy)})
     if not done.finished:
@@ -135,6 +163,7 @@ def try_(
             "--newer", help="--fish is a newer identification of the fish it was trained on."
         ),
     ] = False,
+    imu: SeenImu = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -145,7 +174,8 @@ def try_(
     need_training()
     from tailbeat.evaluate.reach import TrialConfig, try_policy
 
-    done = try_policy(file, fish, TrialConfig(arc, targets, seed, exact, pools, newer))
+    config = TrialConfig(arc, targets, seed, exact, pools, newer, _source(imu))
+    done = try_policy(file, fish, config)
     where = "in the virtual pool" if pools else "in the twin"
     sectors = [
         {"bearing [deg]": f"{row.low:g}-{row.high:g}", **one}
@@ -156,3 +186,37 @@ def try_(
     output.tables({where: [asked | row for row in as_rows([done], "sectors")]})
     if json is not None:
         write_json(json, asked | vars(done))
+
+
+def expect(file: PolicyFile, json: JsonOption = None) -> None:
+    """Write into a policy's file what its swims look like to the robot's own sensors. `drive` needs
+    it for its sign test and its monitors; `train` does it at its end. The contract does not
+    change."""
+    if json is not None:
+        refuse_existing(json)
+    need_training()
+    found = _expect(file)
+    if json is not None:
+        write_json(json, found)
+
+
+def _expect_or_say(file: str, recipe: str) -> None:
+    """What a new policy's swims look like; or why that is not known, which fails no training."""
+    from tailbeat.train.expect import FEWER
+
+    try:
+        _expect(file, FEWER if recipe == "smoke" else None)
+    except BadInput as error:
+        output.say(f"{error} `drive` has no sign test for it until `tailbeat policy expect`.")
+
+
+def _expect(file: str, size: tuple[int, float] | None = None) -> dict[str, Any]:
+    """Swim a policy's tours, write what they show into its file, and print it."""
+    from tailbeat.train.expect import FISH, SECONDS, of_file
+
+    with progress.counting() as counted:
+        told = lambda done: counted("tours", int(100 * done), 100)  # noqa: E731
+        found = of_file(file, told, size or (FISH, SECONDS))
+    bounds = {name: f"{value:.3g}" for name, value in asdict(found.limits).items()}
+    output.tables({f"signals of {found.seconds / 60:.0f} min of tours": [bounds]})
+    return asdict(found)

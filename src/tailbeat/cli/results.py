@@ -108,4 +108,5 @@ def benched(result: "Benchmark") -> None:
         "environment": as_rows(result.env, "pairs"),
         "against SB3": as_rows(peers),
         "an update of the training": as_rows(result.update),
+        "control loop beside busy programs": as_rows(result.loop),
     })  # fmt: skip

@@ -9,11 +9,16 @@ from tailbeat.cli import output
 from tailbeat.cli.extras import need_camera
 from tailbeat.cli.options import (
     PageOption,
+    PathLaps,
+    PathOption,
+    PathSeconds,
+    PathSpeed,
     ReplayOption,
     ReplayPool,
     TourBegin,
     TourJson,
     TourPolicy,
+    path_asked,
 )
 from tailbeat.files import BadInput, need, refuse_existing, write_json
 from tailbeat.link.addresses import address
@@ -49,6 +54,10 @@ def station(
         int, typer.Option("--tour", help="Number of random targets to lead the fish to.")
     ] = 0,
     begin: TourBegin = None,
+    path: PathOption = None,
+    speed: PathSpeed = None,
+    laps: PathLaps = None,
+    seconds: PathSeconds = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random targets.")] = 0,
     policy: TourPolicy = None,
     json: TourJson = None,
@@ -56,9 +65,10 @@ def station(
     pool: ReplayPool = f"{LENGTH:g},{WIDTH:g}",
 ) -> None:
     """Run the poolside station: find the fish, send its pose, show the operator page. Exit code 1
-    if a tour was not finished. With --replay: play a finished run from its log on the page."""
+    if a tour or a --path was not finished. With --replay: play a finished run from its log on the
+    page."""
     given = {"--robot": robot, "--key": key, "--listen": listen, "--camera": camera,
-             "--tour": targets, "--begin": begin, "--json": json}  # fmt: skip
+             "--tour": targets, "--begin": begin, "--path": path, "--json": json}  # fmt: skip
     if replay is not None:
         return _replay(replay, page, fish, pool, [name for name, value in given.items() if value])
     if key is None or not (robot and listen):
@@ -70,23 +80,36 @@ def station(
     if json is not None:
         refuse_existing(json)
     ends = address(robot, "--robot"), address(listen, "--listen")
-    ids = fish_tag, target_tag
-    if targets and not camera:
-        raise BadInput("--tour: needs the fish's poses; give --camera and its --calibration.")
-    if camera:
-        need_camera()
-    with work.open_tracker(camera, calibration, ids, exposure, latency) as tracker:
+    asked = path_asked(path, speed, laps, seconds)
+    _check_camera(camera, {"--tour": targets, "--path": path})
+    eye = camera, calibration, (fish_tag, target_tag), exposure, latency
+    with work.open_tracker(*eye) as tracker:
         room = work.pool_of(tracker, lambda _: None)
-        leader = chosen_leader(targets, seed, begin, room, measure_in(policy))
-        config = work.StationConfig(*ends, key, page, fish)
-        work.work(config, tracker, leader, output.say)
+        leader = chosen_leader(targets, seed, begin, room, measure_in(policy), asked)
+        work.work(work.StationConfig(*ends, key, page, fish), tracker, leader, output.say)
     _end_of_tour(leader, json)
 
 
+def _check_camera(camera: str, leads: dict[str, object]) -> None:
+    """Raises BadInput if one of the options that lead the fish is given without a camera, or if its
+    packages are not installed."""
+    for option, wanted in leads.items():
+        if wanted and not camera:
+            raise BadInput(f"{option}: needs the fish's poses; give --camera and --calibration.")
+    if camera:
+        need_camera()
+
+
 def _end_of_tour(leader: "Leader | None", json: Path | None) -> None:
-    """Write what came of a tour; exit code 1 if it was not finished."""
-    tour = leader.tour if leader else None
-    if json is not None:
+    """Write what came of a tour or a path; exit code 1 if it was not finished."""
+    tour, follow = (leader.tour, leader.follow) if leader else (None, None)
+    if follow is not None:
+        record = follow.record()
+        if json is not None:
+            write_json(json, record)
+        if not record.finished:
+            raise typer.Exit(1)
+    elif json is not None:
         rows = tour.rows if tour else []
         write_json(json, {"targets": rows, "armed_anew": leader.rearmed if leader else 0})
     if tour is not None and tour.target is not None:

@@ -11,20 +11,29 @@ import typer
 from tailbeat.cli import output, progress, results
 from tailbeat.cli.extras import need_camera, need_robot
 from tailbeat.cli.options import (
+    FOLLOWS,
     SHIPPED,
+    DrivenFish,
+    ForceCamera,
+    ImuPort,
     JsonOption,
     PageOption,
+    PathLaps,
+    PathOption,
+    PathSeconds,
+    PathSpeed,
     PolicyFile,
-    PolicyOption,
     SeedOption,
     TwinOption,
+    path_asked,
 )
-from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.files import BadInput, check_folder, refuse_existing, write_json
 from tailbeat.link.addresses import address
 from tailbeat.link.places import ANY_POOL, POOL, TARGET, place
 from tailbeat.robot.ports import Ports
 
 if TYPE_CHECKING:
+    from tailbeat.evaluate.following import FollowConfig
     from tailbeat.evaluate.swim import Swum
 
 EMULATED = "pulley-fish"  # fish of emulated devices, unless another is given
@@ -32,11 +41,21 @@ Asked = tuple[str, str, str | None, int, int]  # policy, pool's fish, twin, targ
 Devices = AbstractContextManager[tuple[Ports, Path]]  # where the devices are, and the key's file
 
 
+SwimPolicy = Annotated[
+    str | None,
+    typer.Option(
+        "--policy",
+        help=f"A policy, .onnx, or a shipped name. Default: {FOLLOWS} where the target"
+        f" moves, {SHIPPED} for a tour.",
+    ),
+]
+
+
 def swim(
     fish: Annotated[
         str | None, typer.Option("--fish", help="Swim this fish open-loop, without a policy.")
     ] = None,
-    policy: PolicyOption = SHIPPED,
+    policy: SwimPolicy = None,
     pool_fish: Annotated[
         str, typer.Option(help="Fish in the virtual pool: a TOML file or a shipped fish's name.")
     ] = "pulley-fish",
@@ -55,6 +74,10 @@ def swim(
         str, typer.Option("--page", help="host:port of the operator page; not used by a tour.")
     ] = "127.0.0.1:8080",
     targets: Annotated[int, typer.Option(help="Number of random targets of a tour.")] = 8,
+    path: PathOption = None,
+    speed: PathSpeed = None,
+    laps: PathLaps = None,
+    seconds: PathSeconds = None,
     seed: SeedOption = 0,
     out: Annotated[Path, typer.Option(help="Folder of the report, film, log and summary.")] = Path(
         "runs"
@@ -64,16 +87,28 @@ def swim(
     """Swim to targets in the virtual pool, in real time. Fish, camera and station run as on a
     robot. Drag the target on the operator page. With --headless, or without a terminal: a tour of
     random targets, then a report; exit code 1 if a target was missed by more than 20 cm
-    (for another fish, in its measure)."""
+    (for another fish, in its measure). With --path the target moves by the clock; exit code 1 if
+    the fish held, or was more than 60 cm from the target after the first 5 s."""
     if json is not None:
         refuse_existing(json)
+    check_folder(out)
+    asked = path_asked(path, speed, laps, seconds)
+    if asked is not None and (fish is not None or direct):
+        other = "--fish" if fish is not None else "--direct"
+        raise BadInput(f"{other}: a target on a --path moves in real time; leave {other} out.")
     if fish is not None:
         _open_loop(fish, out, json)
+    elif asked is not None:
+        from tailbeat.evaluate.following import FollowConfig
+
+        _follow(FollowConfig(policy or FOLLOWS, asked, pool_fish, twin, seed), out, json)
     elif headless or direct or not sys.stdout.isatty():
-        swum = (_direct if direct else _live)((policy, pool_fish, twin, targets, seed), out)
+        swum = (_direct if direct else _live)(
+            (policy or SHIPPED, pool_fish, twin, targets, seed), out
+        )
         _tour(swum, out, json)
     elif json is None:
-        _attend(policy, pool_fish, twin, seed, page, out)
+        _attend(policy or FOLLOWS, pool_fish, twin, seed, page, out)
     else:
         raise BadInput("--json: without --headless a swim has no result; add --headless.")
 
@@ -131,6 +166,33 @@ def _tour(swum: "Swum", out: Path, json: Path | None) -> None:
         raise typer.Exit(1)
 
 
+def _follow(config: "FollowConfig", out: Path, json: Path | None) -> None:
+    """Swim after a target by the clock and report; exit code 1 if it was not kept."""
+    need_robot()
+    need_camera()
+    from tailbeat.evaluate import following as swims
+    from tailbeat.report import following as report
+
+    done = report.write(swims.live(config, out, output.say), out, progress.counting)
+    output.tables({f"{done.fish} after a moving target, {done.policy}": [report.row(done.result)]})
+    for fault in done.result.faults:
+        output.say(fault)
+    output.say(f"page: {out / 'report.html'}")
+    if json is not None:
+        write_json(json, done)
+    if done.result.faults:
+        raise typer.Exit(1)
+
+
+SkipOption = Annotated[
+    bool,
+    typer.Option(
+        "--skip-sign-test",
+        help="Swim without comparing servo, IMU and camera first. The log says so.",
+    ),
+]
+
+
 def drive(
     policy: PolicyFile,
     log: Annotated[Path, typer.Option("--log", help="Log to write: .mcap, or an existing folder.")],
@@ -138,14 +200,12 @@ def drive(
         bool, typer.Option("--emulated", help="Start emulated devices and drive them.")
     ] = False,
     servo: Annotated[str, typer.Option(help="Serial port of the servo.")] = "",
-    imu: Annotated[str, typer.Option(help="Serial port of the IMU.")] = "",
+    imu: ImuPort = "",
+    force_camera: ForceCamera = False,
     listen: Annotated[str, typer.Option(help="host:port on which to listen for poses.")] = "",
     station: Annotated[str, typer.Option(help="host:port of the station.")] = "",
     key: Annotated[Path | None, typer.Option("--key", help="File of the shared key.")] = None,
-    fish: Annotated[
-        str | None,
-        typer.Option("--fish", help="The fish that drives; refused if the policy is not for it."),
-    ] = None,
+    fish: DrivenFish = None,
     target: Annotated[
         str | None, typer.Option("--target", help="Target x,y [m], instead of the target's tag.")
     ] = None,
@@ -156,6 +216,7 @@ def drive(
     wait: Annotated[
         bool, typer.Option("--wait", help="Stay disarmed until the operator page arms the fish.")
     ] = False,
+    skip_sign_test: SkipOption = False,
     page: PageOption = "",
     seed: SeedOption = 0,
     json: JsonOption = None,
@@ -163,6 +224,7 @@ def drive(
     """Run the fish's control loop at 50 Hz: arm, swim, turn torque off. Exit code 1 if the loop
     stopped by itself."""
     need_robot()
+    _hurry()
     from tailbeat.link.reasons import Reason
     from tailbeat.robot import session
     from tailbeat.robot.fits import check_named
@@ -174,21 +236,31 @@ def drive(
     pool = POOL if emulated else ANY_POOL  # the station tells the robot the real pool's size
     aim, stay = None if target is None else place(target, pool=pool), wait or bool(page)
     lasts = _duration(seconds, stay)
-    if fish is not None or emulated:
-        check_named(policy, fish or EMULATED)
+    fish = fish or EMULATED if emulated else fish
+    if fish is not None:
+        check_named(policy, fish)
     if emulated:
-        devices = _emulated(fish or EMULATED, seed, target or TARGET, page)
+        devices = _emulated(fish or EMULATED, seed, target or TARGET, page, imu)
         aim = None if stay else aim  # the target's tag floats there; the operator may drag it
     else:
         devices = _given(servo, imu, listen, station, key, page)
     with devices as (ports, secret):
-        config = session.DriveConfig(policy, ports, secret, log, aim, lasts, not wait, stay)
+        asked = policy, ports, secret, log, aim, lasts, not wait, stay, not skip_sign_test
+        config = session.DriveConfig(*asked, fish=fish, force_camera=force_camera)
         done = session.drive(config, output.say)
     output.tables({"drive": [drive_json(done)]})
     if json is not None:
         write_json(json, drive_json(done))
     if done.reason is not Reason.SWIMMING and not (stay and done.by_hand):
         raise typer.Exit(1)
+
+
+def _hurry() -> None:
+    """Take real-time priority before the imports: they take a second, and ten beside other
+    programs."""
+    from tailbeat.robot import timing
+
+    timing.claim()
 
 
 def _duration(seconds: float | None, stay: bool) -> float:
@@ -200,11 +272,11 @@ def _duration(seconds: float | None, stay: bool) -> float:
     return seconds
 
 
-def _emulated(fish: str, seed: int, target: str, page: str) -> Devices:
+def _emulated(fish: str, seed: int, target: str, page: str, imu: str) -> Devices:
     """Ports and key of emulated devices that are started for the drive."""
     from tailbeat.emulators.own_devices import own_devices
 
-    return own_devices(fish, seed, target, page, output.say)
+    return own_devices(fish, seed, target, page, imu, output.say)
 
 
 def _given(servo: str, imu: str, listen: str, station: str, key: Path | None, page: str) -> Devices:

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -96,7 +96,9 @@ def pool_of(policy: Policy, config: EvaluationConfig) -> Pool:
     draws = _draws(config.twin or policy.contract.fish)
     measure = policy.contract.measure
     walls = config.walls or (POOL[0] * measure.reach, POOL[1] * measure.reach)
-    return Pool(own, trained, actions, waters, config.episodes, config.seed, walls, draws, measure)
+    found = Pool(own, trained, actions, waters, config.episodes, config.seed, walls, draws, measure)
+    held = policy.contract
+    return replace(found, yaw_rate=held.yaw_rate, motion=held.motion)
 
 
 def _draws(fish: str) -> NDArray[np.float64] | None:

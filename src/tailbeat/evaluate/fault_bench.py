@@ -4,9 +4,11 @@ The emulated devices (`emulators.faults`) run in one process. The loop, the same
 `tailbeat drive`, runs in another. Faults of the loop are made in its own process.
 """
 
+import contextlib
 import math
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -59,12 +61,24 @@ def _kill_watchdog(own: Any) -> None:
     os.kill(own.alive.watcher.process.pid, signal.SIGKILL)
 
 
+def _stop_watchdog(own: Any) -> None:
+    os.kill(own.alive.watcher.process.pid, signal.SIGSTOP)
+
+
+def _stop_both(own: Any) -> None:
+    """The watchdog hangs; a second later the loop is killed too."""
+    _stop_watchdog(own)
+    threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGKILL)).start()
+
+
 LOOP_FAULTS: dict[str, Callable[[Any], None]] = {
     "nan": _no_numbers,
     "hang": lambda own: time.sleep(30),
     "exception": _raise,
     "disk full": _fill_disk,
     "no watchdog": _kill_watchdog,
+    "stopped watchdog": _stop_watchdog,
+    "both": _stop_both,
 }
 
 
@@ -80,7 +94,7 @@ def _run(pipe: Connection, drive: Drive, config: DriveConfig, patience: float) -
         if pipe.poll():
             name = pipe.recv()
             late[0] = name == "overrun"
-            pipe.send(("broken", time.monotonic(), name))
+            pipe.send(("broken", time.monotonic(), own.alive.watcher.process.pid))
             LOOP_FAULTS.get(name, lambda own: None)(own)
 
     drive(config, lambda line: pipe.send(("said", time.monotonic(), line)), each=each)
@@ -92,7 +106,8 @@ def _be_patient(own: Any, patience: float) -> None:
     most = own.limits.overruns_hold if patience == 1 else 20
     own.limits = replace(own.limits, overruns_hold=most, **longer)
     own.devices.servo.deadline *= patience
-    own.devices.imu.deadline *= patience
+    if own.devices.imu is not None:
+        own.devices.imu.deadline *= patience
 
 
 # ---- from outside -------------------------------------------------------------------------------
@@ -137,13 +152,15 @@ def open_bench(fish: Fish, preload: list[str], patience: float = 1.0) -> Iterato
 
 @dataclass(eq=False)
 class Swim:
-    """A loop's process that swims; `lines` are its reported states, with their times."""
+    """A loop's process that swims; `lines` are its reported states, with their times. `watchdog` is
+    the id of its watchdog process, known from a fault of the loop on (0: not known)."""
 
     process: Any
     pipe: Connection
     log: Path
     lines: list[tuple[float, str]]
     broken: float = math.nan
+    watchdog: int = 0
 
     def listen(self, seconds: float = 0.02) -> None:
         """Receive its reports."""
@@ -154,7 +171,7 @@ class Swim:
                 if kind == "said":
                     self.lines.append((when, text.split(" s  ", 1)[-1]))
                 else:
-                    self.broken = when
+                    self.broken, self.watchdog = when, text
         except (EOFError, OSError):
             time.sleep(seconds)
 
@@ -165,26 +182,32 @@ class Swim:
 
 
 @contextmanager
-def swimming(bench: Bench, policy: str, drive: Drive) -> Iterator[Swim]:
-    """Start a loop that swims on a new rig. Raises RuntimeError if it does not start to swim."""
+def swimming(bench: Bench, policy: str, drive: Drive, fault: str = "") -> Iterator[Swim]:
+    """Start a loop that swims on a new rig, without the sign test. With a `fault` the rig has it
+    from the start: the loop does the sign test and is waited for until it ends. Raises RuntimeError
+    if it does not start to swim."""
     robot = link.free_address()
-    station = bench.ask("new", robot)
+    station = bench.ask("new", robot, fault)
     bench.swims += 1
     log = bench.folder / f"{bench.swims}.mcap"
     ports = Ports(str(bench.folder / "servo"), str(bench.folder / "imu"), robot, station)
     ours, theirs = bench.context.Pipe()
-    config = DriveConfig(policy, ports, bench.key, log, seconds=1e3)
+    config = DriveConfig(policy, ports, bench.key, log, seconds=1e3, sign_test=bool(fault))
     process = bench.context.Process(target=_run, args=(theirs, drive, config, bench.patience))
     process.start()
     theirs.close()
     swim = Swim(process, ours, log, [])
     try:
-        wait(swim, lambda: swim.state == "run" or not process.is_alive(), START)
-        if swim.state != "run":
+        began = ("run", "stop") if fault else ("run",)
+        wait(swim, lambda: swim.state in began or not process.is_alive(), START)
+        if swim.state not in began:
             raise RuntimeError(f"the fish did not start to swim: {swim.lines}")
         yield swim
     finally:
         _end(process)
+        if swim.watchdog:  # one that was stopped would stay
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(swim.watchdog, signal.SIGKILL)
         bench.ask("end")
 
 

@@ -5,15 +5,20 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Case:
-    """A fault: a title, where it is made ("bench", "loop" or "signal") and by which name, the safe
-    state ("run", "hold", "stop", or "gone": the process has ended and torque is off), and words of
-    the operator's text."""
+    """A fault: a title, where it is made and by which name, the safe state, and words of the
+    operator's text.
+
+    `where`: "start" (on the bench, before the loop begins), "bench", "loop" or "signal". `safe`:
+    "run" (with the words of a warning, if there are any), "hold", "stop", or "gone": the process
+    has ended and torque is off. It swims for `after` seconds before the fault.
+    """
 
     title: str
     where: str
     name: str
     safe: str
     words: str = ""
+    after: float = 0.8
 
 
 CASES = (
@@ -41,12 +46,39 @@ CASES = (
     Case("station's clock jumps 5 s back", "bench", "clock back", "hold", ""),
     Case("tag read the wrong way round", "bench", "turned round", "hold", "poses in a row"),
     Case("poses 0.6 m off at once", "bench", "elsewhere", "hold", "poses in a row"),
+    Case("tail reversed from the start", "start", "tail reversed", "stop", "wrong side"),
+    Case("camera's picture mirrored", "start", "picture mirrored", "stop", "mirrored"),
+    Case("tag turned by 90 degrees", "start", "tag askew", "stop", "turn the tag"),
+    Case("IMU upside down", "start", "imu upside down", "stop", "upside down"),
+    Case("tendon cut before the start", "start", "tendon snapped", "stop", "does not answer"),
+    Case("fish held at the start", "start", "held still", "stop", "does not answer"),
+    Case("encoder shows 20 % from the start", "start", "encoder 20 %", "stop", "of the stroke"),
+    Case("tendon snaps", "bench", "tendon snapped", "hold", "tendons", 3.0),
+    Case("encoder shows 30 %", "bench", "encoder 30 %", "hold", "of its stroke", 3.0),
+    Case("half stroke", "bench", "half stroke", "hold", "of its stroke", 3.0),
+    Case("horn slips: half the tail's stroke", "bench", "horn slips", "hold", "tendons", 3.0),
+    Case("fish held still", "bench", "held still", "hold", "answers its tail", 3.0),
+    Case("pose frozen under fresh stamps", "bench", "pose frozen", "hold", "exactly equal", 3.0),
+    Case("target jumps at every frame", "bench", "target jumps", "hold", "target jumps", 3.0),
+    Case(
+        "camera drifts, 1 cm/s and 0.02 rad/s",
+        "bench",
+        "camera drifts",
+        "run",
+        "camera turns",
+        10.0,
+    ),
+    Case("IMU biased by 0.5 rad/s", "bench", "imu biased", "hold", "IMU and camera", 3.0),
+    Case("IMU turned over on the way", "bench", "imu upside down", "hold", "IMU", 3.0),
+    Case("picture mirrored on the way", "bench", "picture mirrored", "hold", ""),
     Case("policy gives NaN", "loop", "nan", "hold", "not a number"),
     Case("loop late by 25 ms in every period", "loop", "overrun", "hold", "periods missed"),
     Case("loop hangs", "loop", "hang", "gone"),
     Case("an exception in the loop", "loop", "exception", "gone"),
     Case("disk full", "loop", "disk full", "hold", "log cannot be written"),
-    Case("watchdog killed with -9", "loop", "no watchdog", "hold", "watchdog process has ended"),
+    Case("watchdog killed with -9", "loop", "no watchdog", "stop", "watchdog process"),
+    Case("watchdog stopped (hangs)", "loop", "stopped watchdog", "stop", "watchdog process"),
+    Case("watchdog stopped, then the loop killed", "loop", "both", "gone"),
     Case("killed with -9", "signal", "SIGKILL", "gone"),
     Case("stopped with Ctrl-Z", "signal", "SIGSTOP", "gone"),
     Case("SIGTERM", "signal", "SIGTERM", "stop", "stop asked by"),

@@ -17,7 +17,6 @@ from tailbeat.evaluate.fault_bench import Bench, Drive, Swim, swimming, wait
 from tailbeat.evaluate.fault_cases import Case
 from tailbeat.robot.log import read_rows
 
-SWIMMING = 0.8  # s of swimming before the fault
 CALM = 0.3  # s for which the tail must be straight; a fifth of the time that a swim must continue
 WAIT = 6.0  # s for a safe state, times the patience
 
@@ -56,8 +55,7 @@ def measure(case: Case, bench: Bench, policy: str, drive: Drive, tries: int = 3)
     a busy machine a loop may go to HOLD without a fault."""
     for attempt in range(1, tries + 1):
         try:
-            with swimming(bench, policy, drive) as swim:
-                wait(swim, lambda: False, SWIMMING)
+            with swimming(bench, policy, drive, case.name if case.where == "start" else "") as swim:
                 result = _result(case, bench, swim, _break(case, bench, swim))
         except RuntimeError as error:  # the fish did not start to swim
             result = FaultResult(case.title, str(error), case.safe, None, None, False, None)
@@ -67,7 +65,11 @@ def measure(case: Case, bench: Bench, policy: str, drive: Drive, tries: int = 3)
 
 
 def _break(case: Case, bench: Bench, swim: Swim) -> float:
-    """Make the fault; returns its time [s]."""
+    """Make the fault; returns its time [s]. One from the start is there when the sign test
+    begins."""
+    if case.where == "start":
+        return next(when for when, text in swim.lines if text.startswith("test"))
+    wait(swim, lambda: False, case.after)
     if case.where == "bench":
         return float(bench.ask("break", case.name))
     if case.where == "signal":
@@ -92,7 +94,7 @@ def _result(case: Case, bench: Bench, swim: Swim, broken: float) -> FaultResult:
         safe_state={"gone": "torque off", "stop": "stop: torque off"}.get(case.safe, case.safe),
         told_s=told[0] if told else None,
         safe_s=None if math.isnan(safe_at) else max(safe_at - began, 0.0),
-        ok=not math.isnan(safe_at) and (told is not None or case.safe in ("gone", "run")),
+        ok=not math.isnan(safe_at) and (told is not None or not case.words),
         log_lost_s=_lost(swim.log, broken) if case.name == "SIGKILL" else None,
     )
 
@@ -123,7 +125,9 @@ def _safe_now(case: Case, bench: Bench, swim: Swim, broken: float) -> float:
     look, on = bench.ask("look")
     now, since = time.monotonic(), look.off
     if case.safe == "run":
-        safe, since = now - broken > 5 * CALM and swim.state == "run", broken
+        warned = any(when >= broken and _is(case, text) for when, text in swim.lines)
+        lasted = now - broken > 5 * CALM and swim.state == "run"
+        safe, since = lasted and (warned or not case.words), broken
     elif case.safe == "hold":
         safe, since = on and swim.state == "hold" and now - look.straight > CALM, look.straight
     elif case.name == "servo cable" and case.safe == "stop":

@@ -5,6 +5,7 @@ the logged angle in water, and its hinge angles are used; its root is placed at 
 The poses are smoothed between the camera's frames.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +37,8 @@ BEFORE = 1.0  # s that a film shows before the fish swims
 GRID = 120.0  # Hz at which poses are smoothed: twice a camera's rate
 WINDOW = 25  # samples of it: a cubic fit passes beats up to 7 Hz
 LEAD_IN = 1.0  # s in which the twin's straight tail moves to the log's first angle
+RESTED = 0.5  # s that a target rests at a place before the fish can arrive there
+SAME = 0.01  # m within which a target rests: its tag is seen with noise
 LATE = 0.4  # of an arrival's distance: the log's last pose before it may be outside
 CAMERA_LAG, CAMERA_TURN = (
     0.6,
@@ -62,16 +65,24 @@ class Motion:
         return len(self.qpos)
 
     def arrivals(self) -> tuple[tuple[int, float, float], ...]:
-        """Frame and position x, y [m] of each target that the fish reached."""
-        found, last = [], (np.nan, np.nan)
+        """Frame and position x, y [m] of each target that the fish reached. One that moves is
+        followed, not reached."""
+        found, last = list[tuple[int, float, float]](), (np.inf, np.inf)
         reach = (1 + LATE) * self.arrival
         near = np.hypot(*(self.tag[:, :2] - self.target).T) < reach  # False for NaN
-        for frame in np.flatnonzero(near).tolist():
+        for frame in np.flatnonzero(near & self._rests()).tolist():
             place = (float(self.target[frame, 0]), float(self.target[frame, 1]))
-            if place != last:
+            if math.dist(place, last) > SAME:
                 found.append((frame, *place))
                 last = place
         return tuple(found)
+
+    def _rests(self) -> NDArray[np.bool_]:
+        """Whether the target was in the same place half a second ago (k,), or as long as it is
+        known."""
+        before = np.maximum(np.arange(self.frames) - round(RESTED * self.rate), 0)
+        away = np.hypot(*(self.target - self.target[before]).T)
+        return np.asarray(~(away > SAME))  # True for NaN: there was none yet
 
 
 @dataclass(frozen=True)

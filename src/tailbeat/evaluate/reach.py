@@ -1,13 +1,14 @@
 """How many targets a policy reaches, and where: in its twin, or zero-shot in pools."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.camera_yaw import Source
 from tailbeat.control.policy import Policy, check_fits, decide, load_policy
 from tailbeat.env.assess import Build, assess
 from tailbeat.env.curriculum import Stage, settings_of
@@ -87,7 +88,8 @@ class ReachResult(SuccessRates):
 class TrialConfig:
     """`targets` targets within `arc` [deg] to either side, drawn from `seed`: in the twin with all
     noise and randomisation (`exact`: without), or in `pools` waters of the pool. With `newer` the
-    twin is a newer identification of the fish that the policy was trained on."""
+    twin is a newer identification of the fish that the policy was trained on. `yaw_rate` is the
+    source of the yaw rate; None: the one that the policy was trained with."""
 
     arc: float = 120.0
     targets: int = 1000
@@ -95,6 +97,7 @@ class TrialConfig:
     exact: bool = False
     pools: int = 0
     newer: bool = False
+    yaw_rate: Source | None = None
 
 
 def in_twin(fish: Fish, settings: Settings) -> Build:
@@ -156,6 +159,7 @@ def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:
     noise = 0.0 if config.exact else 1.0
     stage = Stage("trial", 3, noise, noise, float(np.radians(config.arc)))
     settings = settings_of(stage, held.actions, measure=held.measure)
+    settings = replace(settings, yaw_rate=config.yaw_rate or held.yaw_rate, motion=held.motion)
     waters = ensemble(config.pools, config.seed) if config.pools else []
     build = in_pool(described, settings, waters) if waters else in_twin(described, settings)
     return reach(policy, build, config.targets, config.seed)

@@ -1,6 +1,5 @@
 """Starts and targets of trials: sampled grids and closed paths, from a seed."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,14 +12,11 @@ from tailbeat.env.task import Scene
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.runs import tracked_pose
+from tailbeat.operator.paths import Shape, even
 
 Array = NDArray[np.float64]
 CLEAR = 0.4  # m, least distance of a start from the walls, of the paper's fish; targets: half
 TRIES = 2000
-HALF_EIGHT = (
-    1.6,
-    0.6,
-)  # m, along and across the pool; not given in the paper, chosen to fit its pool
 BEHIND = 0.5  # m, distance of a fish's start behind a moving target
 
 
@@ -91,49 +87,14 @@ def moving(scene: Scene, speed: float, seconds: float, seed: int) -> Scene:
 # ---- closed paths -------------------------------------------------------------------------------
 
 
-def eight(phase: Array) -> Array:
-    """Figure eight (k, 2) [m] for phases 0 to 1. It starts at the tip of a lobe (an offset of 1/4)
-    and crosses itself at the origin."""
-    angle = 2 * np.pi * (phase + 0.25)
-    along, across = HALF_EIGHT
-    return np.stack([along * np.sin(angle), across * np.sin(2 * angle)], axis=1)
-
-
-def circle(phase: Array) -> Array:
-    """A circle of 0.8 m radius."""
-    angle = 2 * np.pi * phase
-    return 0.8 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-
-
-def square(phase: Array) -> Array:
-    """A square of 1.6 m with round corners (a superellipse of power 4)."""
-    angle = 2 * np.pi * phase
-    c, s = np.cos(angle), np.sin(angle)
-    return 0.8 * np.stack(
-        [np.sign(c) * np.sqrt(np.abs(c)), np.sign(s) * np.sqrt(np.abs(s))], axis=1
-    )
-
-
-PATHS: dict[str, Callable[[Array], Array]] = {"eight": eight, "circle": circle, "square": square}
-
-
-def even(path: Callable[[Array], Array], count: int) -> Array:
-    """`count` points (count, 2) at equal distances along one lap of a closed path."""
-    fine = path(np.linspace(0, 1, 4001))
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])
-    place = np.linspace(0, way[-1], count, endpoint=False)
-    return np.stack([np.interp(place, way, column) for column in fine.T], axis=1)
-
-
-def lap_length(path: Callable[[Array], Array]) -> float:
-    """Length of one lap [m]."""
-    fine = path(np.linspace(0, 1, 4001))
-    return float(np.hypot(*np.diff(fine, axis=0).T).sum())
+def stays(phase: Array) -> Array:
+    """One place, as a path."""
+    return np.zeros((len(phase), 2))
 
 
 def follow(
     fish: Fish,
-    path: Callable[[Array], Array],
+    path: Shape,
     lap: float,
     seconds: float,
     count: int,
@@ -147,6 +108,7 @@ def follow(
     per_lap = round(lap * measure.time / PERIOD)
     way = measure.reach * even(path, per_lap)[np.arange(steps) % per_lap]
     ahead = way[1] - way[0]
+    ahead = ahead if ahead.any() else np.array([1.0, 0.0])  # a target that stays has no direction
     heading = np.arctan2(ahead[1], ahead[0])
     offset = tracked_pose(fish, np.zeros(3))[0] + BEHIND * measure.reach
     start = np.array([*(way[0] - offset * ahead / np.hypot(*ahead)), heading])

@@ -67,12 +67,13 @@ def direct(config: SwimConfig, counting: Counting) -> Swum:
 def live(config: SwimConfig, out: Path, say: Say) -> Swum:
     """Swim in real time, through camera, network, servo and IMU; results are read from the fish's
     log."""
-    from tailbeat.emulators.live import swim  # needs OpenCV
+    from tailbeat.emulators.live import Chain, swim  # needs OpenCV
 
     loaded, where, drawn = _entered(config)
-    log, seen = _room(out), out / "tour.json"
+    log, seen = log_in(out), out / "tour.json"
     seen.unlink(missing_ok=True)
-    swim(config.policy, config.fish, config.targets, config.seed, "127.0.0.1:0", out, say)
+    chain = Chain(config.policy, config.fish, config.seed, "127.0.0.1:0", out)
+    swim(chain, config.targets, say)
     toured = read_record(Toured, seen)
     arrival = where.measure.arrival
     swum = as_seen(tour_of(log, where.fish, drawn, arrival), toured.targets)
@@ -82,15 +83,15 @@ def live(config: SwimConfig, out: Path, say: Say) -> Swum:
 def attended(config: SwimConfig, page: str, out: Path, say: Say) -> Path:
     """Swim in real time to the target that the operator drags on the page at `host:port`, until
     Ctrl-C; returns the log."""
-    from tailbeat.emulators.live import swim  # needs OpenCV
+    from tailbeat.emulators.live import Chain, swim  # needs OpenCV
 
     _entered(config)
-    log = _room(out)
-    swim(config.policy, config.fish, 0, config.seed, page, out, say)
+    log = log_in(out)
+    swim(Chain(config.policy, config.fish, config.seed, page, out), 0, say)
     return log
 
 
-def _room(out: Path) -> Path:
+def log_in(out: Path) -> Path:
     """Make a folder for a swim; returns the path of its log. An existing log is renamed."""
     out.mkdir(parents=True, exist_ok=True)
     log = out / "swim.mcap"

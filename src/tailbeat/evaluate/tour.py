@@ -1,6 +1,6 @@
 """A tour: a policy swims to one target after the other in the virtual pool."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.measure import PATIENCE
 from tailbeat.control.policy import Policy, decide
-from tailbeat.env.task import Settings, Task, sized
+from tailbeat.env.task import Task, settings_for, sized
 from tailbeat.env.world import World
 from tailbeat.evaluate.trial import Progress
 from tailbeat.fish.description import Fish
@@ -56,12 +56,13 @@ def tour(
     """Swim to each target until it is reached or its time is over; start in the pool's middle."""
     m = policy.contract.measure
     task = sized(Task(seconds=PATIENCE * len(targets)), m)
-    settings = Settings(policy.contract.actions, task, measure=m)
+    held = policy.contract
+    settings = replace(settings_for(held), task=task)
     simulator = PoolSimulator(fish, [water], [Surroundings(walls=WALLS)])
     world, choose = World(fish, settings, [seed], simulator=simulator), partial(decide, policy)
     shape, pose, goal, ends = [], [], [], []
     world.reset()
-    world.drift[:], world.seen.frames[..., 3:5] = 0.0, targets[0]
+    world.seen.frames[..., 3:5] = targets[0]
     seen = world.reset(np.zeros(1, bool))
     for number, place in enumerate(targets):
         world.target[0], nearest = place, np.inf

@@ -11,13 +11,15 @@ from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import wrapped
 from tailbeat.env.task import Scene
 from tailbeat.evaluate.runs import Runs
-from tailbeat.evaluate.scenes import PATHS, even, follow, lap_length
+from tailbeat.evaluate.scenes import follow, stays
 from tailbeat.evaluate.trial import Condition, Pool, pools
 from tailbeat.files import BadInput
+from tailbeat.operator.paths import LAP, MARGIN, PATHS, even, lap_length
 from tailbeat.pool.plant import Surroundings
 
-SECONDS = 73.0  # the paper's figure-eight
-EIGHT, LED_EIGHT = "eight 73 s", "eight, led"
+SECONDS = LAP  # of every swim
+EIGHT, LED_EIGHT, STAYS = "eight 73 s", "eight, led", "stays"
+SHAPES = PATHS | {STAYS: stays}
 LEAD, HASTE = 0.5, 0.5  # m, m/s: distance and largest speed of a target that waits for the fish
 
 
@@ -36,17 +38,22 @@ class TrackResult:
     """Results of following a target on one path.
 
     The target's mean speed [m/s]; the distance to it and the rms distance to its path [m]; how many
-    swims kept it; how many crossed the eight's middle cleanly twice.
+    swims kept it; how many crossed the eight's middle cleanly twice, with the fish's direction over
+    0.4 s and over 2 s, in which a slow fish's sway does not count; the share of the last minute
+    within `BESIDE` of the target.
     """
 
     condition: str
     swims: int
     target_speed: float
+    mean_distance: float
     median_distance: float
     p95_distance: float
     aside_rms: float
     kept: int
     two_crossings: int | None
+    two_crossings_over_2_s: int | None
+    beside: float
 
 
 def _target_paths() -> tuple[TargetPath, ...]:
@@ -60,23 +67,25 @@ def _target_paths() -> tuple[TargetPath, ...]:
     led = [
         TargetPath(f"{path}, led", path, length / HASTE, LEAD) for path, length in lengths.items()
     ]
-    return (*timed, *led)
+    return (*timed, *led, TargetPath(STAYS, STAYS, 1.0))
 
 
 TARGET_PATHS = _target_paths()
 SETTLING = 5.0  # s at the start that do not count
 # Of the paper's fish, as are the paths and their times.
 KEPT = 0.6  # m: largest distance to the target of a swim that kept it
+BESIDE, MINUTE = 0.5, 60.0  # m, s: near a target, and how long that is looked at
 CROSSING, ALIGNED = 0.15, np.radians(45)  # m, rad, of a clean pass through the eight's middle
+AROUND, LONG = 10, 50  # control steps to either side, over which the fish's direction is taken
+EARLY = 150  # control steps by which a fish may pass the middle before its target
 SWIMS = 10
 TRACK = "track"
-MARGIN = 0.4  # m between a path and the walls
 
 
 def conditions(pool: Pool) -> list[Condition]:
     """Ten swims of 73 s per path, each with its own water and noise; one condition."""
     parts = [
-        follow(pool.fish, PATHS[one.path], one.lap, SECONDS, SWIMS, one.lead, pool.measure)
+        follow(pool.fish, SHAPES[one.path], one.lap, SECONDS, SWIMS, one.lead, pool.measure)
         for one in TARGET_PATHS
     ]
     whole = Scene(*(np.concatenate([getattr(one, n) for one in parts]) for n in vars(parts[0])))
@@ -111,25 +120,28 @@ def numbers(by_condition: Mapping[str, Runs]) -> tuple[TrackResult, ...]:
 
 
 def _result(name: str, runs: Runs, path: str) -> TrackResult:
-    first, reach = round(SETTLING / PERIOD), float(runs.reach[0])
+    first, last, reach = round(SETTLING / PERIOD), round(MINUTE / PERIOD), float(runs.reach[0])
     away, off = runs.distance[:, first:], aside(runs, path)[:, first:]
-    crossed = crossings(runs) if path == "eight" else None
+    crossed = [_twice(runs, half) if path == "eight" else None for half in (AROUND, LONG)]
     moved = np.hypot(*np.moveaxis(np.diff(runs.target, axis=1), -1, 0))
     return TrackResult(
         condition=name,
         swims=runs.count,
         target_speed=float(np.nanmean(moved) / PERIOD),
+        mean_distance=float(np.nanmean(away)),
         median_distance=float(np.nanmedian(away)),
         p95_distance=float(np.nanpercentile(away, 95)),
         aside_rms=float(np.sqrt(np.nanmean(np.square(off)))),
         kept=int((np.nanmax(away, axis=1) < KEPT * reach).sum()),
-        two_crossings=None if crossed is None else int((crossed >= 2).sum()),
+        two_crossings=crossed[0],
+        two_crossings_over_2_s=crossed[1],
+        beside=float((runs.distance[:, -last:] < BESIDE * reach).mean()),
     )
 
 
 def aside(runs: Runs, path: str) -> NDArray[np.float64]:
     """Distance of each tag from the nearest point of the path (n, k + 1) [m]."""
-    way = even(PATHS[path], 720) * float(runs.reach[0])
+    way = even(SHAPES[path], 720) * float(runs.reach[0])
     return np.stack(
         [
             np.hypot(*(place[:, None] - way).transpose(2, 0, 1)).min(axis=1)
@@ -138,35 +150,42 @@ def aside(runs: Runs, path: str) -> NDArray[np.float64]:
     )
 
 
-def crossings(runs: Runs) -> NDArray[np.int64]:
+def _twice(runs: Runs, half: int) -> int:
+    return int((crossings(runs, half) >= 2).sum())
+
+
+def crossings(runs: Runs, half: int = AROUND) -> NDArray[np.int64]:
     """Clean passes of each swim (n,) through the middle of the eight: within 15 cm of it, moving
-    within 45 deg of the target's direction there."""
+    within 45 deg of the target's direction there, over `half` control steps to either side."""
     unit = runs.reach[:, None, None]
     places = zip(runs.pose[..., :2] / unit, runs.target / unit, strict=True)
-    return np.array([_passes(place, target) for place, target in places])
+    return np.array([passes(place, target, half) for place, target in places])
 
 
-def _passes(pose: Any, target: Any) -> int:
-    """Count the target's passes through the middle that the fish repeated before the next one."""
+def passes(pose: Any, target: Any, half: int = AROUND) -> int:
+    """Count the target's passes through the middle that the fish repeated before the next one, at
+    most `EARLY` steps before its target: of the paths (k, 2) of tag and target, one row for each
+    control period, in the paper's measure."""
     at = np.hypot(*target.T)
     times = [
         k
         for k in range(1, len(at) - 1)
         if at[k] < 0.05 and at[k] <= at[k - 1] and at[k] < at[k + 1]
     ]
-    ends = [*times[1:], len(at) - 1]
+    begins = [max(k - EARLY, 0) for k in times]
+    ends = [*begins[1:], len(at) - 1]
     return sum(
-        _clean(pose[first:last], target[first + 1] - target[first])
-        for first, last in zip(times, ends, strict=True)
+        _clean(pose, slice(first, last), target[k + 1] - target[k], half)
+        for k, first, last in zip(times, begins, ends, strict=True)
     )
 
 
-def _clean(pose: Any, branch: Any) -> bool:
-    """Whether a part of a path passes the middle along the branch."""
-    near = np.hypot(pose[:, 0], pose[:, 1])
+def _clean(pose: Any, part: slice, branch: Any, half: int) -> bool:
+    """Whether a path passes the middle along the branch in a part of its rows."""
+    near = np.hypot(pose[part, 0], pose[part, 1])
     if len(near) < 12 or not np.nanmin(near) < CROSSING:
         return False
-    k = int(np.nanargmin(near))
-    way = pose[min(k + 10, len(pose) - 1), :2] - pose[max(k - 10, 0), :2]
+    k = part.start + int(np.nanargmin(near))
+    way = pose[min(k + half, len(pose) - 1), :2] - pose[max(k - half, 0), :2]
     turn = np.arctan2(way[1], way[0]) - np.arctan2(branch[1], branch[0])
     return bool(abs(wrapped(turn)) < ALIGNED)

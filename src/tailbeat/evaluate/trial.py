@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, ActionSpace
+from tailbeat.control.camera_yaw import Source
 from tailbeat.control.measure import PATIENCE, Measure
+from tailbeat.control.motion import MotionFilter
 from tailbeat.env import randomize
 from tailbeat.env.assess import Decide
 from tailbeat.env.randomize import Randomisation
@@ -39,7 +41,8 @@ Progress = Callable[[str, int, int], None]  # condition, swims done, all swims
 class Condition:
     """n swims under one condition. Without `water` they are swum in the fish's own twin, with its
     `physics` randomised; `draws` as in `Settings`. `stop` ends a swim at its arrival. `physics` and
-    `seconds` are those of the paper's fish, and are taken in the fish's own `measure`."""
+    `seconds` are those of the paper's fish, and are taken in the fish's own `measure`. `yaw_rate`
+    is the source of the policy's yaw rate, `motion` the filter of its velocities."""
 
     name: str
     fish: Fish
@@ -54,6 +57,8 @@ class Condition:
     seconds: float = PATIENCE
     stop: bool = True
     measure: Measure = field(default_factory=Measure)
+    yaw_rate: Source = "imu"
+    motion: MotionFilter | None = None
 
     @property
     def count(self) -> int:
@@ -76,7 +81,8 @@ class Pool:
     """The pool for a policy.
 
     The pool's `fish` and `waters`; the `twin` that the policy was trained in; the `actions` of its
-    contract, which has the fish's `measure`; `count` swims per condition, drawn from `seed`;
+    contract, which has the fish's `measure`, the source of the `yaw_rate` and the filter of
+    velocities, `motion`; `count` swims per condition, drawn from `seed`;
     `walls` (length, width) [m] of the walled trials, the paper's pool by default; `draws` of the
     twin's posterior as in `Settings` (None: it has none).
     """
@@ -90,18 +96,20 @@ class Pool:
     walls: tuple[float, float] = POOL
     draws: Array | None = None
     measure: Measure = field(default_factory=Measure)
+    yaw_rate: Source = "imu"
+    motion: MotionFilter | None = None
 
     def condition(self, name: str, scene: Scene, **changed: Any) -> Condition:
         """A condition in the pool's waters, used in turn."""
         water = changed.pop("water", pools(self.waters, len(scene.start)))
         own = Condition(name, self.fish, scene, self.actions, water, measure=self.measure)
-        return replace(own, **changed)
+        return replace(own, yaw_rate=self.yaw_rate, motion=self.motion, **changed)
 
     def in_twin(self, name: str, scene: Scene, draws: Array | None = None) -> Condition:
         """The same swims in the twin, with all noise and randomisation; with `draws`, the water's
         coefficients are drawn from these."""
         own = Condition(name, self.twin, scene, self.actions, None, measure=self.measure)
-        return replace(own, draws=draws)
+        return replace(own, draws=draws, yaw_rate=self.yaw_rate, motion=self.motion)
 
 
 def part(condition: Condition, chunk: int) -> Condition:
@@ -162,6 +170,8 @@ def _world(one: Condition, seeds: list[int]) -> World:
         physics=randomize.sized(one.physics, one.measure),
         draws=one.draws,
         measure=one.measure,
+        yaw_rate=one.yaw_rate,
+        motion=one.motion,
     )
     return World(one.fish, settings, seeds, simulator=simulator, scene=one.scene)
 

@@ -80,9 +80,11 @@ class Outcome:
 
 def zoo(config: ZooConfig, say: Say) -> tuple[Outcome, ...]:
     """Take every fish along the whole way; a finished step is not repeated, and the table is
-    written after every fish. Raises BadInput for a number that no fish has."""
+    written after every fish. Raises BadInput for a number that no fish has, or no targets."""
     if wrong := sorted(set(config.only or ()) - set(range(COUNT))):
         raise BadInput(f"--only {wrong[0]}: allowed are 0 to {COUNT - 1}.")
+    if config.targets < 2:  # as an evaluation wants
+        raise BadInput(f"--targets {config.targets}: give 2 or more.")
     chosen = [
         (number, one)
         for number, one in enumerate(animals(config.seed))

@@ -1,0 +1,215 @@
+"""A swim in real time after a target that moves by the clock, and what came of it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.control.actions import PERIOD
+from tailbeat.control.measure import LENGTH, Measure
+from tailbeat.control.policy import Policy, load_policy
+from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
+from tailbeat.evaluate.scenes import BEHIND
+from tailbeat.evaluate.store import read_record
+from tailbeat.evaluate.swim import Say, log_in
+from tailbeat.evaluate.track import KEPT, LONG, SETTLING, passes
+from tailbeat.evaluate.trial import Pool
+from tailbeat.files import BadInput
+from tailbeat.link.places import POOL
+from tailbeat.operator.follow import FollowRecord, Hold
+from tailbeat.operator.target_path import EIGHT, PathAsked, TargetPath, target_path
+
+Array = NDArray[np.float64]
+TEST_SWIM = 0.5  # m that the paper's fish moves before the swim, in the sign test and coasting
+GAP = 0.3  # s without a pose over which none is guessed
+DENSE = 0.01  # m between points of a path to which a distance is measured
+
+
+@dataclass(frozen=True)
+class FollowConfig:
+    """A `policy` (name or file) swims as the pool's `fish` after the target `asked`. `twin` names
+    the fish that it was trained on, if that is not a shipped one."""
+
+    policy: str
+    asked: PathAsked
+    fish: str = "pulley-fish"
+    twin: str | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What a swim after a target was: the path, the station's record, the fish's log, and who swam
+    where."""
+
+    path: TargetPath
+    record: FollowRecord
+    log: Path
+    config: FollowConfig
+    policy: Policy
+    pool: Pool
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A swim at every control period (k,): `after` the start [s], the `tag` (k, 2) [m], NaN where
+    it was not seen, and the `target` (k, 2) [m]."""
+
+    after: Array
+    tag: Array
+    target: Array
+
+    @property
+    def distance(self) -> Array:
+        """Distance of the tag from the target (k,) [m]."""
+        return np.asarray(np.hypot(*(self.tag - self.target).T))
+
+
+@dataclass(frozen=True)
+class FollowResult:
+    """How a fish followed a target by the clock.
+
+    The path, the time [s] that the target moved and its mean speed [m/s]. Distances [m] from the
+    target after the first 5 s: mean, median, 95th percentile, largest. Rms distance from the path
+    [m]. Whether it `kept` the target within `kept_within` [m] for all that time. On a figure eight,
+    how often it crossed the middle cleanly, with its direction over 0.4 s and over 2 s, `of` how
+    many times that the target did. Its holds, and whether the target went to the end of its path.
+    """
+
+    path: str
+    seconds: float
+    target_speed: float
+    mean_distance: float
+    median_distance: float
+    p95_distance: float
+    largest_distance: float
+    aside_rms: float
+    kept: bool
+    kept_within: float
+    crossings: int | None
+    crossings_over_2_s: int | None
+    of: int | None
+    finished: bool
+    holds: tuple[Hold, ...]
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Why this was not a swim that kept its target; empty if it was."""
+        said = [f"{one.state} after {one.after:.1f} s: {one.reason}" for one in self.holds]
+        if not self.finished:
+            said.append("the fish did not swim to the end of the path")
+        if not self.kept:
+            said.append(
+                f"the target was not kept: up to {self.largest_distance:.2f} m away,"
+                f" {self.kept_within:g} m are allowed"
+            )
+        return tuple(said)
+
+
+def live(config: FollowConfig, out: Path, say: Say) -> Followed:
+    """Swim in real time after the target, through camera, network, servo and IMU. Everything that
+    was asked for is checked before anything starts. Raises BadInput."""
+    loaded = load_policy(config.policy)
+    measure = loaded.contract.measure
+    path = target_path(config.asked, POOL, measure)
+    given = EvaluationConfig(config.fish, config.twin, "full", episodes=2, seed=config.seed)
+    where = pool_of(loaded, given)
+    from tailbeat.emulators.live import Chain, follow  # needs OpenCV
+
+    log, seen = log_in(out), out / "path.json"
+    seen.unlink(missing_ok=True)
+    x, y, yaw = behind(path, measure)
+    start = f"{x:.3f},{y:.3f},{np.degrees(yaw):.1f}"
+    chain = Chain(config.policy, config.fish, config.seed, "127.0.0.1:0", out, start)
+    follow(chain, config.asked, say)
+    record = read_record(FollowRecord, seen)
+    if record.began is None:
+        raise BadInput(f"{log}: the fish never swam; its last state was {record.last or 'none'}.")
+    return Followed(path, record, log, config, loaded, where)
+
+
+def behind(
+    path: TargetPath, measure: Measure, pool: tuple[float, float] = POOL
+) -> tuple[float, float, float]:
+    """Where the tag starts: x, y [m] and yaw [rad], on the tangent behind the path's first place.
+
+    The sign test before the swim brings the fish nearer. Its tail stays inside the pool.
+    """
+    yaw = path.heading
+    ahead = np.array([np.cos(yaw), np.sin(yaw)])
+    tail = LENGTH * measure.size  # m behind the tag, at most
+    back = np.abs(ahead) > 1e-9
+    walls = -np.sign(ahead) * np.array(pool) / 2
+    room = float(np.min((path.places[0] - walls)[back] / ahead[back])) - tail
+    away = min(BEHIND * measure.reach + TEST_SWIM * measure.size, max(room, 0.0))
+    x, y = (path.places[0] - away * ahead).tolist()
+    return x, y, yaw
+
+
+# ---- what came of it ----------------------------------------------------------------------------
+
+
+def track(path: TargetPath, record: FollowRecord) -> Track:
+    """The swim at every control period, from the frames that the station saw."""
+    frames = np.array(record.seen, float).reshape(-1, 6)  # None becomes NaN
+    frames = frames[np.isfinite(frames[:, 1])]
+    last = float(frames[-1, 0]) if len(frames) else 0.0
+    after = np.arange(0.0, min(last, path.seconds) + 1e-9, PERIOD)
+    tag = np.full((len(after), 2), np.nan)
+    if len(frames):
+        at = frames[:, 0]
+        tag = np.stack([np.interp(after, at, frames[:, 1 + k]) for k in (0, 1)], axis=1)
+        later = np.clip(np.searchsorted(at, after), 1, max(len(at) - 1, 1))
+        hidden = np.diff(at, append=at[-1])[later - 1] > GAP
+        tag[hidden | (after < at[0])] = np.nan
+    return Track(after, tag, path.along(after))
+
+
+def result(followed: Followed) -> FollowResult:
+    """The numbers of a swim after a target. Raises BadInput if it was shorter than 5 s."""
+    path, record, m = followed.path, followed.record, followed.pool.measure
+    whole = track(path, record)
+    settled = whole.after >= SETTLING
+    away = whole.distance[settled]
+    if not np.isfinite(away).any():
+        raise BadInput(
+            f"{followed.log}: the fish was not seen after the first {SETTLING:g} s, which do not"
+            f" count; let the target move for longer."
+        )
+    passed, slowly, of = crossings(path, whole, m)
+    return FollowResult(
+        path=path.name,
+        seconds=float(whole.after[-1]),
+        target_speed=path.speed,
+        mean_distance=float(np.nanmean(away)),
+        median_distance=float(np.nanmedian(away)),
+        p95_distance=float(np.nanpercentile(away, 95)),
+        largest_distance=float(np.nanmax(away)),
+        aside_rms=float(np.sqrt(np.nanmean(np.square(aside(path, whole.tag[settled]))))),
+        kept=bool(np.nanmax(away) < KEPT * m.reach),
+        kept_within=KEPT * m.reach,
+        crossings=passed,
+        crossings_over_2_s=slowly,
+        of=of,
+        finished=record.finished,
+        holds=record.holds,
+    )
+
+
+def crossings(path: TargetPath, whole: Track, measure: Measure) -> tuple[int | None, ...]:
+    """Clean passes through the middle of a figure eight, with directions over 0.4 s and over 2 s,
+    and the target's own; None elsewhere."""
+    if path.name != EIGHT:
+        return None, None, None
+    target = whole.target / measure.reach
+    tag = np.nan_to_num(whole.tag / measure.reach, nan=1e6)  # not seen: far away
+    return passes(tag, target), passes(tag, target, LONG), passes(target, target)
+
+
+def aside(path: TargetPath, places: Array) -> Array:
+    """Distance of each place (k, 2) [m] from the path (k,) [m]."""
+    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(path.places, axis=0).T)))
+    points = np.arange(0.0, way[-1] + DENSE, DENSE)
+    line = np.stack([np.interp(points, way, column) for column in path.places.T], axis=1)
+    return np.array([np.hypot(*(one - line).T).min() for one in places])

@@ -1,0 +1,142 @@
+"""Picture, film and page of a swim after a target by the clock. Draws what was swum."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from tailbeat.evaluate import following
+from tailbeat.evaluate.following import Followed, FollowResult, Track
+from tailbeat.evaluate.motion import Span, of_log
+from tailbeat.evaluate.provenance import Provenance, provenance
+from tailbeat.evaluate.swim import Counting
+from tailbeat.evaluate.track import SETTLING
+from tailbeat.evaluate.trial import Progress
+from tailbeat.files import BadInput, write_json
+from tailbeat.link.places import POOL
+from tailbeat.operator.target_path import TargetPath
+from tailbeat.report import film, html
+from tailbeat.report.film_frames import Shot
+from tailbeat.report.html import Block, Section
+from tailbeat.report.style import COMMAND, LIMIT, MISSED, TARGET, WAY, styled
+from tailbeat.report.style import POOL as SWUM
+
+FILM_SECONDS = 20.0  # from a second before the fish swims
+
+
+@dataclass(frozen=True)
+class FollowReport:
+    """Summary of a swim after a target: policy, fish, seed, log, the result, and the provenance of
+    policy and numbers."""
+
+    policy: str
+    fish: str
+    seed: int
+    log: str
+    result: FollowResult
+    training: Mapping[str, object]
+    provenance: Provenance
+
+
+def write(
+    followed: Followed, out: Path, counting: Counting, film_seconds: float = FILM_SECONDS
+) -> FollowReport:
+    """Write summary, picture, film and page; the summary first, because a film takes long. If no
+    film can be rendered, the page says why. Raises BadInput."""
+    data = summary(followed)
+    write_json(out / "summary.json", data, overwrite=True)
+    whole = following.track(followed.path, followed.record)
+    drawn = html.figure(picture(followed, whole), out, "path")
+    with counting() as progress:
+        shown = _film(followed, out / "swim.mp4", film_seconds, progress)
+    told = [Block("warning", one) for one in data.result.faults]
+    origin = html.values({**vars(data.provenance), **data.training})
+    blocks = (*told, html.values(row(data.result)), drawn, shown)
+    sections = [Section("The swim", blocks), Section("Provenance", (origin,))]
+    html.write(out, sections, data, f"{data.fish} after a moving target")
+    return data
+
+
+def summary(followed: Followed) -> FollowReport:
+    """Summarise a swim. Raises BadInput."""
+    return FollowReport(
+        policy=followed.config.policy,
+        fish=followed.pool.fish.name,
+        seed=followed.config.seed,
+        log=str(followed.log),
+        result=following.result(followed),
+        training=followed.policy.contract.training,
+        provenance=provenance(),
+    )
+
+
+def row(done: FollowResult) -> dict[str, Any]:
+    """The result as a row of a table."""
+    counts = (done.crossings, done.crossings_over_2_s)
+    crossed = [None if one is None else f"{one} of {done.of}" for one in counts]
+    return {
+        "path": done.path,
+        "time [s]": done.seconds,
+        "target [m/s]": done.target_speed,
+        "mean [cm]": 100 * done.mean_distance,
+        "median [cm]": 100 * done.median_distance,
+        "95 % [cm]": 100 * done.p95_distance,
+        "aside, rms [cm]": 100 * done.aside_rms,
+        f"kept within {100 * done.kept_within:.3g} cm": "yes" if done.kept else "no",
+        "clean crossings": crossed[0],
+        "direction over 2 s": crossed[1],
+        "holds": len(done.holds),
+    }
+
+
+def _film(followed: Followed, path: Path, seconds: float, progress: Progress) -> Block:
+    """The film of the swim's first seconds, or a warning why there is none."""
+    path.unlink(missing_ok=True)  # the film of an earlier swim
+    fish = followed.pool.fish
+    try:
+        motion = of_log(followed.log, fish, Span(seconds), film.rate_of(path))
+        film.write(Shot(fish, motion, "side"), path, progress)
+    except BadInput as error:
+        return Block("warning", f"There is no film: {error}")
+    return html.film(path)
+
+
+@styled
+def picture(followed: Followed, whole: Track) -> Figure:
+    """Draw the path with the fish's track from above, and below it the distance over time."""
+    figure = Figure(figsize=(9, 7.2), layout="constrained")
+    above, below = figure.subplots(2, 1, height_ratios=(2.2, 1))
+    _draw_pool(above, whole, followed.path)
+    _draw_distance(below, whole, followed)
+    return figure
+
+
+def _draw_pool(axes: Axes, whole: Track, path: TargetPath) -> None:
+    length, width = POOL
+    axes.add_patch(
+        Rectangle((-length / 2, -width / 2), length, width, fill=False, color=LIMIT, lw=2)
+    )
+    axes.plot(*path.places.T, color=WAY, lw=1, label="path")
+    axes.plot(*whole.target.T, color=TARGET, lw=2, label="target")
+    axes.plot(*whole.tag.T, color=SWUM, lw=1.2, label="fish's tag")
+    axes.plot(*whole.target[0], "o", color=TARGET)
+    axes.plot(*whole.tag[:1].T, "o", color=SWUM)
+    axes.set(xlim=(-2.85, 2.85), ylim=(-1.45, 1.45), xlabel="x [m]", ylabel="y [m]")
+    axes.set_aspect("equal")
+    axes.legend(loc="upper right")
+
+
+def _draw_distance(axes: Axes, whole: Track, followed: Followed) -> None:
+    axes.plot(whole.after, 100 * whole.distance, color=SWUM)
+    limit = 100 * following.KEPT * followed.pool.measure.reach
+    axes.axhline(limit, color=LIMIT, ls="--", lw=1, label=f"{limit:g} cm")
+    axes.axvspan(0, min(SETTLING, whole.after[-1]), color=COMMAND, alpha=0.15, lw=0)
+    for number, one in enumerate(followed.record.holds):
+        axes.axvline(one.after, color=MISSED, lw=1, label="hold" if number == 0 else None)
+    axes.set(xlabel="time after the start [s]", ylabel="distance [cm]")
+    axes.set_ylim(bottom=0)
+    axes.legend(loc="upper right")
