@@ -1,13 +1,16 @@
 """The station's end of the operator page: starts its server process, sends snapshots, takes orders.
 
 Both directions use a pair of datagram sockets that never wait. If the server is slow, snapshots are
-dropped; if the station is slow, the server says so. A server that ended is started again.
+dropped; if the station is slow, the server says so. The server answers every snapshot. One that
+ended, or that does not answer for two seconds, is started again.
 """
 
 import contextlib
 import json
+import math
 import secrets
 import select
+import signal
 import socket
 import subprocess
 import time
@@ -19,18 +22,23 @@ from typing import Any
 from tailbeat.files import BadInput, need, plain
 from tailbeat.fish.description import Fish
 from tailbeat.link.addresses import address
+from tailbeat.link.clock import SECOND
 from tailbeat.link.datagrams import Order
 from tailbeat.link.places import POOL
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import Status
 from tailbeat.operator.snapshot import Change, snapshot
-from tailbeat.processes import start
+from tailbeat.operator.target_motion import Trace
+from tailbeat.processes import end, start
 
 EVERY = 0.05  # s between two snapshots
 LARGEST = 180_000  # bytes, largest datagram and picture
 AGAIN = 5.0  # s between two starts of the server
 READY = 60.0  # s that it may take to start
+SILENT = 2.0  # s without an answer to a snapshot: the server hangs
+FAREWELL = 3.0  # s that it may take to end
 COMMANDS = 20  # most commands read at once
+ALIVE = ("ready", "alive")  # messages of the server itself
 CHANGES = 8  # of the state that the page lists
 
 
@@ -48,7 +56,10 @@ class OperatorClient:
     picture: bytes = b""  # the last that was shown
     due: float = 0.0
     again: float = 0.0
+    ready: bool = False  # whether the present server has started
+    asked: float = math.inf  # when the first snapshot was sent that is not answered [s]
     changes: deque[Change] = field(default_factory=lambda: deque(maxlen=CHANGES))
+    trace: Trace = field(default_factory=Trace)  # of the target
 
     def note(self, status: Status | None, at: float) -> None:
         """Keep a state or a reason that differs from the last; `at` is the time of day [s since
@@ -64,6 +75,7 @@ class OperatorClient:
         words = json.dumps(plain(snapshot), allow_nan=False).encode()
         image = b"" if picture is self.picture else picture
         self.picture = picture
+        self.asked = min(self.asked, time.monotonic())
         for datagram in (words, image):
             if datagram and len(datagram) <= LARGEST:
                 with contextlib.suppress(OSError):
@@ -71,30 +83,53 @@ class OperatorClient:
 
     def commands(self, patience: float = 0.0) -> list[dict[str, Any]]:
         """Orders of operators with the token since the last call, oldest first; waits up to
-        `patience` [s] for one. The server's own first message is "ready"."""
+        `patience` [s] for a message of the server."""
         found: list[dict[str, Any]] = []
         if patience:
             select.select([self.ours], [], [], patience)
         with contextlib.suppress(OSError):
-            while len(found) < COMMANDS:
+            for _ in range(COMMANDS):
                 found.append(json.loads(self.ours.recv(4096)))
-        return found
+        if found:  # the server is alive
+            self.asked = math.inf
+        self.ready = self.ready or any(one["do"] == "ready" for one in found)
+        return [one for one in found if one["do"] not in ALIVE]
 
     def close(self) -> None:
-        """End the server."""
+        """End the server, also if it hangs."""
         if self.process is not None:
-            assert self.process.stdin is not None
-            self.process.stdin.close()  # the server ends when this closes
-            self.process.terminate()
-            self.process.wait(10)
+            self._hang_up()  # a server that does not hang ends by this too
+            end(self.process, signal.SIGTERM, FAREWELL)
         for one in (self.listening, self.ours, self.theirs):
             one.close()
 
-    def _keep(self, now: float) -> None:
-        """Start the server if it does not run."""
-        if now < self.again or (self.process is not None and self.process.poll() is None):
-            return
-        self.again = now + AGAIN
+    def _keep(self, now: float) -> str:
+        """Start the server if it does not run, and replace one that hangs; returns what happened,
+        or ""."""
+        if self.process is not None and self.process.poll() is None:
+            patience = SILENT if self.ready else READY
+            if time.monotonic() - self.asked < patience:
+                return ""
+            self.process.kill()
+            self.process.wait()
+            news = "the operator page's server hung; it is started again"
+        else:
+            news = "the operator page's server ended; it is started again" if self.ready else ""
+        self.ready = False
+        if now >= self.again:
+            self.again = now + AGAIN
+            self._start()
+        return news
+
+    def _hang_up(self) -> None:
+        """Close the server's standard input."""
+        if self.process is not None and self.process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self.process.stdin.close()
+
+    def _start(self) -> None:
+        """Start the server. What is needed goes through a pipe: a command line would show it."""
+        self._hang_up()
         handles = self.listening.fileno(), self.theirs.fileno()
         self.process = start(
             ["-m", "tailbeat.operator.server", *map(str, handles)],
@@ -102,13 +137,13 @@ class OperatorClient:
             stdout=subprocess.DEVNULL,
             pass_fds=handles,
         )
+        self.ready, self.asked = False, math.inf
         assert self.process.stdin is not None
         hosts = allowed_hosts(self.listening)
         words = {"token": self.token, "room": self.room, "hosts": hosts}
-        self.process.stdin.write(
-            json.dumps(words).encode() + b"\n"
-        )  # a command line would show the token
-        self.process.stdin.flush()
+        with contextlib.suppress(BrokenPipeError):  # it ended at once; `_keep` starts another
+            self.process.stdin.write(json.dumps(words).encode() + b"\n")
+            self.process.stdin.flush()
 
 
 def open_page(page: str, pool: tuple[float, float] = POOL) -> OperatorClient | None:
@@ -134,7 +169,8 @@ def open_client(at: tuple[str, int], room: tuple[float, float]) -> OperatorClien
         listening, room, token, f"http://{host}:{port}/#token={token}", ours, theirs
     )
     client._keep(time.monotonic())
-    if not client.commands(READY):
+    client.commands(READY)
+    if not client.ready:
         client.close()
         raise BadInput("the operator page's server did not start; see its message above.")
     return client
@@ -144,7 +180,7 @@ def listen(at: tuple[str, int]) -> socket.socket:
     """A socket that listens for browsers at host and port (0: any free one). Raises BadInput where
     the address cannot be had."""
     if at[0] in ("", "0.0.0.0"):
-        raise BadInput("--page {at[0]!r}: this means all networks; give the address of one.")
+        raise BadInput(f"--page {at[0]!r}: this means all networks; give the address of one.")
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -159,9 +195,12 @@ def listen(at: tuple[str, int]) -> socket.socket:
 
 
 def allowed_hosts(listening: socket.socket) -> list[str]:
-    """The names by which browsers may call a server: its own on this machine, else any."""
-    host = listening.getsockname()[0]
-    return [host, "localhost"] if is_local(host) else ["*"]
+    """The names by which browsers may call a server: the address that it listens on, and
+    "localhost" where only this machine reaches it, else this machine's name."""
+    host, name = listening.getsockname()[0], socket.gethostname().lower()
+    if is_local(host):
+        return [host, "localhost"]
+    return [host, name, f"{name.removesuffix('.local')}.local"]
 
 
 def is_local(host: str) -> bool:
@@ -187,17 +226,23 @@ def turn(
     now: float,
     note: str = "",
     picture: bytes = b"",
-) -> None:
+) -> str:
     """Follow the operators' orders, and send a snapshot if one is due at `now` [s]. `note` is about
-    the camera, `picture` is its newest JPEG."""
+    the camera, `picture` is its newest JPEG. Returns what happened to the server, "" for nothing.
+    """
     for command in client.commands():
         _attend(sender, command, now)
     client.note(sender.status, time.time())
-    if now >= client.due:
-        client.due = now + EVERY
-        client._keep(now)
-        seen = snapshot(sender, fish, client.room, now, note)
-        client.show({**seen, "changes": tuple(client.changes)}, picture)
+    if sender.frames:
+        client.trace.add(sender.frames[-1])
+    if now < client.due:
+        return ""
+    client.due = now + EVERY
+    news = client._keep(now)
+    seen = snapshot(sender, fish, client.room, now, note)
+    moves = client.trace.velocity(sender.clock() / SECOND)
+    client.show({**seen, "velocity": moves, "changes": tuple(client.changes)}, picture)
+    return news
 
 
 def _attend(sender: Sender, command: dict[str, Any], now: float) -> None:
@@ -207,7 +252,5 @@ def _attend(sender: Sender, command: dict[str, Any], now: float) -> None:
             sender.target = (x, y)
         case "tag":
             sender.target = None
-        case "ready":
-            pass  # the server started again
         case wanted:
-            sender.order(Order[wanted.upper()], now)
+            sender.order(Order[wanted.upper()], now, command["asker"])

@@ -1,5 +1,5 @@
-"""Leads the robot as an operator would: arms it, starts the swim, sends it the targets of a
-tour."""
+"""Leads the robot as an operator would: arms it, starts the swim, sends it the targets of a tour,
+or one that moves by the clock."""
 
 import time
 from collections.abc import Callable
@@ -11,6 +11,8 @@ from tailbeat.link.datagrams import Order
 from tailbeat.link.places import POOL, place
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import State, Status
+from tailbeat.operator.follow import Follow
+from tailbeat.operator.target_path import PathAsked, target_path
 from tailbeat.operator.tour import Pose, Tour, draw_targets
 
 Say = Callable[[str], None]
@@ -25,7 +27,8 @@ class Leader:
 
     It arms the fish once and starts the swim. In a tour it sends the targets, arms a fish in HOLD
     again (`rearmed` times), and ends if the fish does not swim. `ran` is the last time at which it
-    swam. Without a tour, the target is `aim` [m], and the operator leads from then on.
+    swam. With `follow` the target moves by the clock, and the fish is armed again as in a tour.
+    Without both, the target is `aim` [m], and the operator leads from then on.
     """
 
     tour: Tour | None
@@ -34,24 +37,40 @@ class Leader:
     armed: int = 0
     swam: bool = False
     asked: float = 0.0
+    follow: Follow | None = None
+
+    @property
+    def attends(self) -> bool:
+        """Whether it leads to the end, and arms a fish in HOLD again."""
+        return self.tour is not None or self.follow is not None
 
     @property
     def rearmed(self) -> int:
         """How often the fish was armed again."""
         return max(self.armed - 1, 0)
 
-    def lead(self, sender: Sender, pose: Pose | None, now: float, say: Say) -> None:
-        """Take the newest pose and status, and send what is next."""
+    def lead(
+        self,
+        sender: Sender,
+        pose: Pose | None,
+        now: float,
+        say: Say,
+        captured: float | None = None,
+    ) -> None:
+        """Take the newest pose and status, and send what is next. A target by the clock is sent
+        where it is when the pose was `captured` [s]; None: now."""
         status = sender.status if now - sender.heard < FRESH else None
         state = status.state if status else None
-        if state is State.RUN:
-            self.ran, self.swam = max(self.ran, now), True
-        elif status is not None and now - self.asked > AGAIN and not (self.swam and not self.tour):
+        if state in (State.TEST, State.RUN):
+            self.ran, self.swam = max(self.ran, now), self.swam or state is State.RUN
+        elif status is not None and now - self.asked > AGAIN and (self.attends or not self.swam):
             self._order(sender, status, now, say)
         if self.aim is not None:
             sender.target, self.aim = self.aim, None
         if self.tour is not None:
             self._tour(self.tour, sender, pose if state is State.RUN else None, now, say)
+        if self.follow is not None:
+            sender.target = self.follow.take(status, pose, now if captured is None else captured)
 
     def _order(self, sender: Sender, status: Status, now: float, say: Say) -> None:
         self.asked, state = now, status.state
@@ -76,10 +95,11 @@ class Leader:
         sender.target = tour.target or sender.target
 
     def over(self) -> bool:
-        """Whether the tour is over, or the fish does not swim any more."""
-        if self.tour is None:
-            return False
-        return self.tour.target is None or time.monotonic() - self.ran > STUCK
+        """Whether the tour or the path is over, or the fish does not swim any more."""
+        now = time.monotonic()
+        done = self.tour is not None and self.tour.target is None
+        done = done or (self.follow is not None and self.follow.over(now))
+        return self.attends and (done or now - self.ran > STUCK)
 
 
 def drawn_tour(
@@ -101,9 +121,14 @@ def chosen_leader(
     begin: str | None,
     pool: tuple[float, float],
     measure: Measure = PAPER,
+    asked: PathAsked | None = None,
 ) -> Leader | None:
-    """A leader through so many drawn targets, or to `begin` (x,y [m] as typed); None for neither.
-    Raises BadInput."""
+    """A leader through so many drawn targets, or to `begin` (x,y [m] as typed), or after a target
+    on the path `asked`; None for none of them. Raises BadInput."""
+    if asked is not None:
+        if targets or begin is not None:
+            raise BadInput(f"--path {asked.path}: give it without --tour and --begin.")
+        return Leader(None, follow=Follow(target_path(asked, pool, measure)))
     tour = drawn_tour(targets, seed, pool, measure)
     aim = None if begin is None else place(begin, "--begin", pool)
     return Leader(tour, aim) if tour or aim else None

@@ -5,6 +5,9 @@ const FINGER = 24; // px: half of what a finger needs
 const NEWS = 1000; // ms that an operator's own move goes over a snapshot, which may be older
 const STEP = 0.05; // m for an arrow key
 const EDGE = 0.12; // m around the pool
+const SLOW = 0.02; // m/s below which a target rests: its tag is seen with noise
+const AHEAD = 2; // s of the target's motion that its arrow shows
+const HEAD = 0.06; // m, length of the arrow's head
 const map = document.getElementById("map");
 const target = document.getElementById("target");
 let path = []; // places x, y [m] with the time [ms] at which the fish was there, oldest first
@@ -86,6 +89,18 @@ function place([x, y]) {
   target.setAttribute("aria-valuetext", `x ${x.toFixed(2)}, y ${y.toFixed(2)} metres`);
 }
 
+// An arrow in the target's own frame: where it will be in two seconds.
+function arrow([u, v]) {
+  const speed = Math.hypot(u, v);
+  if (speed < SLOW) return "";
+  const [x, y, c, s] = [AHEAD * u, -AHEAD * v, (HEAD * u) / speed, (-HEAD * v) / speed];
+  const back = (side) => `L${(x - c - side * s).toFixed(3)} ${(y - s + side * c).toFixed(3)}`;
+  const tip = `${x.toFixed(3)} ${y.toFixed(3)}`;
+  return `M0 0L${tip}${back(1)}M${tip}${back(-1)}`;
+}
+
+export const resting = (velocity) => !velocity || Math.hypot(...velocity) < SLOW;
+
 export function draw(now) {
   if (!room || room[0] !== now.room[0] || room[1] !== now.room[1]) drawPool(now.room);
   if (now.fish) drawFish(now.fish);
@@ -95,6 +110,7 @@ export function draw(now) {
   target.classList.toggle("ghost", !now.target);
   target.toggleAttribute("hidden", Boolean(now.trail) && !now.target); // nobody can drag one there
   if (!held) place(last);
+  set("motion", { d: now.target && now.velocity ? arrow(now.velocity) : "" });
   const aim = now.status?.target;
   document.getElementById("aim").toggleAttribute("hidden", !aim);
   if (aim) set("aim", { cx: aim[0], cy: -aim[1] });

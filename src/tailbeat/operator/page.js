@@ -2,7 +2,8 @@
 // Behind it is a station with a fish, or the log of a finished run.
 
 import { list, mark } from "./changes.js";
-import { draggable, draw } from "./map.js";
+import { plot } from "./distance.js";
+import { draggable, draw, resting } from "./map.js";
 import { answered as replayed, open, seek, toggle } from "./replay.js";
 
 const SILENT = 1.0; // s without a word from the fish, or from the station
@@ -20,7 +21,8 @@ const byId = (id) => document.getElementById(id);
 const body = document.body;
 let socket = null, now = null, heard = 0, may = false, stopping = 0, pictures = false;
 let replay = null; // the run that is replayed, or null with a fish
-let token = new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
+const given = () => new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
+let token = given(), told = null; // told: number of the last outcome shown
 
 // ---- what goes out ----
 
@@ -37,12 +39,11 @@ function stop() {
 }
 
 // An order to stop that the fish has not followed is sent again.
+const moving = () => ["armed", "run", "hold"].includes(now?.status?.state);
 setInterval(() => {
-  const moving = ["armed", "run", "hold"].includes(now?.status?.state);
-  if (performance.now() < stopping && moving) {
-    if (socket?.readyState === WebSocket.OPEN) socket.send('{"do": "stop"}');
-    else fetch("stop", { method: "POST" }).catch(() => {});
-  } else stopping = 0;
+  if (performance.now() > stopping || !moving()) return;
+  if (socket?.readyState === WebSocket.OPEN) socket.send('{"do": "stop"}');
+  else fetch("stop", { method: "POST" }).catch(() => {});
 }, 300);
 
 let waiting = null, sentAt = 0;
@@ -69,12 +70,18 @@ byId("key").addEventListener("submit", (event) => {
   token = byId("token").value.trim();
   send({ do: "hello" });
 });
+// The address with a token, pasted over the open page, does not load it again.
+window.addEventListener("hashchange", () => {
+  if (!given()) return;
+  token = given();
+  if (socket?.readyState === WebSocket.OPEN) send({ do: "hello" });
+});
 draggable(aim, () => may);
 
 // ---- what comes in ----
 
-// What the server answered to this page, and what became of the last order, anyone's: each has its
-// own line, so that news of an order cannot overwrite a refusal.
+// Answers to this page, with what became of its orders, have one line, and the orders of other pages
+// another: a refusal stays until this page asks again.
 function say(text, bad = false, line = "said") {
   byId(line).textContent = text;
   byId(line).classList.toggle("bad", bad);
@@ -85,6 +92,17 @@ function answered(text) {
   if (text.startsWith("refused: wrong token")) may = false;
   say(text, text.startsWith("refused"));
   entitle();
+}
+
+// What became of orders since the last snapshot; those before this page was open are old news.
+function outcomes(all, you) {
+  const last = all.at(-1)?.number ?? 0;
+  if (told === null || last < told) told = last; // the page or the station is new
+  for (const one of all.filter(({ number }) => number > told)) {
+    if (one.asker === you) say(one.text, one.bad);
+    else say(`${one.asker ? "another page" : "the station"}: ${one.text}`, one.bad, "sent");
+  }
+  told = last;
 }
 
 function entitle() {
@@ -102,6 +120,7 @@ function connect() {
     message.said.forEach(answered);
     if (message.replay) rerun(message.replay);
     if (message.now) show(message.now);
+    if (message.now) outcomes(message.now.outcomes, message.you);
     if (replay) replayed();
     else socket.send("drawn");
   });
@@ -127,12 +146,11 @@ function rerun(run) {
 const seconds = (at) => `${at.toFixed(1)} s`;
 const timeOfDay = (at) => new Date(1000 * at).toLocaleTimeString("en-GB");
 
-let told = null;
 function show(snapshot) {
   now = snapshot;
+  if (!moving()) stopping = 0; // it has followed; a fish that is armed again is not stopped again
   draw(now);
-  if (told !== null && now.said !== told) say(now.said, now.said.includes("not taken"), "sent");
-  told = now.said;
+  plot(now);
   if (replay) mark(replay.changes.findLastIndex((one) => one.at <= now.at));
   else list(now.changes.toReversed(), timeOfDay);
   state();
@@ -163,7 +181,8 @@ function state() {
 setInterval(state, 250);
 
 function where() {
-  const at = now?.target && `at x ${now.target[0].toFixed(2)}, y ${now.target[1].toFixed(2)} m`;
+  const moves = resting(now?.velocity) ? "" : `, moves at ${Math.hypot(...now.velocity).toFixed(2)} m/s`;
+  const at = now?.target && `at x ${now.target[0].toFixed(2)}, y ${now.target[1].toFixed(2)} m${moves}`;
   if (replay) return at ? `target ${at}` : "no target: the log holds it while the fish swims";
   return at ? `target ${now.operator ? "by hand" : "by its tag"} ${at}` : "no target seen: drag it to a place in the pool";
 }

@@ -17,14 +17,17 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.store import hardware_of
 from tailbeat.link.status import State
 from tailbeat.operator.snapshot import Change, body
+from tailbeat.operator.target_motion import SPAN as RECENT
+from tailbeat.operator.target_motion import Velocity, velocity
 from tailbeat.robot.log import NUMBERS, is_whole, read_rows
 from tailbeat.robot.safety import SafetyLimits, limits_for
 
 NEEDED = ("time_s", "state", "reason")  # of every row
 POSE = ("x_m", "y_m", "yaw_rad")
-TARGET = slice(3, 5)  # of the newest frame in `decided_on`
+TARGET, AGE = slice(3, 5), 5  # of the newest frame in `decided_on`
 SPAN = 5  # rows of one status, over which lateness and duration are the longest
 TRAIL, STEP = 30.0, 8  # s of path that is shown, rows between two of its points
+MINUTE, APART = 60.0, 10  # s of distances that are shown, rows between two of them
 STATES = tuple(state.value for state in State)
 NO_PICTURES = "The log holds no camera pictures."
 Row = Mapping[str, Any]
@@ -92,7 +95,8 @@ def _fault(row: Row) -> str:
         if row.get(name) is not None and not isinstance(row[name], int | float):
             return f"{name} is {row[name]!r}, not a number"
     frames = row.get("decided_on") or []
-    if not isinstance(frames, list) or (frames and not all(map(_is_number, frames[:6]))):
+    newest = frames[: AGE + 1] if isinstance(frames, list) else [None]
+    if newest and (len(newest) <= AGE or not all(map(_is_number, newest))):
         return "decided_on is not a list of numbers"
     return ""
 
@@ -120,8 +124,10 @@ def snapshot(run: Run, fish: Fish, room: tuple[float, float], at: float) -> dict
         "fish": _fish(fish, row),
         "trail": _trail(run, index),
         "target": _target(row),
+        "velocity": _velocity(run, index),
+        "distances": _distances(run, index),
         "operator": False,
-        "said": "",
+        "outcomes": [],
         "note": NO_PICTURES,
         "status": _status(run.rows[max(index - SPAN + 1, 0) : index + 1], limits),
         "loss_back": None,
@@ -158,6 +164,34 @@ def _trail(run: Run, index: int) -> list[list[float]]:
         if (pose := _pose(run.rows[k])) is not None:
             places.append([round(now - run.time[k], 3), pose[0], pose[1]])
     return places
+
+
+def _velocity(run: Run, index: int) -> Velocity | None:
+    """The target's velocity at a row [m/s]; None while the policy does not swim."""
+    first = bisect_right(run.time, run.time[index] - RECENT)
+    rows = [run.rows[k] for k in range(first, index + 1)]
+    if _target(run.rows[index]) is None:
+        return None
+    shown = {_filmed(row): place for row in rows if (place := _target(row)) is not None}
+    return velocity(sorted(shown), [shown[at] for at in sorted(shown)])
+
+
+def _filmed(row: Row) -> float:
+    """When the newest frame of a row was filmed [s]; its age is the frame's last number."""
+    return float(row["time_s"]) - float(row["decided_on"][AGE])
+
+
+def _distances(run: Run, index: int) -> list[list[float]]:
+    """Age [s] of the last minute's distances of tag and target [m], oldest first; the same rows are
+    used at every time."""
+    found, now = [], run.time[index]
+    first = bisect_right(run.time, now - MINUTE)
+    for k in [*range(first + -first % APART, index, APART), index]:
+        frame = run.rows[k].get("decided_on")
+        if frame:
+            away = math.dist(frame[:2], frame[TARGET])
+            found.append([round(now - run.time[k], 3), round(away, 4)])
+    return found
 
 
 def _status(rows: Sequence[Row], limits: SafetyLimits) -> dict[str, Any]:

@@ -7,16 +7,13 @@ and gets its snapshot. Every browser plays at its own pace. An order is refused 
 import asyncio
 import contextlib
 import json
-import math
 import socket
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import uvicorn
 from fastapi import FastAPI, Response, WebSocket, WebSocketDisconnect
-from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from tailbeat.files import plain
 from tailbeat.fish.description import Fish
@@ -24,8 +21,10 @@ from tailbeat.fish.store import load_fish
 from tailbeat.link.addresses import address
 from tailbeat.link.places import POOL
 from tailbeat.operator.client import allowed_hosts, is_local, listen
+from tailbeat.operator.door import guarded, make_server, serve
+from tailbeat.operator.messages import NO_COMMAND, accepted, is_number, messages, read_message
 from tailbeat.operator.replay import Run, read_run, snapshot
-from tailbeat.operator.server import LONGEST, accepted, add_pages
+from tailbeat.operator.server import add_pages
 from tailbeat.processes import told_to_end
 
 NO_ORDERS = "refused: this is the replay of a log; no fish is connected"
@@ -48,22 +47,19 @@ def _about(run: Run) -> dict[str, Any]:
 
 def _answer(shown: Shown, text: str) -> dict[str, Any]:
     """Answer one message of a browser: {"do": "at", "at": seconds}, or an order."""
-    try:
-        asked = json.loads(text[:LONGEST])
-        wanted, at = asked["do"], asked.get("at")
-    except (ValueError, TypeError, KeyError, AttributeError):
-        return {"said": ["refused: not a command"]}
-    if wanted != "at":
+    asked = read_message(text)
+    if asked is None:
+        return {"said": [NO_COMMAND]}
+    if asked.do != "at":
         return {"said": [NO_ORDERS]}
-    if not isinstance(at, int | float) or not math.isfinite(at):
+    if not is_number(asked.at):
         return {"said": ["refused: a time is a number of seconds"]}
-    return {"now": snapshot(shown.run, shown.fish, shown.room, float(at))}
+    return {"now": snapshot(shown.run, shown.fish, shown.room, asked.at)}
 
 
 def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
     """The server of a replay, for browsers that call it by one of these names."""
-    app = FastAPI(openapi_url=None)
-    app.add_middleware(TrustedHostMiddleware, allowed_hosts=hosts)
+    app = guarded(FastAPI(openapi_url=None), hosts)
     add_pages(app)
 
     @app.post("/stop")
@@ -80,7 +76,7 @@ def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
         }
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             await _tell(browser, first)
-            async for text in browser.iter_text():
+            async for text in messages(browser):
                 await _tell(browser, _answer(shown, text))
 
     return app
@@ -121,13 +117,6 @@ def announce(run: Run, at: tuple[str, int]) -> list[str]:
 
 
 def _serve(shown: Shown, listening: socket.socket) -> None:
-    config = uvicorn.Config(
-        make_app(shown, allowed_hosts(listening)),
-        log_level="warning",
-        access_log=False,
-        server_header=False,
-        timeout_graceful_shutdown=1,
-        ws_max_size=LONGEST,
-    )
     told_to_end()  # uvicorn ends at these signals and then raises them again
-    asyncio.run(uvicorn.Server(config).serve(sockets=[listening]))
+    server = make_server(make_app(shown, allowed_hosts(listening)))
+    asyncio.run(serve(server, listening))

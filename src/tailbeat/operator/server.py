@@ -11,19 +11,29 @@ import hmac
 import json
 import math
 import os
+import secrets
 import socket
 import sys
 import time
+from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
-import uvicorn
 from fastapi import FastAPI, Request, Response, WebSocket, WebSocketDisconnect
-from starlette.middleware.trustedhost import TrustedHostMiddleware
+
+from tailbeat.operator.door import guarded, make_server, serve
+from tailbeat.operator.messages import (
+    NO_COMMAND,
+    Message,
+    accepted,
+    is_number,
+    messages,
+    read_message,
+    same_origin,
+)
 
 PAGES = {
     "/": ("page.html", "text/html"),
@@ -31,6 +41,7 @@ PAGES = {
     "/page.js": ("page.js", "text/javascript"),
     "/map.js": ("map.js", "text/javascript"),
     "/changes.js": ("changes.js", "text/javascript"),
+    "/distance.js": ("distance.js", "text/javascript"),
     "/replay.js": ("replay.js", "text/javascript"),
 }
 HEADERS = {
@@ -39,11 +50,12 @@ HEADERS = {
     "Cache-Control": "no-store",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
 }
 ORDERS = ("arm", "swim", "disarm")
 PICTURE_AGE = 2.0  # s
 PATIENCE = 1.0  # s for the owner to take a command
-LONGEST = 2000  # characters of a command
+ANSWERS = 8  # that wait for a browser; one that reads none gets the newest
 
 
 @dataclass(eq=False)
@@ -60,7 +72,7 @@ class Shown:
     fresh: asyncio.Event = field(default_factory=asyncio.Event)
 
     def take(self) -> None:
-        """Read all messages; only the newest counts."""
+        """Read all messages, of which only the newest counts, and say that we live."""
         with contextlib.suppress(OSError):
             while True:
                 data = self.owner.recv(1 << 20)
@@ -68,6 +80,8 @@ class Shown:
                     self.snapshot = data.decode()
                 else:
                     self.picture, self.taken = data, time.monotonic()
+        with contextlib.suppress(OSError):  # the owner is slow; it hears of us by the next
+            self.owner.send(b'{"do": "alive"}')
         self.count += 1
         self.fresh.set()
         self.fresh = asyncio.Event()
@@ -90,69 +104,51 @@ class Shown:
 # ---- commands -----------------------------------------------------------------------------------
 
 
-async def obey(shown: Shown, text: str) -> str:
-    """Handle one message of a browser; returns the answer, "" for none."""
-    try:
-        asked = json.loads(text[:LONGEST])
-        wanted, token = str(asked["do"]), str(asked.get("token", ""))
-    except (ValueError, TypeError, KeyError, AttributeError):
-        return "refused: not a command"
-    if wanted == "stop":
-        return await shown.hand_over({"do": "stop"})
-    if not hmac.compare_digest(token.encode(), shown.token.encode()):
+async def obey(shown: Shown, text: str, asker: str = "") -> str:
+    """Handle one message of the browser `asker`; returns the answer, "" for none."""
+    asked = read_message(text)
+    if asked is None:
+        return NO_COMMAND
+    if asked.do == "stop":
+        return await shown.hand_over({"do": "stop", "asker": asker})
+    if not hmac.compare_digest(asked.token.encode(), shown.token.encode()):
         return "refused: wrong token; use the one printed at the start"
-    if wanted == "hello":
+    if asked.do == "hello":
         return "token accepted"
-    return await _trusted(shown, wanted, asked.get("at"))
+    return await _trusted(shown, asked, asker)
 
 
-async def _trusted(shown: Shown, wanted: str, at: Any) -> str:
-    if wanted in ORDERS or wanted == "tag":
-        return await shown.hand_over({"do": wanted})
-    if wanted != "target":
-        return "refused: not a command"
-    if not is_place(at):
+async def _trusted(shown: Shown, asked: Message, asker: str) -> str:
+    if asked.do in ORDERS or asked.do == "tag":
+        return await shown.hand_over({"do": asked.do, "asker": asker})
+    if asked.do != "target":
+        return NO_COMMAND
+    if not is_place(asked.at):
         return "refused: a target is two numbers, in metres"
-    length, width = shown.room
-    if abs(at[0]) > length / 2 or abs(at[1]) > width / 2:
+    (x, y), (length, width) = asked.at, shown.room
+    if abs(x) > length / 2 or abs(y) > width / 2:
         return f"refused: the target is outside the pool of {length:g} by {width:g} m"
-    return await shown.hand_over({"do": "target", "at": [float(at[0]), float(at[1])]})
+    return await shown.hand_over({"do": "target", "at": [x, y]})
 
 
 def is_place(at: Any) -> bool:
-    """Whether this is two finite numbers."""
-    return (
-        isinstance(at, list)
-        and len(at) == 2
-        and all(isinstance(one, int | float) and math.isfinite(one) for one in at)
-    )
+    """Whether this is two numbers."""
+    return isinstance(at, list) and len(at) == 2 and all(map(is_number, at))
 
 
 # ---- browsers -----------------------------------------------------------------------------------
 
 
-def same_origin(origin: str | None, host: str | None) -> bool:
-    """Whether our own page asks, or no page at all. Pages of other sites are refused."""
-    return origin is None or urlsplit(origin).netloc == host
-
-
-async def accepted(browser: WebSocket) -> bool:
-    """Accept a browser that shows our own page, and close the connection to any other."""
-    if not same_origin(browser.headers.get("origin"), browser.headers.get("host")):
-        await browser.close(1008)
-        return False
-    await browser.accept()
-    return True
-
-
 @dataclass(eq=False)
 class Browser:
-    """One open page: answers to send, and whether it has drawn the last snapshot."""
+    """One open page: answers to send, and whether it has drawn the last snapshot. `name` is its
+    own, by which it finds the outcomes of its orders in a snapshot."""
 
     socket: WebSocket
-    said: list[str] = field(default_factory=list)
+    said: deque[str] = field(default_factory=lambda: deque(maxlen=ANSWERS))
     drawn: asyncio.Event = field(default_factory=asyncio.Event)
     seen: int = 0
+    name: str = field(default_factory=lambda: secrets.token_hex(4))
 
     async def tell(self, shown: Shown) -> None:
         """Send the newest snapshot whenever there is a newer one and the last is drawn."""
@@ -160,19 +156,18 @@ class Browser:
             while shown.count == self.seen:
                 await shown.fresh.wait()
             self.seen = shown.count
-            said, self.said = json.dumps(self.said), []
+            said, self.said = list(self.said), deque(maxlen=ANSWERS)
             self.drawn.clear()
-            camera = json.dumps(shown.filming())
-            words = f'{{"now": {shown.snapshot}, "said": {said}, "camera": {camera}}}'
-            await self.socket.send_text(words)
+            about = {"you": self.name, "said": said, "camera": shown.filming()}
+            await self.socket.send_text(f'{json.dumps(about)[:-1]}, "now": {shown.snapshot}}}')
             await self.drawn.wait()
 
     async def hear(self, shown: Shown) -> None:
         """Its messages: "drawn", or a command."""
-        async for text in self.socket.iter_text():
+        async for text in messages(self.socket):
             if text == "drawn":
                 self.drawn.set()
-            elif answer := await obey(shown, text):
+            elif answer := await obey(shown, text, self.name):
                 self.said.append(answer)
 
 
@@ -185,9 +180,7 @@ def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
         await shown.hand_over({"do": "ready"})
         yield
 
-    app = FastAPI(lifespan=listening, openapi_url=None)
-    # refuse another site's page whose name was pointed to this machine (DNS rebinding)
-    app.add_middleware(TrustedHostMiddleware, allowed_hosts=hosts)
+    app = guarded(FastAPI(lifespan=listening, openapi_url=None), hosts)
     add_pages(app)
 
     @app.get("/camera.jpg")
@@ -206,12 +199,12 @@ def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
     async def live(browser: WebSocket) -> None:
         if not await accepted(browser):
             return
-        await serve(Browser(browser), shown)
+        await attend(Browser(browser), shown)
 
     return app
 
 
-async def serve(browser: Browser, shown: Shown) -> None:
+async def attend(browser: Browser, shown: Shown) -> None:
     """Serve one browser until it disconnects."""
     telling = asyncio.create_task(browser.tell(shown))
     try:
@@ -241,22 +234,14 @@ def _page(path: Path, kind: str) -> Callable[[], Awaitable[Response]]:
 async def _main(listening: socket.socket, owner: socket.socket) -> None:
     given = json.loads(sys.stdin.buffer.readline())
     shown = Shown(given["token"], tuple(given["room"]), owner)
-    config = uvicorn.Config(
-        make_app(shown, given["hosts"]),
-        log_level="warning",
-        access_log=False,
-        server_header=False,
-        timeout_graceful_shutdown=1,
-        ws_max_size=LONGEST,
-    )
-    server = uvicorn.Server(config)
+    server = make_server(make_app(shown, given["hosts"]))
 
     def left() -> None:
         """End when the owner closes our standard input."""
         server.should_exit = not os.read(0, 1024)
 
     asyncio.get_running_loop().add_reader(0, left)
-    await server.serve(sockets=[listening])
+    await serve(server, listening)
 
 
 if __name__ == "__main__":

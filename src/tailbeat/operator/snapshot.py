@@ -3,6 +3,7 @@
 Lengths in metres, angles in radians, times in seconds; the page converts units.
 """
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -42,8 +43,9 @@ def snapshot(
         "room": room,
         "fish": _fish(sender, fish, frame) if frame else None,
         "target": _target(sender),
+        "away": _away(sender),
         "operator": sender.target is not None,
-        "said": sender.said,
+        "outcomes": [asdict(one) for one in sender.outcomes],
         "note": note,
         "status": _status(status, now - sender.heard) if status else None,
         "loss_back": sender.loss.share(),
@@ -65,6 +67,15 @@ def _target(sender: Sender) -> tuple[float, float] | None:
     """The target that is sent."""
     newest = sender.frames[-1].target if sender.frames else None
     return sender.target or newest
+
+
+def _away(sender: Sender) -> float | None:
+    """Distance of the fish's tag from the target in the newest frame [m]; None if one is not in
+    it."""
+    newest = sender.frames[-1] if sender.frames else None
+    if newest is None or newest.fish is None or newest.target is None:
+        return None
+    return math.dist(newest.fish[:2], newest.target)
 
 
 def _status(status: Status, age: float) -> dict[str, Any]:

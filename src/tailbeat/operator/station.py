@@ -14,12 +14,14 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import load_fish
 from tailbeat.link import datagrams as link
+from tailbeat.link.clock import SECOND
 from tailbeat.link.datagrams import Order
 from tailbeat.link.places import POOL
 from tailbeat.link.sender import Sender
 from tailbeat.operator.client import OperatorClient, announce, open_page, turn
 from tailbeat.operator.leader import Leader
 from tailbeat.processes import told_to_end
+from tailbeat.vision.moved import warning
 
 if TYPE_CHECKING:  # needs OpenCV
     from tailbeat.vision.tracking import TrackerProcess
@@ -75,7 +77,7 @@ def pool_of(tracker: "TrackerProcess | None", say: Say) -> tuple[float, float]:
 def work(
     config: StationConfig, tracker: "TrackerProcess | None", leader: Leader | None, say: Say
 ) -> None:
-    """Send the tracker's poses and serve the page until told to end, or a tour is over.
+    """Send the tracker's poses and serve the page until told to end, or a tour or path is over.
 
     Then order the robot to stop, because nobody watches it any more. Raises BadInput.
     """
@@ -107,8 +109,11 @@ class Station:
 
 
 def _turns(station: Station, leader: Leader | None, over: Callable[[], bool], say: Say) -> None:
-    """Run the station; reports every change of the robot's state."""
-    sender, tracker, sent, told = station.sender, station.tracker, -1, ""
+    """Run the station; reports every change of the robot's state, and every fault of the tracker
+    and of the page's server."""
+    sender, tracker, sent = station.sender, station.tracker, -1
+    told = dict.fromkeys(("", "camera: "), "")
+    note = ""
     while not over():
         select.select([sender.socket], [], [], TURN)
         now = time.monotonic()
@@ -116,22 +121,29 @@ def _turns(station: Station, leader: Leader | None, over: Callable[[], bool], sa
         if sighting is not None and sighting.frame.captured != sent:
             sent = sighting.frame.captured
             if leader is not None:
-                leader.lead(sender, sighting.frame.fish, now, say)
+                leader.lead(sender, sighting.frame.fish, now, say, sent / SECOND)
             sender.show(sighting.frame)
+            note = warning(sighting.moved)
         sender.work(now)
-        _show(station, now)
-        if (line := _line(sender)) != told:
-            told = line
-            say(line)
+        if news := _show(station, now, note):
+            say(news)
+        camera = (tracker.fault or note) if tracker else ""
+        for kind, line in (("", _line(sender)), ("camera: ", camera)):
+            if line != told[kind]:
+                told[kind] = line
+                say(f"{kind}{line or 'frames arrive'}")
 
 
-def _show(station: Station, now: float) -> None:
-    """Serve the page, if there is one."""
+def _show(station: Station, now: float, moved: str) -> str:
+    """Serve the page, if there is one; returns what happened to its server, "" for nothing. `moved`
+    warns of a camera that moved."""
     tracker = station.tracker
-    if station.client is not None:
-        note = tracker.fault if tracker else NO_CAMERA
-        picture = tracker.picture() if tracker and not note else b""
-        turn(station.client, station.sender, station.fish, now, note, picture)
+    if station.client is None:
+        return ""
+    note = tracker.fault if tracker else NO_CAMERA
+    picture = tracker.picture() if tracker and not note else b""
+    note = note or moved
+    return turn(station.client, station.sender, station.fish, now, note, picture)
 
 
 def _line(sender: Sender) -> str:
