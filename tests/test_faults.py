@@ -22,6 +22,7 @@ from support import command, complaint, tailbeat_process
 from tailbeat.evaluate import faults
 from tailbeat.evaluate.fault_bench import Bench, open_bench
 from tailbeat.evaluate.fault_cases import CASES, Case
+from tailbeat.evaluate.fault_table import Count, counted
 from tailbeat.fish.store import load_fish
 from tailbeat.processes import ALONE, fork_server
 from tailbeat.report.fault_table import markdown
@@ -30,7 +31,10 @@ from tailbeat.robot import session
 pytestmark = pytest.mark.realtime("robot")
 
 POLICY, DRIVE = "pulley-fish-pool-generator", session.drive
-QUICK = ("servo cable", "forgeries", "encoder frozen", "watchdog", "clock back", "nan", "disk full")
+QUICK = (
+    "servo cable", "forgeries", "encoder frozen", "watchdog", "clock back", "nan", "disk full",
+    "tail reversed", "encoder 30 %", "stopped watchdog",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +83,14 @@ def test_the_table_has_a_row_for_every_fault(tmp_path: Path):
     lines = markdown([row, missed]).splitlines()
     assert lines[2] == "| a | hold: b | hold | 0.10 | 0.25 |"
     assert lines[3] == "| a | hold: b | **not reached** | – | – |"
+
+
+def test_repeated_faults_are_counted_and_a_miss_is_one():
+    row = faults.FaultResult("a", "hold: b", "hold", 0.5, 0.6, True, None)
+    missed, other = replace(row, ok=False, told_s=9.0), replace(row, fault="b", told_s=None)
+    told = [Count("a", 3, 2, 0.7), Count("b", 1, 1, None)]
+    assert counted([row, missed, replace(row, told_s=0.7), other]) == told
+    assert "give 1 or more" in complaint("faults", "--repeat", "0")
 
 
 def test_a_fault_that_is_none_is_refused():

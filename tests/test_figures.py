@@ -90,7 +90,7 @@ def kind(**words: Any) -> Kind:
 
 POWER = [spectrum(runs, gait) for runs in ("identification", "reach twin", "reach open")
          for gait in ("all", "forward")]  # fmt: skip
-ROUND = TrackResult("circle", 40, 0.1, 0.2, 0.3, 0.1, 38, None)
+ROUND = TrackResult("circle", 40, 0.1, 0.2, 0.2, 0.3, 0.1, 38, None, None, 0.9)
 DRAWN = {
     "reach_map": lambda: swim_figures.reach_map(SWIMS),
     "heat_map": lambda: swim_figures.heat_map(RESULT.cells),

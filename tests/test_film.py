@@ -227,6 +227,17 @@ def test_an_arrival_is_told_once_for_each_target():
     assert small.arrivals() == ((19, 0.5, 0.0), (35, 0.9, 0.0))
 
 
+def test_a_moving_target_is_no_arrival_in_a_film_and_one_that_rests_is():
+    rate, count = 30.0, 90
+    at = np.arange(count) / rate
+    tag = np.column_stack([0.12 * at, np.zeros((count, 2))])
+    moving = Motion(rate, np.zeros((count, 9)), tag, tag[:, :2] + [0.02, 0.0])
+    assert [frame for frame, _, _ in moving.arrivals() if frame > 3] == []
+    noise = np.random.default_rng(0).normal(scale=1e-3, size=(count, 2))
+    resting = Motion(rate, np.zeros((count, 9)), tag, np.array([0.2, 0.0]) + noise)
+    assert len(resting.arrivals()) == 1
+
+
 def test_the_ring_about_a_target_is_of_the_fish_s_size():
     assert arrival_of(length_of(FISH)) == pytest.approx(0.05)
     assert arrival_of(0.28) == pytest.approx(0.025, rel=0.01)

@@ -49,6 +49,68 @@ def test_words_that_cannot_be_are_one_sentence(tmp_path, monkeypatch, words, sai
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("benchmark --json plain.txt/a.json", "plain.txt is not a folder"),
+        ("swim --direct --out plain.txt/a", "plain.txt is not a folder"),
+        ("latency --json plain.txt/a.json", "plain.txt is not a folder"),
+        ("speed-map --fish pulley-fish --out a.xyz", "written as .png, .svg, .pdf"),
+        ("faults --policy nothing", "nothing: no such file"),
+        ("zoo --out zoo --targets 0", "--targets 0: give 2 or more"),
+        ("evaluate pulley-fish-pool-generator --out e --walls 1e9x1e9", "must be 0.3 to 100 m"),
+        ("evaluate pulley-fish-pool-generator --out e --walls nanx2", "must be 0.3 to 100 m"),
+        ("torque-off --servo plain.txt --baud 1000000000000", "--baud 1000000000000: give 1 to"),
+        ("torque-off --servo plain.txt --id 999", "--id 999: give 0 to 252"),
+        ("track --camera a --calibration /dev/zero", "/dev/zero: no such file"),
+        ("emulate --key plain.txt --robot " + LONG + ":1", "no name of a host"),
+    ],
+)  # fmt: skip
+def test_bad_words_are_refused_before_any_work(tmp_path, words, said):
+    (tmp_path / "plain.txt").write_text("kept")
+    (tmp_path / "plain.txt").chmod(0o600)
+    (tmp_path / "plain.txt").write_bytes(bytes(32))  # a key
+    assert said in complaint(*words.split(), cwd=tmp_path)
+    assert [one.name for one in tmp_path.iterdir()] == ["plain.txt"]
+
+
+def test_a_line_s_end_in_a_name_does_not_make_two_lines(tmp_path):
+    assert r"two\nlines" in complaint("show", "two\nlines", cwd=tmp_path)
+    assert r"\x1b[31m" in complaint("show", "\x1b[31mred", cwd=tmp_path)
+
+
+def test_the_middle_of_a_long_complaint_is_left_out(tmp_path):
+    (tmp_path / "a.csv").write_text(("x" * 5000 + ",1" * 17 + "\n") * 3)
+    said = complaint("import", "fishsim", tmp_path / "a.csv", "--out", tmp_path / "b.csv")
+    assert len(said) < 1500
+
+
+@pytest.mark.parametrize("link", ["hole", "loop"])
+def test_a_link_to_nothing_is_kept(tmp_path, link):
+    (tmp_path / link).symlink_to("loop")
+    assert "exists already" in complaint("key", tmp_path / link)
+    assert (tmp_path / link).is_symlink()
+
+
+@pytest.mark.parametrize("end", ["csv", "json"])
+def test_a_cell_beyond_the_reader_s_limit_and_a_number_beyond_python_s(tmp_path, end):
+    text = "t,a\n" + "1" * 200_000 + ",1\n2,2\n" if end == "csv" else '[{"t": ' + "1" * 5000 + "}]"
+    path = tmp_path / f"a.{end}"
+    path.write_text(text)
+    out = "--out", tmp_path / "o.csv"
+    assert "a." in complaint("import", "table", path, "--map", "time=t,angle=a", *out)
+    if end == "csv":
+        assert "field limit" in complaint("predict", path, "--fish", "pulley-fish")
+    else:
+        assert "not JSON" in complaint("import", "xl330", path, *out)
+
+
+def test_a_number_of_thousands_of_digits_in_a_fish(tmp_path):
+    assert "not valid TOML" in complaint(
+        "show", written(tmp_path / "a.toml", "[motor]", "[motor]\nodd = " + "1" * 5000)
+    )
+
+
 @pytest.mark.parametrize("name", ["deep.toml", "deep.json"])
 def test_nesting_without_end_is_one_sentence(tmp_path, name):
     text = "a = " + "[" * 3000 + "]" * 3000 if name.endswith("toml") else "[" * 100_000

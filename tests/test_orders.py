@@ -259,7 +259,7 @@ def test_an_order_is_repeated_through_loss_and_obeyed_once(pair):
         pair.turn()
         obeyed += pair.receiver.take_orders()
     assert obeyed == [Order.ARM, Order.SWIM] and not pair.sender.pending
-    assert pair.sender.said == "SWIM taken" and not pair.receiver.rejected
+    assert pair.sender.said == "SWIM refused: no target" and not pair.receiver.rejected
 
 
 def test_stop_goes_before_what_waits_and_a_silent_fish_is_said(pair):

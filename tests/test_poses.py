@@ -38,4 +38,4 @@ def test_a_heading_that_turns_round_at_once_is_left_out():
 
 def test_a_fish_that_swims_is_believed():
     swum = heard(*[(0.01 * k, 0.0, 0.02 * k) for k in range(30)])
-    assert abs(swum.pose()[0] - 0.29) < 1e-6 and swum.jumps == 0 and len(swum.seen) == 3
+    assert abs(swum.pose()[0] - 0.29) < 1e-6 and swum.jumps == 0 and swum.frames(0).shape == (3, 6)

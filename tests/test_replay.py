@@ -151,6 +151,22 @@ def test_the_path_behind_a_moment_is_what_was_swum_before_it(run):
     assert x == pytest.approx(-0.2 - 0.2 * age, abs=1e-3) and (y == 0.3).all()
 
 
+def test_a_moving_target_is_shown_where_it_was_with_its_velocity_and_distances(tmp_path):
+    rows = [row(k) for k in range(ROWS)]
+    for k in range(*SWIMS.indices(ROWS)):
+        rows[k]["decided_on"][:, 3] = 1.0 - 0.15 * 0.02 * k
+    run = read_run(write_log(tmp_path / "moves.mcap", rows))
+    seen = snapshot(run, FISH, POOL, 4.0)
+    assert seen["target"] == pytest.approx([1.0 - 0.15 * 4.0, 0.5])
+    assert seen["velocity"] == pytest.approx((-0.15, 0.0), abs=1e-6)
+    ages, away = zip(*seen["distances"], strict=True)
+    assert list(ages) == sorted(ages, reverse=True) and ages[-1] == 0 and ages[0] > 1.5
+    assert away[-1] == pytest.approx(math.hypot(1.0 - 0.6 - (-1 + 0.8), 0.2), abs=1e-3)
+    before, after = (snapshot(run, FISH, POOL, at) for at in (1.0, 7.5))
+    assert before["velocity"] is None and before["distances"] == []
+    assert after["velocity"] is None and len(after["distances"]) > 20
+
+
 def test_changes_are_the_states_with_the_times_at_which_they_began(run):
     found = [(round(one.at, 2), one.state) for one in run.changes()]
     assert found == [(0.0, "disarmed"), (1.0, "armed"), (2.0, "run"), (7.0, "stop")]
@@ -243,9 +259,13 @@ def test_no_order_can_be_given_and_the_page_says_so(page, url):
             ({"do": "stop"}, "this is the replay of a log"),
             ({"do": "at", "at": "soon"}, "a time is a number"),
             ([1], "not a command"),
+            ({"do": "at", "at": math.inf}, "not a command"),
         ):
             other.send(json.dumps(words))
             assert answer in json.loads(other.recv(30))["said"][0]
+        for odd in ("[" * 1990, b'{"do": "at", "at": 1}', '{"do": "at", "at": 1e999}'):
+            other.send(odd)
+            assert json.loads(other.recv(30))["said"] == ["refused: not a command"]
 
 
 def test_the_page_fits_a_phone(page):

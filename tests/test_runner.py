@@ -22,7 +22,8 @@ def test_a_swim_recorded_in_the_environment_is_replayed_to_the_bit(name, monkeyp
     """Noise, drops and delays on: the readings of 500 steps give the same 500 setpoints."""
     policy = load_policy(POLICIES[name])
     contract = policy.contract
-    world = World(FISH, Settings(contract.actions, measure=contract.measure), [5])
+    settings = Settings(contract.actions, measure=contract.measure, motion=contract.motion)
+    world = World(FISH, settings, [5])
     kept, observe_ = [], world._observe
 
     def keep(readings):

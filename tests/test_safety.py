@@ -16,6 +16,7 @@ from tailbeat.robot.safety import (
     Health,
     SafetyLimits,
     SafetyStatus,
+    after_test,
     arm,
     disarm,
     first_broken,
@@ -40,7 +41,13 @@ AT_LEAST = (
     ("overruns_hold", 10, "overruns", State.HOLD),
     ("jumps_hold", 6, "jumps", State.HOLD),
 )
-OTHERWISE = {"voltage_low": 9.88, "voltage_high": 16.0, "slew": 20.0, "ramp": 1.0}
+OTHERWISE = {
+    "voltage_low": 9.88,
+    "voltage_high": 16.0,
+    "slew": 20.0,
+    "ramp": 1.0,
+    "own_watchdog": True,
+}
 
 
 def state(**changed: float) -> State:
@@ -90,8 +97,31 @@ def test_the_way_to_swim_leads_through_arming():
     assert safety_status.text == "swimming"
 
 
+def test_the_sign_test_comes_between_arming_and_swimming_and_decides():
+    testing = run(SafetyStatus(State.ARMED), test=True)
+    assert testing.state is State.TEST and "sign test" in testing.text
+    assert judge(testing, WELL, LIMITS) == testing
+    assert judge(testing, replace(WELL, pose_age=0.4), LIMITS).state is State.HOLD
+    assert after_test("").state is State.RUN
+    stopped = after_test("the tail bends to the wrong side")
+    assert stopped.state is State.STOP and stopped.text.endswith("to the wrong side")
+    assert run(stopped) == stopped  # no order to swim leads past it
+
+
+def test_a_warning_is_said_and_swims_on_and_goes():
+    warned = judge(RUNNING, replace(WELL, warning="the camera turns"), LIMITS)
+    assert warned.state is State.RUN and warned.text == "swimming; warning: the camera turns"
+    assert judge(warned, WELL, LIMITS).text == "swimming"
+
+
 def test_arming_clears_the_servo_s_own_watchdog_so_it_is_no_reason_to_refuse():
     assert arm(SafetyStatus(), replace(WELL, watchdog=True), LIMITS).state is State.ARMED
+
+
+def test_a_servo_without_a_watchdog_has_no_rule_of_it():
+    without = replace(LIMITS, own_watchdog=False)
+    assert judge(RUNNING, replace(WELL, watchdog=True), without).state is State.RUN
+    assert judge(RUNNING, replace(WELL, watchdog=True), LIMITS).state is State.HOLD
 
 
 def test_what_nobody_has_measured_yet_keeps_it_from_arming():
@@ -116,7 +146,7 @@ HOLD_CASES: dict[str, dict[str, Any]] = {
     "4000 ms in the future": {"pose_age": -4.0},
     "7 poses in a row": {"jumps": 7},
     "numbers do not change": {"imu_frozen": True},
-    "watchdog process has ended": {"guarded": False},
+    "the tail does not": {"signals": "the tail does not answer"},
     "the target is outside the pool": {"outside": "outside the pool"},
 }
 STOP_CASES: dict[str, dict[str, Any]] = {
@@ -129,6 +159,7 @@ STOP_CASES: dict[str, dict[str, Any]] = {
     "current 4.2 A": {"current": -4.2},
     "no servo for 0.6 s": {"servo_age": 0.6},
     "no pose for 2.5 s": {"pose_age": 2.5},
+    "watchdog process ended or hangs": {"guarded": False},
 }
 
 
@@ -166,7 +197,7 @@ def test_the_status_carries_the_size_of_what_was_measured(changed):
 
 def test_every_field_of_health_can_stop_or_hold():
     touched = {name for case in (*HOLD_CASES.values(), *STOP_CASES.values()) for name in case}
-    assert touched == {one.name for one in fields(Health)}
+    assert touched == {one.name for one in fields(Health)} - {"warning"}
 
 
 def test_every_rule_has_a_case_and_a_text_of_its_own():

@@ -10,7 +10,7 @@ import pytest
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import Frame, Order, Receiver
 from tailbeat.link.reasons import Reason
-from tailbeat.link.sender import Sender
+from tailbeat.link.sender import Outcome, Sender
 from tailbeat.link.status import Numbers, State, Status, status_datagram
 
 KEY, RUN, FISH = bytes(range(32)), 77, 5  # FISH: the nonce of the fish's start
@@ -96,7 +96,7 @@ def test_an_order_goes_out_at_once_and_every_50_ms_until_the_status_shows_it_tak
         assert len(bench.got(link.ORDER)) == sent, now
     bench.tell(0.12, 2, order=1)
     bench.sender.work(1.0)
-    assert bench.sender.said == "ARM taken" and not bench.got(link.ORDER)
+    assert bench.sender.said == "ARM refused: no target" and not bench.got(link.ORDER)
 
 
 def test_no_order_counts_as_taken_before_a_fish_was_heard(bench):
@@ -113,6 +113,39 @@ def test_an_order_is_given_up_after_three_seconds(bench):
     bench.sender.work(13.1)
     assert not bench.sender.pending
     assert bench.sender.said == "ARM not taken: the fish does not answer"
+
+
+@pytest.mark.parametrize(
+    ("order", "state", "text", "said", "bad"),
+    [
+        (Order.ARM, State.ARMED, "armed", "ARM done: armed", False),
+        (Order.ARM, State.DISARMED, "no pose for 400 ms", "ARM refused: no pose for 400 ms", True),
+        (Order.ARM, State.STOP, "servo at 80 deg C", "ARM refused: servo at 80 deg C; disarm first",
+         True),
+        (Order.SWIM, State.RUN, "swimming", "SWIM done: run", False),
+        (Order.SWIM, State.HOLD, "no target", "SWIM refused: no target", True),
+        (Order.DISARM, State.DISARMED, "not armed yet", "DISARM done: disarmed", False),
+        (Order.STOP, State.STOP, "stop asked by the operator page", "STOP done: stop", False),
+        (Order.STOP, State.DISARMED, "not armed yet", "STOP done: disarmed", False),
+    ],
+)  # fmt: skip
+def test_an_outcome_is_what_the_robot_did_and_names_who_asked(bench, order, state, text, said, bad):
+    bench.tell(0.0, 1)
+    bench.sender.order(order, 0.0, "a page")
+    bench.tell(0.1, 2, order=1, state=state, text=text)
+    sent, done = bench.sender.outcomes
+    assert (sent.text, sent.asker, sent.number) == (f"{order.name} sent", "a page", 1)
+    assert done == Outcome(2, "a page", said, bad)
+
+
+def test_an_order_that_another_replaced_is_told_to_who_gave_it(bench):
+    bench.tell(0.0, 1)
+    bench.sender.order(Order.ARM, 0.0, "a")
+    bench.sender.order(Order.STOP, 0.0, "b")
+    found = [(one.asker, one.text) for one in bench.sender.outcomes]
+    assert ("a", "ARM not taken: STOP was ordered") in found and found[-1] == ("b", "STOP sent")
+    bench.tell(0.2, 1, nonce=6)
+    assert bench.sender.said == "STOP not taken: the fish started again"
 
 
 @pytest.mark.parametrize("which", [Order.STOP, Order.DISARM])

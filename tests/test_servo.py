@@ -15,7 +15,8 @@ from support import until
 from tailbeat.emulators import packet as emulated_packet
 from tailbeat.emulators.servo_commands import ALERT
 from tailbeat.files import BadInput
-from tailbeat.robot import servo as driver
+from tailbeat.robot import dynamixel as driver
+from tailbeat.robot.dynamixel import COUNT
 from tailbeat.robot.packet import (
     PING,
     READ,
@@ -27,7 +28,7 @@ from tailbeat.robot.packet import (
     crc16,
     encode,
 )  # fmt: skip
-from tailbeat.robot.servo import COUNT, Servo, ServoFault, connect
+from tailbeat.robot.servo import Servo, ServoFault, connect
 
 pytestmark = pytest.mark.realtime
 
@@ -154,6 +155,13 @@ def test_the_shaft_follows_and_is_read_in_radians(bench, servo):
     assert state.time <= time.monotonic()
     servo.torque_off()
     assert not servo.is_on()
+
+
+def test_arming_removes_the_profile_that_another_program_left(bench, servo):
+    bench.device.put(112, 40)
+    bench.device.put(108, 3)
+    servo.prepare(-1.4, 1.4)
+    assert bench.device.get(112) == bench.device.get(108) == 0
 
 
 def test_a_mirrored_servo_counts_the_other_way(bench):

@@ -19,7 +19,7 @@ from support import until
 from tailbeat.emulators.packet import checksum
 from tailbeat.emulators.servo import Dynamixel
 from tailbeat.emulators.servo_commands import ALERT
-from tailbeat.emulators.servo_table import ACCESS, FAIL, LENGTH, LIMIT, RANGE, REGISTERS
+from tailbeat.emulators.servo_table import ACCESS, FAIL, LENGTH, LIMIT, RANGE
 from tailbeat.robot.packet import Parser
 
 READ, WRITE, SYNC_READ, FAST_SYNC = 0x02, 0x03, 0x82, 0x8A
@@ -91,7 +91,7 @@ def test_no_packet_ends_it_and_every_register_stays_allowed(body, instruction):
     servo = Dynamixel()
     servo.answer(packet(instruction, body))
     servo.advance(0.01)
-    for address, register in REGISTERS.items():
+    for address, register in servo.table.registers.items():
         if register.allowed is not None:
             assert servo.get(address, register.allowed[0] < 0) in register.allowed
 

@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("serial", reason="the robot extra is not installed")
 pytest.importorskip("mcap", reason="the robot extra is not installed")
 
+from support import tailbeat
 from tailbeat.files import BadInput
 from tailbeat.robot import systemd
 from tailbeat.robot.log import read_rows
@@ -75,6 +76,18 @@ def test_the_unit_runs_drive_disarmed_fed_by_the_loop_and_lets_go_last(tmp_path)
     assert wanted.items() <= lines.items()
     with pytest.raises(BadInput, match="not allowed in a unit"):
         systemd.unit("/usr/bin/python3", "fish\nRoot", "/dev/x", WORDS)
+
+
+def test_a_unit_drives_the_fish_that_it_was_given(tmp_path):
+    own = tmp_path / "mine.toml"
+    own.write_text("")
+    parts = ["--servo", "/dev/a", "--imu", "/dev/b", "--listen", "a:1", "--station", "b:2"]
+    parts += ["--key", "k", "--logs", "l"]
+    for fish, word in {"pulley-fish": "pulley-fish", own.name: str(own)}.items():
+        words = ["pulley-fish-pool-generator", "--out", f"{fish}.service", *parts, "--fish", fish]
+        done = tailbeat("unit", *words, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert f"--fish {word}" in (tmp_path / f"{fish}.service").read_text()
 
 
 @pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="systemd is not installed")

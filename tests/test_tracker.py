@@ -28,6 +28,7 @@ from tailbeat.emulators.optics import Optics
 from tailbeat.emulators.scripted import fish_line
 from tailbeat.files import BadInput
 from tailbeat.vision.detector import HALF, open_detector
+from tailbeat.vision.moved import warning
 from tailbeat.vision.tags import Tag
 from tailbeat.vision.tracker import Sighting, Tracker, TrackerLimits, misshapen, planar_pose
 from tailbeat.vision.tracking import TrackerProcess, preview, start_tracker
@@ -267,3 +268,30 @@ def test_a_process_that_hangs_is_replaced(pair):
     os.kill(first, signal.SIGSTOP)
     until(lambda: "hung" in tracker.fault)
     until(lambda: tracker.fault == "" and tracker.pid != first)
+
+
+# ---- tags that are fixed to the pool ------------------------------------------------------------
+
+EDGE = {10: (-2.2, 1.0), 11: (2.2, 1.0), 12: (2.2, -1.0)}
+
+
+def pinned(shift: float, renderer: Renderer, tracker: Tracker) -> Sighting:
+    """Two seconds of fish, target and fixed tags under a camera that moved sideways by `shift`:
+    all that it films is shifted to the other side."""
+    others = tuple((ident, (x - shift, y, 0.0)) for ident, (x, y) in EDGE.items())
+    scene = Scene(fish=(0.6 - shift, -0.4, 0.7), target=(-1.0 - shift, 0.5, 2.0), others=others)
+    return film(tracker, renderer, [scene] * 120)[-1]
+
+
+@pytest.mark.parametrize(("shift", "told"), [(0.0, False), (0.005, False), (0.03, True)])
+def test_fixed_tags_tell_a_camera_that_moved_from_one_that_did_not(renderer, shift, told):
+    places = {ident: (x, y, FISH.height) for ident, (x, y) in EDGE.items()}
+    tracker = Tracker(replace(true_calibration(), fixed=places))
+    last = pinned(shift, renderer, tracker)
+    assert bool(warning(last.moved)) is told
+    assert abs(last.moved - shift) < 0.006  # waves of the surface move a tag too
+    assert last.frame.fish and "unexpected tag" not in last.rejected
+
+
+def test_without_fixed_tags_nothing_is_said(renderer, tracker):
+    assert pinned(0.03, renderer, tracker).moved == 0.0

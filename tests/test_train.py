@@ -24,11 +24,19 @@ from support import complaint, until
 from tailbeat.benchmarks import update as update_bench
 from tailbeat.control.actions import Direct, Generator, Turning
 from tailbeat.control.measure import Measure
+from tailbeat.control.motion import MotionFilter
 from tailbeat.control.observation import TABLE
 from tailbeat.control.policy import decide, load_policy
 from tailbeat.env import randomize
 from tailbeat.env.assess import assess
-from tailbeat.env.curriculum import FALL, LOWEST, STAGES, learning_rate, settings_of
+from tailbeat.env.curriculum import (
+    FALL,
+    FOLLOWING,
+    LOWEST,
+    STAGES,
+    learning_rate,
+    settings_of,
+)
 from tailbeat.env.sensors import quiet
 from tailbeat.env.task import Settings, Task
 from tailbeat.env.vector_env import FishVecEnv
@@ -41,7 +49,7 @@ from tailbeat.train.callback import TrainingCallback
 from tailbeat.train.config import RunConfig, action_space, check
 from tailbeat.train.progress import Progress, TrainingRow
 from tailbeat.train.recipes import paper, quick, recipe_of, smoke
-from tailbeat.train.replay import FIRST, RelabelBuffer, Transitions, _seen
+from tailbeat.train.replay import FIRST, Paths, RelabelBuffer, Transitions, _complex, _seen
 from tailbeat.train.sac import QuickSAC, _products, rounds
 from tailbeat.train.train import train
 
@@ -55,19 +63,20 @@ RETURNS = 5
 
 @pytest.fixture(scope="module")
 def filled() -> tuple[RelabelBuffer, np.ndarray]:
-    return fill(0.0)
+    return fill()
 
 
 @pytest.fixture(scope="module")
 def followed() -> tuple[RelabelBuffer, Any]:
-    return fill(1.0)
+    return fill(follow=True, target_speed=0.3)
 
 
-def fill(following: float) -> tuple[RelabelBuffer, Any]:
-    """A buffer of short episodes, some of which arrive, and the target of every transition; with
-    `following` 1 all go on after that."""
-    task = Task(seconds=2.0, nearest=0.1, farthest=0.6, arrival=0.08, following=following)
-    env = FishVecEnv(FISH, 8, Settings(task=task), seed=0, reward_scale=0.01)
+def fill(**moving: Any) -> tuple[RelabelBuffer, Any]:
+    """A buffer of short episodes, some of which arrive, and the target of every transition; those
+    of `moving` targets go on after that."""
+    task = Task(seconds=2.0, nearest=0.1, farthest=0.6, arrival=0.08, **moving)
+    settings = Settings(task=task, motion=MotionFilter() if moving else None)
+    env = FishVecEnv(FISH, 8, settings, seed=0, reward_scale=0.01)
     spaces = env.observation_space, env.action_space
     buffer = RelabelBuffer(
         8 * 400, *spaces, "cpu", n_envs=8, source=env, discount=0.99, returns=RETURNS
@@ -110,10 +119,16 @@ def test_steps_in_a_row_make_one_transition_as_in_sb3_s_own_buffer(filled, monke
         assert torch.allclose(ours, sb3, rtol=1e-6, atol=1e-7)
 
 
+def moved(found: Transitions, targets: Any) -> Paths:
+    """Paths on which still targets stand at `targets`, and moving ones stay what they were."""
+    turn = np.full(len(targets), 1.0 if found.seen.shape[1] > 24 else 0.0, complex)
+    return Paths(turn, (1 - turn) * _complex(targets))
+
+
 def check_the_same_target_changes_nothing(buffer: RelabelBuffer, targets: Any) -> Transitions:
     at, found = everything(buffer)
     before = replace(found, **{name: one.copy() for name, one in vars(found).items()})
-    buffer._retarget(found, targets[at])
+    buffer._retarget(found, moved(found, targets[at]))
     for name in ("seen", "next", "reward", "ended"):
         assert getattr(found, name) == pytest.approx(getattr(before, name), abs=1e-5), name
     return before
@@ -132,7 +147,7 @@ def test_the_same_target_that_goes_on_gives_the_same_reward_and_no_end(followed)
 def test_a_place_on_the_way_as_target_is_arrived_at(filled):
     buffer, _ = filled
     at, parts = everything(buffer)
-    buffer._retarget(parts, buffer.place[at])
+    buffer._retarget(parts, moved(parts, buffer.place[at]))
     assert parts.ended.all()
     assert (parts.reward > 9.0).all()
 
@@ -140,8 +155,11 @@ def test_a_place_on_the_way_as_target_is_arrived_at(filled):
 def test_targets_elsewhere_are_seen_where_they_are(filled):
     buffer, _ = filled
     at, _ = everything(buffer)
-    place = buffer._anywhere(at)
-    seen = _seen(buffer.frames[at], place, Measure())
+    paths = buffer._anywhere(at)
+    place = np.stack([paths.move.real, paths.move.imag], axis=1)
+    assert not paths.turn.any()
+    before, frames = buffer.observations[at], buffer.frames[at]
+    seen = _seen(before, frames, paths.turn, paths.move, Measure())[:, FIRST:]
     x, y, yaw = buffer.frames[at][:, 0, :3].T
     ahead = np.cos(yaw) * (place[:, 0] - x) + np.sin(yaw) * (place[:, 1] - y)
     column = [entry.name for entry in TABLE].index("frame 0 (newest): target ahead") - FIRST
@@ -152,8 +170,9 @@ def test_half_of_the_later_targets_lie_just_beside_the_way(filled, monkeypatch):
     buffer, _ = filled
     monkeypatch.setattr(buffer, "misses", 0.1)
     place = np.zeros((4000, 2), np.float32)
-    moved = buffer._beside(place)
-    aside = moved[np.abs(moved).sum(axis=1) > 0]
+    there = buffer._beside(place)
+    shifted = np.stack([there.real, there.imag], axis=1)
+    aside = shifted[np.abs(shifted).sum(axis=1) > 0]
     assert len(aside) == pytest.approx(2000, abs=150)
     assert aside.std(axis=0) == pytest.approx(0.1, abs=0.01)
 
@@ -266,16 +285,16 @@ def test_a_seed_gives_one_run():
 # ---- stages and plans ---------------------------------------------------------------------------
 
 
-def test_ten_stages_and_one_by_hand_raise_one_difficulty_at_a_time():
-    assert [one.by_hand for one in STAGES] == 10 * [False] + [True]
-    kinds = ("noise", "physics", "arc", "following")
-    for before, after in pairwise(STAGES):
-        risen = [getattr(after, n) > getattr(before, n) for n in kinds]
-        assert sum(risen) == 1 and after.phase - before.phase in (0, 1)
-    rates = [learning_rate(STAGES, i, (1.0, 1.0, 0.5, 1e-9)) for i in range(11)]
+def test_ten_stages_raise_one_difficulty_at_a_time():
+    kinds = ("noise", "physics", "arc")
+    for stages in (STAGES, FOLLOWING):
+        for before, after in pairwise(stages):
+            risen = [getattr(after, n) > getattr(before, n) for n in kinds]
+            assert sum(risen) == 1 and after.phase - before.phase in (0, 1)
+    rates = [learning_rate(STAGES, i, (1.0, 1.0, 0.5)) for i in range(10)]
     falls = [1, FALL, FALL**2]
-    third = [0.5 * FALL**k for k in range(4)]
-    assert rates == pytest.approx([*falls, *falls, *third, LOWEST])
+    assert rates == pytest.approx([*falls, *falls, *(0.5 * FALL**k for k in range(4))])
+    assert learning_rate(STAGES, 9, (1.0, 1.0, 1e-9)) == LOWEST
 
 
 def test_a_stage_scales_noise_and_physics():
@@ -414,7 +433,7 @@ def test_a_checkpoint_is_whole(run):
         models.append((model, noise))
     (one, noise), (two, again) = models
     assert torch.equal(noise[0], again[0]) and noise[1:] == again[1:]
-    assert one.replay_buffer.pos == two.replay_buffer.pos > 40
+    assert one.replay_buffer.pos == two.replay_buffer.pos > 10  # a busy machine trains less
     for a, b in ((one.actor, two.actor), (one.critic, two.critic)):
         moments = [o.optimizer.state_dict()["state"][0]["exp_avg"] for o in (a, b)]
         assert torch.equal(*moments) and moments[0].abs().sum() > 0
@@ -457,6 +476,19 @@ def test_a_floor_above_the_ceiling_is_refused_at_the_command_line(tmp_path):
     args = ("--fish", FISH.name, "--recipe", "smoke", "--floor", "9", "--out", tmp_path / "run")
     assert "floor = 9 Hz" in complaint("train", *args)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("name", ["buffer.npz", "networks.pt", "random.json"])
+def test_a_damaged_checkpoint_is_one_sentence(run, tmp_path, name):
+    from tailbeat.train.train import environment, learner
+
+    run = planned_for(run)
+    place = tmp_path / "checkpoint"
+    shutil.copytree(run.out / "checkpoint", place)
+    (place / name).write_bytes((place / name).read_bytes()[:100])
+    env = environment(run)
+    with pytest.raises(BadInput, match="the checkpoint is damaged"):
+        checkpoint.load(place, learner(run, env), env.world)
 
 
 def test_a_full_disk_is_told_and_the_last_checkpoint_kept(run, monkeypatch):

@@ -37,6 +37,7 @@ from tailbeat.files import BadInput, plain, write_json
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.link.places import POOL
+from tailbeat.operator import paths
 from tailbeat.pool.water import Water
 from tailbeat.report.page import of_folder
 
@@ -98,15 +99,15 @@ def test_targets_inside_walls_lie_inside_and_where_none_fits_it_is_said():
 
 
 def test_the_eight_is_even_crosses_itself_and_fits_the_pool():
-    way = scenes.even(scenes.eight, 400)
+    way = paths.even(paths.eight, 400)
     step = np.hypot(*np.diff(np.vstack([way, way[:1]]), axis=0).T)
-    assert step == pytest.approx(scenes.lap_length(scenes.eight) / 400, rel=0.01)
+    assert step == pytest.approx(paths.lap_length(paths.eight) / 400, rel=0.01)
     assert np.hypot(*way.T).min() < 0.02
     assert (np.abs(way).max(axis=0) < np.array(POOL) / 2 - 0.5).all()
 
 
 def test_a_follower_starts_behind_its_target_and_faces_along_the_way():
-    scene = scenes.follow(FISH, scenes.circle, 40.0, 10.0, 2)
+    scene = scenes.follow(FISH, paths.circle, 40.0, 10.0, 2)
     tag = tracked_pose(FISH, scene.start)
     offset = scene.target[:, 0] - tag[:, :2]
     assert np.hypot(*offset.T) == pytest.approx(scenes.BEHIND)
@@ -219,7 +220,7 @@ def test_a_paired_difference_has_the_interval_of_the_pairs_that_differ():
 
 def test_a_fish_on_its_target_s_heels_crosses_twice_and_one_that_circles_does_not():
     steps = round(73.0 / PERIOD)
-    way = scenes.even(scenes.eight, steps)
+    way = paths.even(paths.eight, steps)
     target = np.vstack([way, way[:1]])
     behind = np.roll(target, 40, axis=0)
     away = target + np.array([0.0, 1.0])
@@ -232,10 +233,25 @@ def test_a_fish_on_its_target_s_heels_crosses_twice_and_one_that_circles_does_no
     assert row.aside_rms < 0.02
 
 
+def test_a_slow_fish_that_sways_or_leads_crosses_too():
+    """Half a hertz of 4 cm to either side hides the direction over 0.4 s, not that over 2 s. A fish
+    that passes the middle a second before its target crosses it too."""
+    steps = round(73.0 / PERIOD)
+    way = paths.even(paths.eight, steps)
+    target = np.vstack([way, way[:1]])
+    ahead = np.roll(target, -50, axis=0)
+    beat = np.sin(2 * np.pi * 18 * (PERIOD * np.arange(steps + 1) / 36.5 - 0.5))  # 0 at each pass
+    sway = 0.05 * beat[:, None] * [0.5, -0.9]
+    ways = [np.column_stack([one, np.zeros(len(one))]) for one in (ahead, target + sway)]
+    found = runs(np.array(ways), np.array([target, target]))
+    assert track.crossings(found)[0] == 2 > track.crossings(found)[1]
+    assert track.crossings(found, track.LONG).tolist() == [2, 2]
+
+
 def test_a_led_target_waits_for_its_fish_and_a_timed_one_does_not():
     away = []
     for lead in (0.7, np.inf):
-        scene = scenes.follow(TWIN, scenes.circle, 10.0, 3.0, 2, lead)
+        scene = scenes.follow(TWIN, paths.circle, 10.0, 3.0, 2, lead)
         condition = Condition(
             "a", TWIN, scene, SPACE, None, sensors=quiet(), physics=randomize.none(), seconds=3.0,
             stop=False,

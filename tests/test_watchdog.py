@@ -23,10 +23,11 @@ pytestmark = pytest.mark.realtime
 
 # A loop in miniature: it arms, keeps the servo's watchdog at bay, and tells the watchdog.
 LOOP = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell has it ignored
 from tailbeat.fish.store import hardware_of, load_fish
 from tailbeat.robot import servo, watchdog
-motor = servo.connect(sys.argv[1], hardware_of(load_fish("pulley-fish")), deadline=0.25)
+motor = servo.connect(sys.argv[1], hardware_of(load_fish("pulley-fish")), deadline=1.0)
 with watchdog.guard(sys.argv[1]) as watcher:
     motor.prepare(-1.4, 1.4)
     watcher.beat(True)
@@ -122,6 +123,32 @@ def test_a_watchdog_that_is_gone_is_noticed(bench):
         watcher.process.kill()
         watcher.process.wait()
         assert not watcher.beat(False)
+
+
+def test_a_watchdog_that_hangs_is_noticed_within_half_a_second_and_the_drive_still_ends(bench):
+    with watchdog.guard(bench.path) as watcher:
+        for _ in range(50):
+            assert watcher.beat(True)
+            time.sleep(0.02)
+        os.kill(watcher.process.pid, signal.SIGSTOP)
+        stopped = time.monotonic()
+        while watcher.beat(True) and time.monotonic() - stopped < 5:
+            time.sleep(0.02)
+        assert time.monotonic() - stopped < 0.5
+        os.kill(watcher.process.pid, signal.SIGCONT)
+        time.sleep(0.1)
+        watcher.beat(True)
+        time.sleep(0.02)
+        assert watcher.beat(True)  # it answers again
+        watcher.farewell()
+
+
+def test_a_loop_that_was_late_itself_does_not_blame_the_watchdog(bench):
+    with watchdog.guard(bench.path) as watcher:
+        assert watcher.beat(False)
+        time.sleep(0.6)
+        assert watcher.beat(False)
+        watcher.farewell()
 
 
 def test_what_cannot_be_told_is_said(bench, tmp_path):

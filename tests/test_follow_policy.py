@@ -1,0 +1,111 @@
+"""A policy that follows: its contract of version 2, the robot's runner, and what is refused."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("onnx", reason="the train extra is not installed")
+
+import onnx
+
+from tailbeat.control import actions as act
+from tailbeat.control.observation import FOLLOWING, TABLE
+from tailbeat.control.policy import _digests, as_text, decide, load_policy, shipped
+from tailbeat.control.runner import Readings, begin, steer
+from tailbeat.env import randomize
+from tailbeat.env.curriculum import MOVING
+from tailbeat.env.sensors import quiet
+from tailbeat.env.task import settings_for
+from tailbeat.env.world import World, seeds_from
+from tailbeat.files import BadInput
+from tailbeat.fish.store import load_fish
+from tailbeat.train.config import RunConfig, action_space
+from tailbeat.train.recipes import recipe_of
+from tailbeat.train.train import train
+
+FISH, NAME = load_fish("pulley-fish-pool"), "pulley-fish-pool-follow"
+PATH, POLICY = shipped()[NAME], load_policy(NAME)
+CONTRACT = POLICY.contract
+
+
+def settings() -> Any:
+    """The policy's own settings with moving targets; exact sensors, but late ones."""
+    own, late = settings_for(CONTRACT), replace(quiet(), latency=0.03, dropped=0.1)
+    return replace(own, task=MOVING, sensors=late, physics=randomize.none())
+
+
+def test_its_contract_has_version_2_its_filter_and_four_more_numbers():
+    assert (CONTRACT.version, len(CONTRACT.observation)) == (2, 28)
+    assert CONTRACT.observation == FOLLOWING and FOLLOWING[:24] == TABLE
+    assert CONTRACT.motion is not None
+    assert load_policy("pulley-fish-pool-generator").contract.version == 1
+    held = json.loads(as_text(load_policy("pulley-fish-pool-generator").contract))["contract"]
+    assert "motion" not in held  # a file of version 1 stays as it was, digests and all
+
+
+def test_the_robot_sees_and_does_what_the_training_s_world_does():
+    """The same frames give the same observation and setpoint, step after step."""
+    world, course = World(FISH, settings(), seeds_from(3, 1)), begin(POLICY)
+    seen = world.reset()
+    moved = []
+    for _ in range(200):
+        motor, turning = world.simulator.motor, world.simulator.qvel[0, 2]
+        angle, rate = (state[0, motor] for state in (world.simulator.qpos, world.simulator.qvel))
+        course, decision = steer(POLICY, course, Readings(angle, rate, turning, world.frames[0]))
+        assert decision.observation == pytest.approx(seen[0], abs=1e-6)
+        moved.append(np.abs(decision.observation[24:]).max())
+        seen = world.step(np.asarray(decide(POLICY, seen), np.float64)).observation
+        setpoint = act.setpoint(CONTRACT.actions, world.state)[0]
+        assert decision.setpoint == pytest.approx(setpoint, abs=1e-6)
+    assert max(moved) > 0.3  # the fish swam: 0.15 m/s at least
+
+
+def signed(to: Path, **fields: Any) -> Path:
+    """A copy of the policy with other fields in its contract, its digests made anew."""
+    model = onnx.load(str(PATH))
+    content = json.loads(as_text(CONTRACT))["contract"] | fields
+    content = {name: value for name, value in content.items() if value != "gone"}
+    for one in model.metadata_props:
+        if one.key == "tailbeat":
+            one.value = json.dumps({"contract": content, "digests": _digests(content)})
+    onnx.save(model, str(to))
+    return to
+
+
+@pytest.mark.parametrize(
+    ("fields", "refusal"),
+    [
+        ({"version": 1}, "a field of its contract is not what it should be"),
+        ({"motion": "gone"}, "a field of its contract is not what it should be"),
+        ({"motion": {"noise": 0.003}}, "is not what it should be"),
+        ({"motion": {"haste": 1.0}}, "is not what it should be"),
+        ({"motion": vars(CONTRACT.motion) | {"noise": -0.003}}, "is not what it should be"),
+        ({"motion": vars(CONTRACT.motion) | {"jump": float("nan")}}, "is not what it should be"),
+        ({"version": 3}, "contract version 3; this tailbeat reads 1 and 2"),
+        ({"version": 1, "motion": "gone"}, "28 observations; this tailbeat makes 24"),
+    ],
+)
+def test_a_contract_that_contradicts_itself_is_refused(fields, refusal, tmp_path):
+    with pytest.raises(BadInput, match=refusal):
+        load_policy(signed(tmp_path / "p.onnx", **fields))
+    assert load_policy(signed(tmp_path / "q.onnx")).contract == CONTRACT
+
+
+def test_a_training_to_follow_writes_such_a_policy(tmp_path):
+    recipe = recipe_of("smoke", "follow")
+    space = action_space("generator", FISH)
+    run = RunConfig(FISH, tmp_path / "run", recipe, space, hours=0.003)
+    train(run)
+    made = load_policy(tmp_path / "run" / "policy.onnx").contract
+    assert (made.version, made.motion) == (2, run.settings(0).motion)
+    again = train(replace(run, hours=1e-4), resume=True)
+    assert again.control_steps > 0
+
+
+def test_an_unknown_task_is_refused_in_one_sentence():
+    with pytest.raises(BadInput, match="--task sprint: allowed are reach, follow"):
+        recipe_of("quick", "sprint")
