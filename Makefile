@@ -33,8 +33,11 @@ docs: export NO_MKDOCS_2_WARNING = 1
 docs: $(READY)  ## build the documentation site into build/site; a wrong link is an error
 	$(VENV)/bin/mkdocs build --strict $(ARGS)
 
+# A test that measures time fails where the machine stops for a moment. Such a test has a second try,
+# alone; both are printed. Every other test that fails, and one that fails twice, ends in an error.
 test: check browser  ## check, then every test that is neither slow nor needs a GPU
-	$(VENV)/bin/pytest -n auto --no-loadscope-reorder $(ARGS)
+	$(VENV)/bin/pytest -n auto --no-loadscope-reorder $(ARGS) || \
+	{ test $$? = 1 && $(VENV)/bin/pytest --last-failed --last-failed-no-failures none --again; }
 
 mutation: $(READY)  ## change the code in one place at a time; which changes does no test notice? (half an hour)
 	$(VENV)/bin/python tests/mutation.py $(ARGS)

@@ -19,6 +19,14 @@ NICE = 5  # weight 335 for 1024
 ROOT = Path(__file__).parents[1]
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--again",
+        action="store_true",
+        help="with --last-failed: a second try for tests that measure time, and for no other",
+    )
+
+
 @pytest.fixture(scope="session")
 def data() -> Path:
     """Folder of published measurements; tests that need it are skipped where it is absent."""
@@ -64,9 +72,12 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     Tests that measure time get three times as much processor time as the others (`pytest -n`). Not
     more: beside another program the others would starve.
     """
+    measures_time = item.get_closest_marker("realtime") is not None
+    if item.config.getoption("again") and not measures_time:
+        pytest.fail("it failed before, and it measures no time: no second try", pytrace=False)
     if hasattr(os, "sched_setscheduler"):  # Linux
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    if "PYTEST_XDIST_WORKER" in os.environ and item.get_closest_marker("realtime") is None:
+    if "PYTEST_XDIST_WORKER" in os.environ and not measures_time:
         os.nice(NICE - os.nice(0))  # for good: the tests that measure time were handed out first
 
 
