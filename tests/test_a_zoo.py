@@ -84,9 +84,9 @@ def test_a_decided_number_counts_as_held_only_inside_its_interval(tmp_path):
 
 
 def test_an_interrupted_recording_begins_anew_and_a_finished_step_is_kept(tmp_path):
-    animal, config = animals(0)[0], ZooConfig(tmp_path)
+    animal, config = animals(0)[0], ZooConfig(tmp_path, quick=True)
     said: list[str] = []
-    folder = tmp_path / animal.name
+    folder = tmp_path / f"{animal.name}-quick"
     (folder / "data").mkdir(parents=True)
     (folder / "data" / "tail-sweep.csv").write_text("half of a")
     (folder / "lab.toml").write_text("half of a")
@@ -113,7 +113,8 @@ def test_a_crank_is_trained_and_tried_as_it_is_described(tmp_path):
 
 
 def test_a_small_fish_goes_the_whole_way(tmp_path):
-    """From new-fish to targets with four swims, a short search and the recipe of a minute."""
+    """From new-fish to targets with four swims, short searches and a few seconds of
+    training: that a fish learns from this is not asked (`test_train.py` does)."""
     done = tailbeat("zoo", "--out", tmp_path / "zoo", "--only", 2, "--quick", "--targets", 8)
     held = json.loads((tmp_path / "zoo" / "zoo.json").read_text())["fish"][0]
     codes = {name: step["code"] for name, step in held["steps"].items()}

@@ -206,7 +206,9 @@ def identify_all(
     zones: Annotated[int, typer.Option(help="1: one set of coefficients; 3: one per zone.")] = 3,
     seeds: Annotated[int, typer.Option(help="Number of independent searches per stage.")] = 1,
     seed: SeedOption = 0,
-    generations: Annotated[int, typer.Option(help="CMA-ES generations of the fluid.")] = 15,
+    generations: Annotated[
+        int, typer.Option(help="CMA-ES generations of the fluid; ten times as many of the servo.")
+    ] = 15,
     iterations: IterationsOption = 30,
     added_inertia: AddedOption = None,
     law: LawOption = "described",

@@ -22,11 +22,15 @@ from tailbeat.processes import end, start_verb
 
 Say = Callable[[str], None]
 STEPS = ("new-fish", "record", "identify", "train", "evaluate")
-# For a first look: four swims, a short search, and the recipe of a minute.
-QUICK_SWIMS = ("02", "06", "14-launch", "28-turn")
+# To see in a minute that all steps fit together: few recordings, a short search, and a training that
+# is too short for a policy that swims well.
+QUICK = {
+    "servo": ("servo-chirp", "servo-steps", "servo-triangle", "servo-beat"),
+    "fluid": ("fluid-02", "fluid-06", "fluid-14-launch", "fluid-28-turn"),
+}
 QUICK_IDENTIFY, QUICK_TRAIN = (
-    ("--zones", "1", "--generations", "2", "--draws", "4"),
-    ("--recipe", "smoke"),
+    ("--zones", "1", "--generations", "2", "--iterations", "4", "--draws", "4"),
+    ("--recipe", "smoke", "--hours", "0.002"),
 )
 CRANK = "crank-fish"  # shipped; no test bench for a motor that turns on, so not identified
 UNDECIDED = "not decided"  # in the source of an identified number
@@ -35,7 +39,7 @@ UNDECIDED = "not decided"  # in the source of an identified number
 @dataclass(frozen=True)
 class ZooConfig:
     """Which fish of a `seed` (None: all), into which folder `out`; swims of the evaluation; with
-    `quick` few swims, a short search and a small recipe."""
+    `quick` few swims, a short search and a training of seconds."""
 
     out: Path
     seed: int = 0
@@ -157,13 +161,15 @@ def commands(animal: Animal, name: str, config: ZooConfig, folder: Path) -> list
 
 
 def _record(lab: str, data: str, commands: Path | None) -> list[list[str]]:
-    """All three recordings; with `commands` only a few swims."""
+    """All three recordings; with `commands`, a folder for the protocol's commands, a few of them."""
     typed = [["record", kind, "--fish", lab, "--out", data] for kind in ("tail", "servo", "fluid")]
     if commands is None:
         return typed
-    chosen = [str(commands / f"fluid-{name}.csv") for name in QUICK_SWIMS]
-    protocol = ["protocol", "fluid", "--fish", lab, "--out", str(commands)]
-    return [*typed[:2], protocol, [*typed[2], "--commands", *chosen]]
+    short = typed[:1]
+    for words, (kind, chosen) in zip(typed[1:], QUICK.items(), strict=True):
+        short.append(["protocol", kind, "--fish", lab, "--out", str(commands)])
+        short.append([*words, "--commands", *(str(commands / f"{name}.csv") for name in chosen)])
+    return short
 
 
 def _new_fish(one: Given, path: str) -> list[str]:

@@ -3,7 +3,7 @@
 import hashlib
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from json import loads as from_json
 from pathlib import Path
@@ -15,6 +15,9 @@ from tailbeat.identify import job, posterior, stages
 from tailbeat.identify.protocol import EVERY, HELD_OUT_SERVO, present_name
 from tailbeat.identify.servo_job import ServoConfig
 from tailbeat.identify.stages import DrawFluid, DrawServo, DrawTail, Paths, Progress
+
+
+SERVO_GENERATIONS = 10  # of the servo's search for each of the fluid's; 150 by default
 
 
 @dataclass(frozen=True)
@@ -146,7 +149,7 @@ def _keys(fish: str, data: Folder, config: job.FluidConfig) -> dict[str, str]:
     """Digest of every stage's inputs, by its name: a stage is resumed, or kept, for the same work
     alone. What only the swims' fit reads does not begin tail and servo anew."""
     singles = [path for path in (data.static, data.release) if path is not None]
-    seeds = f"{config.seeds} {config.first_seed}"
+    seeds = f"{config.seeds} {config.first_seed} {config.effort.generations}"
     inputs = {
         "tail": ("", [fish_path(fish), *data.sweeps, *singles]),
         "servo": (seeds, [*data.servo_fit, *data.servo_validate]),
@@ -171,7 +174,7 @@ def _run_stages(
 ) -> None:
     """Each stage starts from the fish that the one before it wrote."""
     tail, servo, fluid = (places[name] for name in ("tail", "servo", "fluid"))
-    servo_config = ServoConfig(seeds=config.seeds, first_seed=config.first_seed)
+    servo_config = _servo_config(config)
     if not _done(tail):
         sweeps = Paths(fish, data.sweeps, tail)
         stages.tail(sweeps, data.static, data.release, drawings.tail)
@@ -181,6 +184,13 @@ def _run_stages(
     if not _done(fluid):
         swims = Paths(str(servo), data.fluid_fit, fluid, data.fluid_validate, check=data.check)
         stages.fluid(swims, config, progress, drawings.fluid)
+
+
+def _servo_config(config: job.FluidConfig) -> ServoConfig:
+    """The servo is searched with the fluid's seeds, and as thoroughly."""
+    effort = ServoConfig().effort
+    generations = SERVO_GENERATIONS * config.effort.generations
+    return ServoConfig(config.seeds, config.first_seed, replace(effort, generations=generations))
 
 
 def _done(fish: Path) -> bool:
