@@ -26,7 +26,7 @@ swim: $(READY)  ## the main job: open the printed address, drag the target
 benchmark: $(READY)  ## measure speed on this machine
 	$(TAILBEAT) benchmark $(ARGS)
 
-results: $(READY)  ## make the numbers of docs/results that are missing (hours in all; ARGS names some)
+results: $(READY)  ## make the numbers of docs/results that are missing or stale (hours in all; ARGS names some)
 	$(VENV)/bin/python tools/results.py $(ARGS)
 
 docs: export NO_MKDOCS_2_WARNING = 1

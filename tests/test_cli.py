@@ -109,6 +109,7 @@ def test_bad_input_is_one_sentence_exit_two_and_nothing_written(tmp_path, swim):
         ("laptop", "laptop is now station"),
         ("rig --help", "rig is now emulate"),
         ("bench", "bench is now benchmark"),
+        ("let-go", "let-go is now torque-off"),
         ("identify motor --help", "identify motor is now identify servo"),
         ("protocol motor -h", "protocol motor is now protocol servo: tailbeat protocol servo -h"),
         ("record motor", "record motor is now record servo"),

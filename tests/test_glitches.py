@@ -13,7 +13,7 @@ from tailbeat.fish.store import load_fish
 from tailbeat.identify.clean import clean_swim
 from tailbeat.identify.fluid import _recorded
 from tailbeat.identify.glitch_report import as_rows
-from tailbeat.identify.glitches import HEADING, SHAFT, SLOW_PULL, TAIL, Limits, find, judge
+from tailbeat.identify.glitches import HEADING, SHAFT, SLOW_PULL, TAIL, SignalLimits, find, judge
 from tailbeat.identify.runs import as_run
 from tailbeat.identify.servo import as_bench, as_benches
 from tailbeat.identify.tail import identify_tail
@@ -27,7 +27,7 @@ TIME = np.arange(0, 5, 0.01)
 SWING = Recording("swing", TIME, {"angle_rad": 0.8 * np.sin(6 * TIME), "command_rad": np.sin(TIME)})
 
 
-def limits_of(name: str) -> Limits:
+def limits_of(name: str) -> SignalLimits:
     return {"tail-static": SLOW_PULL, "tail-sweep": TAIL, "tail-release": TAIL}.get(name, SHAFT)
 
 

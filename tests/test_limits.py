@@ -15,7 +15,7 @@ from tailbeat.control.measure import Measure
 from tailbeat.evaluate import limit_rows, limits
 from tailbeat.evaluate.closed_paths import PathRow, least_radius, path_rows
 from tailbeat.evaluate.gaits import Gait, Grid, beats_of, gaits_of
-from tailbeat.evaluate.limits import Limits, Place, allowed, space_of
+from tailbeat.evaluate.limits import Place, SwimLimits, allowed, space_of
 from tailbeat.evaluate.steady_swims import Command, Steady, Swimmer, poses, setpoints, steady
 from tailbeat.evaluate.stopping import stops
 from tailbeat.fish.store import load_fish
@@ -147,8 +147,8 @@ GAITS = (
 BAND = (1.0, 4.0)
 
 
-def made(gaits: tuple[Gait, ...]) -> Limits:
-    return Limits(
+def made(gaits: tuple[Gait, ...]) -> SwimLimits:
+    return SwimLimits(
         "a", None, 2, "b", BAND, 0.6, 0.05, (), (), (), (), (), (Place("pool", gaits, ()),)
     )
 

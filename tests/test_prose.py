@@ -5,7 +5,7 @@ import pytest
 import prose
 
 PAGES = {page.relative_to(prose.ROOT).as_posix(): page for page in prose.pages()}
-LONG = " ".join(["word"] * 31)
+LONG = " ".join(["word"] * 26)
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -45,6 +45,18 @@ def test_a_long_sentence_is_found(text):
 )
 def test_short_sentences_items_code_and_tables_are_fine(text):
     assert not list(prose.long_sentences(text))
+
+
+@pytest.mark.parametrize("path", prose.helps(), ids=lambda path: path.stem)
+def test_help_texts_have_our_words(path):
+    assert prose.help_faults(path) == []
+
+
+def test_a_wrong_word_in_a_help_text_is_found(monkeypatch, tmp_path):
+    monkeypatch.setattr(prose, "ROOT", tmp_path)
+    path = tmp_path / "a.py"
+    path.write_text('''desk = "desk"\nhelp = f"""Start\nthe desk {desk}."""''')
+    assert prose.help_faults(path) == ["a.py:2: 'desk': write operator page, or computer"]
 
 
 def test_a_word_that_has_a_better_one_is_found():

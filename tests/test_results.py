@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import result_cells
+import result_files
 import result_pages
 import results
 from synthetic_recordings import TailTruth
@@ -19,6 +20,7 @@ FOLDER = ROOT / "docs" / "results"
 ENTRIES = results.read_entries(FOLDER / "commands.toml")
 DATA = sorted((FOLDER / "data").glob("*.json"))
 PAGES = result_pages.pages(ROOT)
+RENDERER = result_pages.Renderer(ROOT)
 # What may stand on a page outside its blocks: names and criteria, no results.
 ALLOWED = re.compile(r"XL330|SB3|(?<!\d)(?:5|20) cm|95 % intervals?|99(?:\.9)? %|[kic]g? m²")
 CODE = re.compile(r"^```.*?^```|`[^`\n]*`|\]\([^)]*\)", re.M | re.S)
@@ -35,7 +37,7 @@ def by_hand(text: str) -> list[str]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_page_shows_what_its_results_hold(page):
     text = page.read_text("utf-8")
-    assert result_pages.Renderer(ROOT).page(text) == text, "run: make results"
+    assert RENDERER.page(text) == text, "run: make results"
 
 
 @pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.stem)
@@ -49,11 +51,22 @@ def test_a_number_that_is_typed_is_found():
 
 
 def test_templates_read_results_that_a_command_makes():
-    renderer = result_pages.Renderer(ROOT)
     texts = [page.read_text("utf-8") for page in PAGES]
-    read = {name for text in texts for name in renderer.names_in(text)}
+    read = {name for text in texts for name in RENDERER.names_in(text)}
     assert read <= set(ENTRIES), read - set(ENTRIES)
     assert len(read) > 8
+
+
+@pytest.mark.parametrize("path", DATA, ids=lambda path: path.stem)
+def test_a_result_of_an_earlier_fish_or_policy_is_said_on_its_pages(path):
+    origin = json.loads(path.read_text("utf-8"))["origin"]
+    assert set(origin["files"]) == results.files(ENTRIES[path.stem])
+    if not result_files.changed(origin):
+        return
+    told = re.compile(rf"\{{\{{ (?:made\({path.stem}\)|stale\([^)]*\b{path.stem}=)")
+    texts = {page.name: page.read_text("utf-8") for page in PAGES}
+    shown = {name for name, text in texts.items() if path.stem in RENDERER.names_in(text)}
+    assert [name for name in shown if not told.search(texts[name])] == []
 
 
 @pytest.mark.parametrize("path", DATA, ids=lambda path: path.stem)
@@ -163,6 +176,67 @@ def test_a_result_says_how_it_was_made():
     assert "mujoco" in text and "commit" in text
 
 
+# ---- fish and policies that a result was measured with -------------------------------------------
+
+
+def test_steps_name_fish_and_policies_by_name_path_wildcard_and_loop():
+    def named(*steps):
+        return result_files.named(steps)
+
+    assert named("tailbeat show pulley-fish-pool --out $OUT/a") == ["pulley-fish-pool"]
+    assert named("sed s/a/b/ src/tailbeat/fish/models/crank-fish.toml > b") == ["crank-fish"]
+    assert len(named("tailbeat compare examples/policies/*.onnx")) == 8
+    loop = "for a in generator-1 signal; do tailbeat x examples/policies/pulley-fish-pool-$a.onnx"
+    assert named(loop) == ["pulley-fish-pool-generator-1", "pulley-fish-pool-signal"]
+    assert ENTRIES["swims"].after == ("recordings",)
+    assert results.files(ENTRIES["swims"]) == {"pulley-fish", "pulley-fish-pool"}
+
+
+OLD = {"crank-fish": "00000000"}
+FISH = """# comment
+name = "a"
+force_limit = {value = 1.0, unit = "N m", source = "paper"}
+"""
+
+
+@pytest.fixture
+def repository(tmp_path):
+    """Makes a repository with one fish of the given text."""
+
+    def make(text: str, name: str = "pool") -> Path:
+        folder = tmp_path / str(len(list(tmp_path.iterdir()))) / result_files.FOLDERS[0]
+        folder.mkdir(parents=True)
+        (folder / f"{name}.toml").write_text(text)
+        return folder.parents[3]
+
+    return make
+
+
+def test_a_result_is_of_today_until_a_number_of_its_fish_changes(repository):
+    root = repository(FISH)
+    origin = {"steps": ["tailbeat show pool"], "files": result_files.digests(["pool"], root)}
+    assert result_files.changed(origin, root) == []
+    words = FISH.replace("comment", "other").replace("paper", "measured")
+    assert result_files.changed(origin, repository(words)) == []
+    assert result_files.changed(origin, repository(FISH.replace("1.0", "1.1"))) == ["pool"]
+    assert result_files.changed(origin, repository(FISH, "other")) == ["pool"]  # no longer shipped
+    assert result_files.changed(origin | {"files": {}}, root) == ["pool"]  # new since
+
+
+def test_a_policy_is_known_by_its_contract():
+    names = [name for name, path in result_files.shipped().items() if path.suffix == ".onnx"]
+    assert len(set(result_files.digests(names).values())) == len(names) > 8
+
+
+def test_a_page_says_what_changed_since_its_result():
+    origin = results.origin("nothing", results.Entry(about="", steps=(), minutes=1))
+    new, old = ({"origin": origin | {"seconds": [60], "files": files}} for files in ({}, OLD))
+    assert "Measured before today's version of:** `crank-fish`." in result_cells.made(old)
+    assert "before" not in result_cells.made(new)
+    said = "Measured with an earlier fish or policy: `old`."
+    assert result_cells.stale(new=new, old=old) == said and result_cells.stale(new=new) == ""
+
+
 # ---- running the steps ---------------------------------------------------------------------------
 
 STEPS = (
@@ -189,6 +263,18 @@ def test_an_interrupted_result_goes_on_with_its_next_step(bare):
     held = json.loads(result_pages.data_path(results.ROOT, "one").read_text())
     assert held["part"] == {"a": 0.123457} and len(held["origin"]["seconds"]) == 2
     assert (bare / "first").read_text() == "x\n"
+
+
+def test_a_result_of_an_earlier_fish_is_made_again_from_its_first_step(bare):
+    entry = results.Entry(about="", steps=STEPS[:1], minutes=1, uses=("crank-fish",))
+    results.make("one", entry, again=False)
+    path = result_pages.data_path(results.ROOT, "one")
+    assert not results.missing("one") and results.done({"one": entry}, "one")
+    for held in (path, bare / "files.json"):
+        held.write_text(held.read_text().replace(str(result_files.digests(OLD)["crank-fish"]), "0"))
+    assert results.missing("one") and not results.done({"one": entry}, "one")
+    results.make("one", entry, again=False)
+    assert not results.missing("one") and (bare / "first").read_text() == "x\n"
 
 
 def test_pictures_are_copied_and_a_missing_one_is_said(bare):
@@ -223,7 +309,7 @@ def test_what_is_there_is_kept_and_what_a_result_reads_comes_first(bare):
     for name in entries:
         path = result_pages.data_path(results.ROOT, name)
         path.parent.mkdir(exist_ok=True)
-        path.write_text("{}")
+        path.write_text('{"origin": {"steps": [], "files": {}}}')
     assert results.chosen(entries, [], again=False) == []
     assert results.chosen(entries, ["one"], again=True) == ["base", "one"]
     with pytest.raises(BadInput, match="two: no such result; allowed are base, one"):

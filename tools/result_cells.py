@@ -1,8 +1,10 @@
 """How a number of a result becomes a cell of a table. None is a number that there is not."""
 
+import textwrap
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import result_files
 from tailbeat.files import BadInput
 
 NONE = "–"
@@ -55,7 +57,8 @@ def _end(value: float) -> str:
 
 
 def made(result: Any) -> str:
-    """How a result was made: its steps, then date, versions, machine and time."""
+    """How a result was made: its steps, then date, versions, machine and time, and which of its
+    fish and policies changed since."""
     origin = result["origin"]
     steps = "\n".join(origin["steps"])
     where = f"{origin['processor']}, {origin['machine']}"
@@ -63,7 +66,27 @@ def made(result: Any) -> str:
         f"```\n{steps}\n```\n\n"
         f"{origin['date']}, tailbeat {origin['tailbeat']} (commit {origin['commit']}),\n{where};"
         f" {minutes(result):.1f} minutes at a load of {origin['load']}."
+        f"{earlier(result)}"
     )
+
+
+def earlier(result: Any) -> str:
+    """A line with the fish and policies that a result was not measured with in their state of
+    today; nothing where there are none."""
+    names = result_files.changed(result["origin"])
+    return "\n" + _listed("**Measured before today's version of:**", names) if names else ""
+
+
+def stale(**named: Any) -> str:
+    """A sentence with the results whose fish or policies changed since; nothing if none."""
+    found = [name for name, result in named.items() if earlier(result)]
+    return _listed("Measured with an earlier fish or policy:", found) if found else ""
+
+
+def _listed(words: str, names: Sequence[str]) -> str:
+    """Words and names as a sentence, in lines that a page may have."""
+    text = f"{words} {', '.join(f'`{name}`' for name in names)}."
+    return textwrap.fill(text, width=98, break_on_hyphens=False)
 
 
 # How a unit of the JSON stands in a table: factor, digits after the point, and name.
@@ -113,5 +136,5 @@ def minutes(result: Any) -> float:
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     one.__name__: one
-    for one in (fix, sig, span, per_cent, off, rate, made, error, largest, smallest)
+    for one in (fix, sig, span, per_cent, off, rate, made, stale, error, largest, smallest)
 } | {"minutes": minutes, "hits": hits, "unique": unique, "pick": pick, "len": len}

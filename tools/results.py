@@ -1,7 +1,8 @@
 """Produce the numbers of docs/results: `make results ARGS="[--again] [--busy] [NAMES]"`.
 
 What each result needs and how it is made stands in docs/results/commands.toml. A result whose data
-lie in docs/results/data is kept; a result that was interrupted goes on with its next step.
+lie in docs/results/data is kept, unless a fish or policy that it was measured with changed since.
+A result that was interrupted goes on with its next step.
 """
 
 import argparse
@@ -19,6 +20,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+import result_files
 import result_pages
 from tailbeat.benchmarks.step import machine
 from tailbeat.evaluate.provenance import provenance
@@ -40,6 +42,7 @@ class Entry(BaseModel):
     steps: tuple[str, ...]
     minutes: float
     after: tuple[str, ...] = ()
+    uses: tuple[str, ...] = ()
     drop: tuple[str, ...] = ()
     data: bool = False
     quiet: bool = False
@@ -51,7 +54,7 @@ def read_entries(path: Path) -> dict[str, Entry]:
     """Every result by its name. Raises BadInput for a field that is missing, wrong or unknown."""
     try:
         held = tomllib.loads(path.read_text("utf-8"))
-        return {name: Entry.model_validate(row) for name, row in held.items()}
+        entries = {name: Entry.model_validate(row) for name, row in held.items()}
     except tomllib.TOMLDecodeError as error:
         raise BadInput(f"{path}: {error}.") from None
     except ValidationError as error:
@@ -60,26 +63,55 @@ def read_entries(path: Path) -> dict[str, Entry]:
         raise BadInput(
             f"{path}: field {where}: {first['msg']}; see the head of the file."
         ) from None
+    return {name: _with_uses(entries, name) for name in entries}
+
+
+def _with_uses(entries: Mapping[str, Entry], name: str) -> Entry:
+    """A result that also uses what the results before it use."""
+    entry = entries[name]
+    before = [used for one in entry.after for used in files(_with_uses(entries, one))]
+    return entry.model_copy(update={"uses": tuple(dict.fromkeys([*entry.uses, *before]))})
+
+
+def files(entry: Entry) -> set[str]:
+    """The shipped fish and policies that a result is measured with."""
+    return {*result_files.named(entry.steps), *entry.uses}
 
 
 def chosen(entries: Mapping[str, Entry], names: Sequence[str], again: bool) -> list[str]:
-    """Names to run: those named or all, without those whose data are there unless `again`. What
-    they read comes first, where its folder is missing."""
+    """Names to run: those named or all, without those whose data are there and of today's fish and
+    policies, unless `again`. What they read comes first, where its folder is missing."""
     unknown = sorted(set(names) - set(entries))
     if unknown:
         raise BadInput(f"{', '.join(unknown)}: no such result; allowed are {', '.join(entries)}.")
-    wanted = [
-        name
-        for name in names or entries
-        if (again and names) or not result_pages.data_path(ROOT, name).is_file()
-    ]
+    wanted = [name for name in names or entries if (again and names) or missing(name)]
     before = [one for name in wanted for one in entries[name].after if not done(entries, one)]
     return list(dict.fromkeys([*before, *wanted]))
 
 
 def done(entries: Mapping[str, Entry], name: str) -> bool:
-    """Whether every step of a result was taken on this machine."""
-    return len(taken(folder(name))) == len(entries[name].steps)
+    """Whether every step of a result was taken on this machine, with today's fish and policies."""
+    entry = entries[name]
+    return fresh(name, entry) and len(taken(folder(name))) == len(entry.steps)
+
+
+def fresh(name: str, entry: Entry) -> bool:
+    """Whether the folder of a result was begun with today's fish and policies."""
+    path = folder(name) / "files.json"
+    return path.is_file() and json.loads(path.read_text("utf-8")) == used(entry)
+
+
+def used(entry: Entry) -> dict[str, str | None]:
+    """Today's digests of the fish and policies that a result is measured with."""
+    return result_files.digests(files(entry))
+
+
+def missing(name: str) -> bool:
+    """Whether a result has no data, or data of fish and policies that changed since."""
+    path = result_pages.data_path(ROOT, name)
+    if not path.is_file():
+        return True
+    return bool(result_files.changed(json.loads(path.read_text("utf-8"))["origin"]))
 
 
 def folder(name: str) -> Path:
@@ -134,6 +166,7 @@ def origin(name: str, entry: Entry) -> dict[str, Any]:
     made = provenance()
     return {
         "steps": list(entry.steps),
+        "files": used(entry),
         "seconds": taken(folder(name)),
         "date": date.today().isoformat(),
         "tailbeat": made.tailbeat,
@@ -204,8 +237,9 @@ def copy_pictures(name: str, entry: Entry) -> None:
 
 def make(name: str, entry: Entry, again: bool) -> None:
     """Run what is left of a result, copy its pictures and write its data."""
-    if again:
+    if again or not fresh(name, entry):
         shutil.rmtree(folder(name), ignore_errors=True)
+        write_json(folder(name) / "files.json", used(entry))
     run(name, entry)
     copy_pictures(name, entry)
     write_json(result_pages.data_path(ROOT, name), collect(name, entry), overwrite=True)

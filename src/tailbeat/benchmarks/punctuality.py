@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from tailbeat import processes
 from tailbeat.benchmarks.loop import latency
 from tailbeat.control.actions import PERIOD
 from tailbeat.robot import timing
@@ -73,8 +74,7 @@ def _row(count: int, minutes: float) -> PunctualityRow:
 @contextmanager
 def busy(count: int) -> Iterator[None]:
     """Run `count` programs that compute without end, at the usual priority."""
-    words = [sys.executable, "-c", SPIN]
-    programs = [subprocess.Popen(words, preexec_fn=_usual) for _ in range(count)]
+    programs = [processes.start(["-c", SPIN], preexec_fn=_usual) for _ in range(count)]
     try:
         yield
     finally:

@@ -12,7 +12,7 @@ from tailbeat.report.tables import as_cell, as_rows
 
 if TYPE_CHECKING:
     from tailbeat.evaluate.limit_rows import Spread
-    from tailbeat.evaluate.limits import Limits
+    from tailbeat.evaluate.limits import SwimLimits
 
 FIGURE, NUMBERS = "limits.png", "limits.json"  # in the folder --out
 
@@ -52,14 +52,14 @@ def limits(
         output.say(f"written: {', '.join(map(str, files))}")
 
 
-def _files(found: "Limits", out: Path) -> None:
+def _files(found: "SwimLimits", out: Path) -> None:
     from tailbeat.report.limits_figures import limits_figure
 
     write_json(out / NUMBERS, found)
     limits_figure(found, out / FIGURE)
 
 
-def _tables(found: "Limits") -> dict[str, list[dict[str, Any]]]:
+def _tables(found: "SwimLimits") -> dict[str, list[dict[str, Any]]]:
     """The tables by title. A spread is the default water's number and the range over all."""
     where = f"waters: {found.waters} ({found.water})"
     steers = f"circle of at most {found.radius:.3g} m, at {found.rate:.2g} rad/s or faster"

@@ -8,6 +8,7 @@ VERBS = {
     ("laptop",): "station",
     ("rig",): "emulate",
     ("bench",): "benchmark",
+    ("let-go",): "torque-off",
     ("identify", "motor"): "identify servo",
     ("protocol", "motor"): "protocol servo",
     ("record", "motor"): "record servo",

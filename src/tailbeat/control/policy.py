@@ -66,7 +66,7 @@ class Contract:
     golden: tuple[tuple[list[float], ...], tuple[list[float], ...]]
     """Observations (k, 24) and the actions (k, size) that the network must give for them."""
     description: dict[str, Any] | None = None
-    """The whole fish in SI, as it was trained on; None in policies of before version 0.3."""
+    """The whole fish in SI, as it was trained on; None in policies of releases up to 0.2.0."""
     measure: Measure = field(default_factory=Measure)
     """The fish's measure, over the paper's fish, whose ratios are 1. It sizes arrivals, targets and
     the scales of the observation. Without it in the file they are 1."""

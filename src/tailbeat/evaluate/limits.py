@@ -54,7 +54,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Limits:
+class SwimLimits:
     """What a fish (name) can do in the pool's waters (count, fingerprint), and in the twin (name).
 
     `band` [Hz] is the fish's. `radius` [m] and `rate` [rad/s] say what counts as steerable. The
@@ -88,7 +88,7 @@ class LimitsConfig:
     seed: int = 0
 
 
-def limits_of(config: LimitsConfig, progress: Progress) -> Limits:
+def limits_of(config: LimitsConfig, progress: Progress) -> SwimLimits:
     """Measure a fish's limits. Raises BadInput."""
     if config.grid not in GRIDS:
         raise BadInput(f"--grid {config.grid!r}: allowed are {', '.join(GRIDS)}.")
@@ -100,7 +100,7 @@ def limits_of(config: LimitsConfig, progress: Progress) -> Limits:
     return limits(swimmers, GRIDS[config.grid], progress)
 
 
-def limits(swimmers: Sequence[Swimmer], grid: Grid, progress: Progress) -> Limits:
+def limits(swimmers: Sequence[Swimmer], grid: Grid, progress: Progress) -> SwimLimits:
     """Measure what fish can do. The first swims in the pool, and all get its commands. Raises
     BadInput for a fish that cannot beat about a centre."""
     spaces = [space_of(one.fish) for one in swimmers]
@@ -110,7 +110,7 @@ def limits(swimmers: Sequence[Swimmer], grid: Grid, progress: Progress) -> Limit
     places = [_place(one, plan, progress) for one in swimmers]
     halts = [row for one in swimmers for row in _stops(one, plan, progress)]
     radius, rate = TIGHT * size.reach, QUARTER / size.patience
-    return Limits(
+    return SwimLimits(
         fish=pool.fish.name,
         twin=swimmers[1].fish.name if len(swimmers) > 1 else None,
         waters=pool.count,
@@ -176,7 +176,7 @@ def _stops(swimmer: Swimmer, plan: _Plan, progress: Progress) -> list[StopRow]:
 # ---- what may be asked of any policy ------------------------------------------------------------
 
 
-def allowed(limits: Limits, speed: float, radius: float, lowest: float = 0.0) -> bool:
+def allowed(limits: SwimLimits, speed: float, radius: float, lowest: float = 0.0) -> bool:
     """Whether any policy can be asked to follow a path whose least radius of curvature is `radius`
     [m], behind a target at `speed` [m/s]: whether the fish can, in every water of the pool, with
     beats of `lowest` [Hz] or more."""

@@ -78,8 +78,8 @@ def keep_fish(out: Path, twin: Fish) -> None:
 
 
 def kept_fish(out: Path) -> Fish | None:
-    """The fish that a folder's policy was trained on; None in folders of before version 0.3.
-    Raises BadInput."""
+    """The fish that a folder's policy was trained on; None in folders of releases up to
+    0.2.0. Raises BadInput."""
     path = out / TWIN
     return fish_of(read_json(path)) if path.is_file() else None
 

@@ -16,7 +16,7 @@ from tailbeat.identify.glitches import (
     SLOW_PULL,
     TAIL,
     Glitch,
-    Limits,
+    SignalLimits,
     find,
 )
 from tailbeat.recording import Array, Recording, is_marker, rows
@@ -28,7 +28,7 @@ SWIM = {"x_m": PLACE, "y_m": PLACE, "yaw_rad": HEADING, "motor_angle_rad": SHAFT
 Cleaned = tuple[Recording, tuple[Glitch, ...]]
 
 
-def clean_tail(recording: Recording, shaft: Limits = TAIL) -> Cleaned:
+def clean_tail(recording: Recording, shaft: SignalLimits = TAIL) -> Cleaned:
     """A tail's recording without the rows in which angle or torque is a glitch, and what was left
     out. `shaft` are the limits of the angle."""
     limits = {"angle_rad": shaft}
@@ -55,15 +55,15 @@ def clean_swim(recording: Recording) -> Cleaned:
     return rows(replace(recording, columns=columns), kept), tuple(found)
 
 
-def _without(recording: Recording, limits: dict[str, Limits]) -> Cleaned:
+def _without(recording: Recording, limits: dict[str, SignalLimits]) -> Cleaned:
     good, found = find(recording, limits)
     kept = np.all([np.ones(recording.time.size, dtype=bool), *good.values()], axis=0)
     return (recording if kept.all() else rows(recording, kept)), tuple(found)
 
 
-def of_bandwidth(signal: Array) -> Limits:
+def of_bandwidth(signal: Array) -> SignalLimits:
     """Limits of a `signal` (n,) that has no power above `BANDWIDTH`, from the span of most of its
     samples (Bernstein's bounds on slope and curvature)."""
     span = float(np.ptp(np.quantile(signal, [0.02, 0.98])))
     omega = 2 * np.pi * BANDWIDTH
-    return Limits(omega * span / 2, omega**2 * span / 2, NOISY * span + 1e-12)
+    return SignalLimits(omega * span / 2, omega**2 * span / 2, NOISY * span + 1e-12)

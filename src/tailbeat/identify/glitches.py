@@ -30,7 +30,7 @@ TURN = 2 * np.pi
 
 
 @dataclass(frozen=True)
-class Limits:
+class SignalLimits:
     """Limits of a signal: largest speed [unit/s] and acceleration [unit/s^2], and a sample's
     largest noise [unit]. `circular`: an angle that is known only up to whole turns."""
 
@@ -44,12 +44,12 @@ class Limits:
 # tail is driven at 5 Hz and 0.4 rad at most; a slow pull is slower. No fish here swims at 1 m/s; a
 # tail's tip at 5 Hz and 0.1 m has 3 m/s and 100 m/s^2. Noise: three to seven counts of an encoder,
 # a camera's pixels.
-SHAFT = Limits(speed=25.0, acceleration=500.0, noise=0.005)
-TAIL = Limits(speed=15.0, acceleration=500.0, noise=0.01)
-SLOW_PULL = Limits(speed=2.0, acceleration=20.0, noise=0.01)
-PLACE = Limits(speed=3.0, acceleration=30.0, noise=0.01)
-HEADING = Limits(speed=20.0, acceleration=500.0, noise=0.05, circular=True)
-MARKER = Limits(speed=6.0, acceleration=300.0, noise=0.01)
+SHAFT = SignalLimits(speed=25.0, acceleration=500.0, noise=0.005)
+TAIL = SignalLimits(speed=15.0, acceleration=500.0, noise=0.01)
+SLOW_PULL = SignalLimits(speed=2.0, acceleration=20.0, noise=0.01)
+PLACE = SignalLimits(speed=3.0, acceleration=30.0, noise=0.01)
+HEADING = SignalLimits(speed=20.0, acceleration=500.0, noise=0.05, circular=True)
+MARKER = SignalLimits(speed=6.0, acceleration=300.0, noise=0.01)
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Glitch:
 
 
 def find(
-    recording: Recording, limits: Mapping[str, Limits]
+    recording: Recording, limits: Mapping[str, SignalLimits]
 ) -> tuple[dict[str, Mask], list[Glitch]]:
     """Which samples of each named column are good (n,), and the glitches and gaps.
 
@@ -119,7 +119,7 @@ def gaps(time: Array) -> NDArray[np.str_]:
     return kinds
 
 
-def judge(time: Array, values: Array, limits: Limits) -> NDArray[np.str_]:
+def judge(time: Array, values: Array, limits: SignalLimits) -> NDArray[np.str_]:
     """The kind of each sample (n,) of rising times (not checked): empty if it is good or was not
     seen (NaN)."""
     kinds = np.full(values.size, "", dtype="<U13")
@@ -140,7 +140,7 @@ def judge(time: Array, values: Array, limits: Limits) -> NDArray[np.str_]:
     return kinds
 
 
-def _numbers(limits: Limits) -> tuple[float, float, float]:
+def _numbers(limits: SignalLimits) -> tuple[float, float, float]:
     return limits.speed, limits.acceleration, limits.noise
 
 
@@ -149,7 +149,7 @@ def _runs(values: Array) -> NDArray[np.int_]:
     return np.cumsum(np.concatenate([[0], np.diff(values) != 0]).astype(int))
 
 
-def _weights(time: Array, values: Array, runs: NDArray[np.int_], limits: Limits) -> Array:
+def _weights(time: Array, values: Array, runs: NDArray[np.int_], limits: SignalLimits) -> Array:
     """Weight of each sample in a chain: less in a run that may be stuck, so that its samples are
     dropped first.
 
@@ -269,7 +269,7 @@ def _traced(n, end, column, back, before):  # type: ignore[no-untyped-def]
 
 
 def _kinds(
-    time: Array, values: Array, kept: Mask, runs: NDArray[np.int_], limits: Limits
+    time: Array, values: Array, kept: Mask, runs: NDArray[np.int_], limits: SignalLimits
 ) -> NDArray[np.str_]:
     """The kind of each sample that is not kept; empty for the others."""
     kinds = np.full(values.size, "", dtype="<U13")
@@ -285,7 +285,7 @@ def _kinds(
     return kinds
 
 
-def _swapped(time: Array, values: Array, kept: Mask, limits: Limits) -> Mask:
+def _swapped(time: Array, values: Array, kept: Mask, limits: SignalLimits) -> Mask:
     """Whether a sample fits between its neighbours once the bytes of its 16-bit count are swapped.
 
     Counts are 4096 per turn, from 0, from half a turn, or signed, as common encoders have them.

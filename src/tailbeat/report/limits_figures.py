@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from tailbeat.evaluate.gaits import Gait
 from tailbeat.evaluate.limit_rows import front, in_band
-from tailbeat.evaluate.limits import Limits
+from tailbeat.evaluate.limits import SwimLimits
 from tailbeat.files import new_file
 from tailbeat.report.style import LIMIT, POOL, SKY, TARGET, TWIN, styled
 
@@ -19,7 +19,7 @@ ABOVE = 0.6  # of it: the name of a path with a tighter curve stands below its m
 
 
 @styled
-def limits_figure(found: Limits, path: Path, overwrite: bool = False) -> None:
+def limits_figure(found: SwimLimits, path: Path, overwrite: bool = False) -> None:
     """Circle over speed, with the paths that may be asked, and stopping distance over speed."""
     figure = Figure(figsize=(11, 4.4), layout="constrained")
     circles, stops = figure.subplots(1, 2, width_ratios=(3, 2))
@@ -29,7 +29,7 @@ def limits_figure(found: Limits, path: Path, overwrite: bool = False) -> None:
         figure.savefig(beside, dpi=130)
 
 
-def _draw_circles(axes: Axes, found: Limits) -> None:
+def _draw_circles(axes: Axes, found: SwimLimits) -> None:
     """Every command as a marker, and the tightest circle up to each speed as a line."""
     for place in found.places:
         known = [one for one in place.gaits if in_band(one, found.band)]
@@ -65,7 +65,7 @@ def _line(axes: Axes, gaits: Sequence[Gait], colour: str, line: str, label: str)
     axes.plot(speed, radius, line, drawstyle="steps-post", color=colour, label=label)
 
 
-def _draw_stops(axes: Axes, found: Limits) -> None:
+def _draw_stops(axes: Axes, found: SwimLimits) -> None:
     """Distance until a tenth of the speed, with its range over the waters."""
     for place in found.places:
         for tail, marker in (("straight", "o"), ("bent", "s")):
