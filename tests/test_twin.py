@@ -267,7 +267,7 @@ def test_steps_from_half_to_four_ms_give_the_same_swim(name):
 
 def mean_water_force(added: float) -> float:
     """Mean force [N] along x on the beating tail of a held crank fish in still, ideal water."""
-    values = {"added_inertia": added, "medium.viscosity": 0.0}
+    values = {"added_inertia": added, "added_along": 1.0, "medium.viscosity": 0.0}
     zones = {
         f"zones.{zone}.{name}": 0.0
         for zone in ("head", "tail", "fin")
