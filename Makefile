@@ -9,13 +9,16 @@ READY    := $(VENV)/.installed
 TAILBEAT_DATA ?= $(abspath ../shared/data)
 export TAILBEAT_DATA
 
+# Compiled Python files are kept, or every process that a test starts compiles the sources anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 # More options for the command that a target runs: make swim ARGS="--seed 3"
 ARGS ?=
 
 PAGES := README.md CHANGELOG.md CONTRIBUTING.md SECURITY.md docs
 
 .DEFAULT_GOAL := help
-.PHONY: help mutation swim benchmark results docs test check format browser clean
+.PHONY: help mutation swim benchmark results docs test tests check format browser clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /\1\t/' | expand -t 10
@@ -35,7 +38,10 @@ docs: $(READY)  ## build the documentation site into build/site; a wrong link is
 
 # A test that measures time fails where the machine stops for a moment. Such a test has a second try,
 # alone; both are printed. Every other test that fails, and one that fails twice, ends in an error.
-test: check browser  ## check, then every test that is neither slow nor needs a GPU
+test: browser  ## check and, at the same time, every test that is neither slow nor needs a GPU
+	@$(MAKE) --no-print-directory -j 2 check tests
+
+tests: $(READY)
 	$(VENV)/bin/pytest -n auto --no-loadscope-reorder $(ARGS) || \
 	{ test $$? = 1 && $(VENV)/bin/pytest --last-failed --last-failed-no-failures none --again; }
 

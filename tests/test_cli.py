@@ -190,7 +190,7 @@ def test_the_worked_example_of_the_servo(tmp_path):
         "identify", "servo", "--fish", "pulley-fish",
         "--fit", *(EXAMPLES / f"servo-{name}.csv" for name in ("chirp", "steps")),
         "--validate", EXAMPLES / "servo-mixed.csv", EXAMPLES / "servo-beat.csv",
-        "--out", out, "--seeds", 1, "--json", tmp_path / "r.json",
+        "--out", out, "--seeds", 1, "--generations", 15, "--json", tmp_path / "r.json",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     report = json.loads((tmp_path / "r.json").read_text())

@@ -16,7 +16,7 @@ from tailbeat.robot.log import read_rows
 
 pytestmark = pytest.mark.realtime
 
-SECONDS = 10.0
+SECONDS = 8.0
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from tailbeat.recording import Recording
 
 FISH = load_fish("pulley-fish")
 TRUTH = FISH.servos["identified"]
-SHORT = Effort(generations=60, population=32, polish=15, scouts=300)
+SHORT = Effort(generations=20, population=32, polish=15, scouts=300)
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,7 @@
 """Identify a fish and test what it predicts."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -178,15 +178,15 @@ def identify_servo(
         int, typer.Option(help="Number of independent searches; the best is kept.")
     ] = 5,
     seed: SeedOption = 0,
+    generations: Annotated[int, typer.Option(help="CMA-ES generations of each search.")] = 150,
     json: JsonOption = None,
 ) -> None:
     """Fit the servo to recorded commands and encoder angles. The load on the shaft is known."""
     from tailbeat.identify import servo_job, stages
     from tailbeat.report import bench_figures
 
-    config = servo_job.ServoConfig(
-        seeds, seed, gears=gears, gain=gain, load=load, cross_validate=cross_validate
-    )
+    effort = replace(servo_job.ServoConfig().effort, generations=generations)
+    config = servo_job.ServoConfig(seeds, seed, effort, gears, gain, load, cross_validate)
     paths = stages.Paths(fish, fit, out, validate or [], json)
     with progress.search_progress() as report:
         stages.servo(paths, config, report, bench_figures.servo_fit)

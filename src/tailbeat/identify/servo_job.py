@@ -57,9 +57,10 @@ class ServoConfig:
 
 
 def check(config: ServoConfig) -> None:
-    """Raises BadInput for a number of seeds below 1 or a gain that is not above 0."""
-    if config.seeds < 1:
-        raise BadInput(f"--seeds {config.seeds}: give 1 or more.")
+    """Raises BadInput for no seeds, no generations or a gain that is not above 0."""
+    seeds, generations = config.seeds, config.effort.generations
+    if seeds < 1 or generations < 1:
+        raise BadInput(f"--seeds {seeds} --generations {generations}: both must be 1 or more.")
     if config.gain is not None and not config.gain > 0:
         raise BadInput(f"--gain {config.gain:g}: give the gain register's value, above 0.")
 

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 Side = Literal["follow", "side"]
 WORKERS = 2  # most processes; more would wait for the encoder
+FEW = 100  # frames that one process renders before a second would have started
 GEOMS = 2000  # most geoms of a scene
 FOLLOW_DISTANCE, FOLLOW_ELEVATION, FOLLOW_BESIDE = 1.35, -40.0, 34.0  # m, deg, deg from its tail
 SIDE_DISTANCE, SIDE_ELEVATION = 0.75, -46.0  # fraction of the pool's length; deg
@@ -151,8 +152,9 @@ def _first_line(error: Exception) -> str:
 
 
 def frames(shot: Shot) -> Iterator[Picture]:
-    """Every frame in order, rendered by one process per core, at most two. Raises NoPicture."""
-    count = min(WORKERS, os.cpu_count() or 1, shot.motion.frames)
+    """Every frame in order, rendered by one process per core, at most two, and by one if they are
+    few. Raises NoPicture."""
+    count = min(WORKERS, os.cpu_count() or 1, 1 + shot.motion.frames // FEW)
     started = [
         spawn(_work, shot, range(first, shot.motion.frames, count)) for first in range(count)
     ]
