@@ -250,10 +250,16 @@ def parts_of(fish: Fish) -> list[Part]:
     return [part for body in (fish.head, *fish.tail.links) for part in body.parts]
 
 
+def ends_of(fish: Fish) -> tuple[float, float]:
+    """x of the rear of the rearmost part and of the front of the foremost part [m]."""
+    places = [(part.position[0], part.size[0] / 2) for part in parts_of(fish)]
+    return min(x - half for x, half in places), max(x + half for x, half in places)
+
+
 def length_of(fish: Fish) -> float:
     """Length from the front of the foremost part to the rear of the rearmost part [m]."""
-    places = [(part.position[0], part.size[0] / 2) for part in parts_of(fish)]
-    return max(x + half for x, half in places) - min(x - half for x, half in places)
+    rear, front = ends_of(fish)
+    return front - rear
 
 
 def _name_errors(fish: Fish) -> list[str]:
