@@ -82,6 +82,12 @@ BAD = {
     "unknown servo": ('servo = "identified"', 'servo = "best"', "servo 'best' is not one of"),
     "hinge order": ('hinge = "-245 mm"', 'hinge = "-205 mm"', "hinges must run from the head"),
     "band": ('band = "1 4 Hz"', 'band = "4 1 Hz"', "band [4.0, 1.0]"),
+    "a step that is no part of 20 ms": (
+        'step = "4 ms"',
+        'step = "3 ms"',
+        "simulation.step = '3 ms': the step must divide the 20 ms of the robot's loop, as 1, 2",
+    ),
+    "a long step": ('step = "4 ms"', 'step = "15 ms"', "simulation.step = '15 ms': the step must"),
     "not TOML": ("[motor]", "[motor", "not valid TOML"),
 }
 

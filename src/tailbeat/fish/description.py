@@ -7,12 +7,13 @@ common origin that the author chooses. Everything is SI inside; a file may use a
 
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from tailbeat.fish import units as u
 from tailbeat.fish.bodies import Body, Link, Model, Part, chord_errors, hinge_errors, mass_errors
 
 Family = Literal["dynamixel-x", "feetech-sts"]  # of a servo: which driver speaks to it
+PERIOD = 0.02  # s, of the robot's loop
 COEFFICIENTS = ("blunt", "slender", "angular", "kutta", "magnus")  # the engine's order
 
 
@@ -29,9 +30,18 @@ class Simulation(Model):
     """Step and integrator of the engine; docs/explain/twin.md says why these are the defaults."""
 
     step: u.Time = Field(default=0.002, gt=0, le=0.02)
-    """Time step of the engine."""
+    """Time step of the engine. It divides the 20 ms of the robot's loop."""
     integrator: Literal["implicit", "implicitfast", "Euler", "RK4"] = "implicit"
     """Integrator of the engine."""
+
+    @field_validator("step")
+    @classmethod
+    def _divides(cls, step: float) -> float:
+        if abs(round(PERIOD / step) * step - PERIOD) > 1e-9:
+            raise ValueError(
+                "the step must divide the 20 ms of the robot's loop, as 1, 2, 4 or 5 ms do"
+            )
+        return step
 
 
 class Zone(Model):
