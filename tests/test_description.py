@@ -81,6 +81,18 @@ BAD = {
     "unknown zone": ('zone = "fin"', 'zone = "wing"', "names zone 'wing'"),
     "unknown servo": ('servo = "identified"', 'servo = "best"', "servo 'best' is not one of"),
     "hinge order": ('hinge = "-245 mm"', 'hinge = "-205 mm"', "hinges must run from the head"),
+    "a hinge behind the fish": (
+        'hinge = "-335 mm"',
+        'hinge = "-2 m"',
+        "tail.links.4.hinge is x = -2 m, and all parts are between -0.42 and 0.12 m",
+    ),
+    "a hinge ahead of the fish": (
+        'hinge = "-215 mm"',
+        'hinge = "0.5 m"',
+        "tail.links.0.hinge is x = 0.5 m",
+    ),
+    "a tag far ahead": ('tracked = "40 0', 'tracked = "3000 0', "tracked is x = 3, y = 0 m, and"),
+    "a marker far beside": ('"0 0 60 mm"', '"0 -600 60 mm"', "markers.1.position is x = 0, y = -"),
     "band": ('band = "1 4 Hz"', 'band = "4 1 Hz"', "band [4.0, 1.0]"),
     "a step that is no part of 20 ms": (
         'step = "4 ms"',

@@ -1,6 +1,6 @@
 """The rigid pieces of a fish, head and tail links, and what their geometry must be."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from tailbeat.fish import units as u
 
 SHORTEST = 1e-3  # m: a wet part shorter than this has no chord that could have a trailing edge
+BESIDE = 0.5  # of the length: how far from the parts a tag, a marker or the motor may be (chosen)
 
 
 class Model(BaseModel):
@@ -97,11 +98,35 @@ class Link(Body):
 # ---- what is wrong with them, one sentence each -------------------------------------------------
 
 
-def hinge_errors(links: Sequence[Link]) -> list[str]:
-    """Hinges out of order."""
+def ends(bodies: Sequence[Body]) -> tuple[float, float]:
+    """x of the rear of the rearmost part and of the front of the foremost part [m]."""
+    places = [(part.position[0], part.size[0] / 2) for body in bodies for part in body.parts]
+    return min(x - half for x, half in places), max(x + half for x, half in places)
+
+
+def hinge_errors(bodies: Sequence[Body], links: Sequence[Link]) -> list[str]:
+    """Hinges out of order, or outside the fish."""
     if any(b.hinge >= a.hinge for a, b in pairwise(links)):
         return ["hinges must run from the head to the fin: each hinge's x below the last"]
-    return []
+    rear, front = ends(bodies)
+    return [
+        f"tail.links.{i}.hinge is x = {link.hinge:g} m, and all parts are between {rear:g} and"
+        f" {front:g} m; give its place in the frame of the parts"
+        for i, link in enumerate(links)
+        if not rear - 1e-9 <= link.hinge <= front + 1e-9
+    ]
+
+
+def place_errors(bodies: Sequence[Body], places: Mapping[str, u.Triple]) -> list[str]:
+    """Places by field that are far ahead of, behind or beside the fish."""
+    rear, front = ends(bodies)
+    room = BESIDE * (front - rear)
+    return [
+        f"{field} is x = {x:g}, y = {y:g} m, and all parts are between x = {rear:g} and"
+        f" {front:g} m; it may be {room:.2g} m from them"
+        for field, (x, y, _) in places.items()
+        if not (rear - room <= x <= front + room and abs(y) <= room)
+    ]
 
 
 def mass_errors(bodies: Sequence[Body]) -> list[str]:

@@ -9,8 +9,9 @@ from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from tailbeat.fish import bodies as b
 from tailbeat.fish import units as u
-from tailbeat.fish.bodies import Body, Link, Model, Part, chord_errors, hinge_errors, mass_errors
+from tailbeat.fish.bodies import Body, Link, Model, Part
 
 Family = Literal["dynamixel-x", "feetech-sts"]  # of a servo: which driver speaks to it
 PERIOD = 0.02  # s, of the robot's loop
@@ -262,8 +263,7 @@ def parts_of(fish: Fish) -> list[Part]:
 
 def ends_of(fish: Fish) -> tuple[float, float]:
     """x of the rear of the rearmost part and of the front of the foremost part [m]."""
-    places = [(part.position[0], part.size[0] / 2) for part in parts_of(fish)]
-    return min(x - half for x, half in places), max(x + half for x, half in places)
+    return b.ends((fish.head, *fish.tail.links))
 
 
 def length_of(fish: Fish) -> float:
@@ -294,7 +294,10 @@ def _name_errors(fish: Fish) -> list[str]:
 def _geometry_errors(fish: Fish) -> list[str]:
     """Impossible shapes: hinges out of order, an empty band, a pulley that unwinds."""
     bodies = (fish.head, *fish.tail.links)
-    found = [*hinge_errors(fish.tail.links), *mass_errors(bodies)]
+    places = {f"markers.{i}.position": one.position for i, one in enumerate(fish.markers)}
+    places |= {"tracked": fish.tracked, "motor.position": fish.motor.position}
+    found = [*b.hinge_errors(bodies, fish.tail.links), *b.mass_errors(bodies)]
+    found += b.place_errors(bodies, places)
     if (own := fish.hardware) and not own.supply_range[0] <= own.supply <= own.supply_range[1]:
         low, high = own.supply_range
         found.append(f"hardware.supply is {own.supply:g} V; the servo takes {low:g} to {high:g} V")
@@ -307,7 +310,7 @@ def _geometry_errors(fish: Fish) -> list[str]:
             "motor.range must lie within -85 to 85 deg: beyond, the tendon leaves the pulley"
         )
     if fish.trailing_edge is not None:
-        found += chord_errors(bodies)
+        found += b.chord_errors(bodies)
     if fish.tendons.stiffness is None and (fish.tendons.slack or fish.tendons.two_way):
         found.append("tendons.slack and two_way need a tendons.stiffness")
     return found
