@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from support import command, tailbeat, tailbeat_process
+from tailbeat.cli import describe
 from tailbeat.files import BadInput
 from tailbeat.fish import check, convergence, first_draft
 from tailbeat.fish.buoyancy import buoyancy
@@ -54,6 +55,10 @@ def test_the_paper_s_numbers_give_the_paper_s_fish():
     assert read_back(fish).arms == pytest.approx(read_back(PULLEY).arms, rel=0.02)
     assert fish.band == PULLEY.band
     assert sketch(SIZES["paper"]).tag == 0.08
+
+
+def test_a_tag_fits_on_the_hull_of_a_slender_fish():
+    assert sketch(replace(SIZES["paper"], mass=0.31)).tag == pytest.approx(0.04)
 
 
 def test_what_was_given_is_in_the_compiled_fish(written):
@@ -227,12 +232,22 @@ def test_on_a_terminal_five_questions_are_asked(tmp_path):
         ({"fin": (0.03, 0.7)}, r"--fin: span 700 mm"),
         ({"k_eff": 20.0}, r"--servo xl330: its stall torque of 0.52 N m bends a tail"),
         ({"k_eff": -1.0}, r"--k-eff -1 N m/rad"),
+        ({"k_eff": 1e-9}, r"usually has 0.14; allowed is 0.0014 or more, so check the unit"),
     ],
 )
 def test_an_impossible_fish_is_refused_before_anything_is_written(tmp_path, change, complaint):
     with pytest.raises(BadInput, match=complaint):
         first_draft.new_fish(tmp_path / "a.toml", replace(SIZES["small"], **change))
     assert not list(tmp_path.iterdir())
+
+
+FINS = ("60x70mm", "60mmx70mm", "60X70mm", "60×70mm", "6cm x 70 mm", "60mmx70", "6e-2x7e-2")
+
+
+@pytest.mark.parametrize("text", FINS)
+def test_a_fin_is_given_with_one_unit_or_two(text):
+    given = describe._measured(describe.Typed("28cm", "350g", fin=text))
+    assert given.fin == pytest.approx((0.06, 0.07))
 
 
 @pytest.mark.parametrize(
