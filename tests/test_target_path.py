@@ -152,6 +152,8 @@ BAD_WORDS = {
     ("--path", "circle", "--laps", "0"): "--laps 0: give 1 or more",
     ("--path", "circle", "--laps", "2", "--seconds", "9"): "--laps 2 and --seconds 9: give one",
     ("--path", "circle", "--seconds", "-1"): "--seconds -1: give a time above 0",
+    ("--path", "circle", "--laps", 400 * "9"): "--laps 99999999999999999999: give 1 or more, up",
+    ("--path", "circle", "--seconds", "1e308"): "it takes 1e+308 s",
     ("--path", "circle", "--laps", "1000"): f"{LONGEST:g} s are allowed",
     ("--path", "circle", "--direct"): "--direct: a target on a --path moves in real time",
     ("--path", "circle", "--fish", "pulley-fish"): "--fish: a target on a --path",
@@ -161,7 +163,7 @@ BAD_WORDS = {
 }
 
 
-@pytest.mark.parametrize("words", BAD_WORDS, ids=" ".join)
+@pytest.mark.parametrize("words", BAD_WORDS, ids=lambda words: " ".join(words)[:40])
 def test_what_a_path_cannot_be_is_one_sentence(tmp_path, words):
     out = tmp_path / "out"
     line = complaint("swim", "--headless", "--out", out, *words)
