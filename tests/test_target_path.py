@@ -102,6 +102,13 @@ def test_a_file_with_times_goes_by_them_from_its_first(tmp_path):
     assert path.at(2.5) == pytest.approx((0.15, 0.0)) and path.at(4.0) == pytest.approx((0.2, 0.05))
 
 
+@pytest.mark.parametrize("head", ["time_s,y_m,x_m", "Time, Y ,X", "t,y,x,"])
+def test_columns_have_their_unit_or_not_in_any_case(tmp_path, head):
+    """They were walked at the default speed if the time was not called `time`."""
+    path = target_path(PathAsked(written(tmp_path, TIMED.replace("time,y,x", head) + " , \n  \n")))
+    assert path.lap == 5.0 and path.at(1.0) == pytest.approx((0.05, 0.0))
+
+
 def test_a_file_that_ends_where_it_begins_repeats(tmp_path):
     loop = f"x,y\n0,0\n0.2,0\n0.2,0.2\n0,0.2\n0,{CLOSED / 2}\n"
     path = target_path(PathAsked(written(tmp_path, loop), laps=3))
@@ -124,6 +131,12 @@ BAD_FILES: dict[str, tuple[str | bytes, str]] = {
     "outside": (OUTSIDE, "line 4: x 2.40, y 0.00 m is outside the pool or less than 0.4 m from"),
     "no column": ("x,z\n1,2\n", "no column y; its first line must name"),
     "twice": ("x,y,x\n1,2,3\n", "two columns x"),
+    "twice by two names": ("x,y,t,time_s\n1,2,3,4\n", "two columns time"),
+    "another time": (
+        points((0, 0, 0), head="x,y,time_ms"),
+        "unknown column 'time_ms'; allowed are x",
+    ),
+    "huge": (LINE + "1e308,0\n", "line 6: x is '1e308'; give a finite number of metres, at most"),
     "no number": (LINE + "0.4,abc\n", "line 6: y is 'abc'; give a finite number of metres"),
     "not finite": (LINE + "0.4,inf\n", "line 6: y is 'inf'"),
     "short line": (LINE + "0.4\n", "line 6: y is ''"),
