@@ -85,6 +85,29 @@ def test_the_fish_starts_behind_the_path_and_looks_along_it(name, measure):
     assert (np.abs(tail) <= np.array(POOL) / 2 + 1e-9).all()
 
 
+@pytest.mark.parametrize("size", [1.0, 2.13])
+@pytest.mark.parametrize(
+    ("x", "y", "heading"),
+    [(-2.3, 0, 0), (-2.0, 0.3, 0), (0, -0.95, 90), (-2.35, -0.95, 45), (2.3, 0.9, 200)],
+)
+def test_a_fish_near_a_wall_starts_behind_its_target_with_its_tail_inside(x, y, heading, size):
+    """It started upon its target, with the tail beyond the wall."""
+    ahead = np.array([np.cos(np.radians(heading)), np.sin(np.radians(heading))])
+    places = np.array([x, y]) + np.linspace(0, 0.5, 9)[:, None] * ahead
+    path, measure = TargetPath("line", np.arange(9.0), places, False, 8.0), Measure(size=size)
+    *tag, yaw = behind(path, measure)
+    way, looks = places[0] - tag, np.array([np.cos(yaw), np.sin(yaw)])
+    assert way == pytest.approx(np.hypot(*way) * looks) and np.hypot(*way) > 0.49 * size
+    for end in (np.array(tag), tag - 0.54 * size * looks):
+        assert (np.abs(end) <= np.array(POOL) / 2 + 1e-9).all()
+
+
+def test_a_fish_that_is_too_long_for_the_pool_is_refused():
+    path = target_path(PathAsked("circle"))
+    with pytest.raises(BadInput, match=r"a fish of 5\.4 m has no room behind the path"):
+        behind(path, Measure(size=10.0))
+
+
 # ---- files --------------------------------------------------------------------------------------
 
 
