@@ -15,7 +15,7 @@ import pytest
 from support import command, tailbeat, tailbeat_process
 from tailbeat.cli import describe
 from tailbeat.files import BadInput
-from tailbeat.fish import check, convergence, first_draft
+from tailbeat.fish import check, convergence, first_draft, render
 from tailbeat.fish.buoyancy import buoyancy
 from tailbeat.fish.catalogue import profile, profiles
 from tailbeat.fish.description import Simulation, length_of
@@ -85,6 +85,19 @@ def test_every_size_floats_swims_and_holds_its_step(written):
     assert chosen.error < convergence.ALLOWED
     assert convergence.deviation(fish).error == pytest.approx(chosen.error, abs=0.01)
     assert found.warnings == ()
+
+
+def test_without_gl_the_view_grows_with_the_fish(monkeypatch):
+    monkeypatch.setattr(render, "_needs_missing_screen", lambda: True)
+    wide = []
+    for name in ("paper", "large"):
+        twin = compile_twin(first_draft.described(sketch(SIZES[name])))
+        images, how = render.frames(twin, np.zeros((1, twin.model.nq)))
+        image = next(images).astype(int)
+        columns = np.flatnonzero((image[..., 2] - image[..., 0] > 80).any(axis=0))  # blue
+        wide.append((columns[0], columns[-1]))
+        assert how == "drawn"
+    assert wide[0] == pytest.approx(wide[1], abs=3)
 
 
 def test_every_number_that_nobody_measured_says_so(tmp_path):
