@@ -21,6 +21,7 @@ from tailbeat.identify.predict import path_errors, predict
 from tailbeat.identify.protocol import fluid_runs, limits
 from tailbeat.identify.runs import Run, as_run
 from tailbeat.link.places import LENGTH as POOL_LENGTH
+from tailbeat.pool import protocols
 from tailbeat.pool.protocols import record_fluid
 from tailbeat.recording import Recording
 
@@ -87,6 +88,18 @@ def test_a_swim_of_a_large_fish_begins_with_its_fin_off_the_wall() -> None:
     (swim,) = record_fluid(fish, commands=[still])
     rear = swim.columns["x_m"][0] - fish.tracked[0] + ends_of(fish)[0]
     assert -POOL_LENGTH / 2 + 0.3 < rear < 0
+
+
+def test_a_swim_that_diverges_at_the_usual_step_has_a_shorter_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fish = described(sketch(SMALL))
+    slow = manoeuvres(fish, limits(fish))["fluid-25-slow"]
+    (swim,) = record_fluid(fish, commands=[slow])
+    assert swim.time[-1] > 5.0 and all(np.isfinite(one).all() for one in swim.columns.values())
+    monkeypatch.setattr(protocols, "HALVED", 1)
+    with pytest.raises(BadInput, match=r"fluid-25-slow: .* diverges .* at a step of 2 ms; check"):
+        list(record_fluid(fish, commands=[slow]))
 
 
 def test_the_launch_check_tells_the_even_law_from_a_trailing_edge() -> None:

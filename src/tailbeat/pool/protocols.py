@@ -50,6 +50,7 @@ from tailbeat.recording import Recording, require
 Array = NDArray[np.float64]
 SENSORS, WATER = Sensors(), Water()
 DT = 0.002  # s
+HALVED = 4  # times that the step is halved for a swim that diverges
 SERVO_DT = 0.00025  # s; the mean command of a longer step reaches the force limit too early
 AIR = 1.2e-3  # density of air over that of water
 MARGIN = 0.35  # m: a recording ends when the fish is this close to a wall
@@ -81,7 +82,7 @@ def record_tail(
             "angle_rad": encoder(_at(swum, swum.q[0, :, 3], time)),
             # the torque of a step is that at its middle
             "torque_nm": torque_cell(
-                np.interp(time, swum.time[1:] - 0.0005, swum.torque[0, 1:]), sensors, rng
+                np.interp(time, swum.time[1:] - swum.time[1] / 2, swum.torque[0, 1:]), sensors, rng
             ),
         }
         yield Recording(command.name, time, columns, _meta(water), {"condition": label})
@@ -201,16 +202,24 @@ def _play(
     launch: Array | None = None,
 ) -> Swum:
     """Play a command recording to its end; each setpoint is held until the next. `launch` (3,) is
-    the head's velocity at the start, in the fish frame."""
-    plant = build_plant(fish, [water], servo, [around], dt)
-    edges = np.asarray(dt * np.arange(int(command.time[-1] / dt) + 3), dtype=np.float64)
-    held = mean_held(command.time, command.columns["command_rad"], edges)
-    state = at_rest(plant, start)
-    if launch is not None:
-        cos, sin = np.cos(state.q[0, 2]), np.sin(state.q[0, 2])
-        surge, sway, turn = launch
-        state.v[0, :3] = cos * surge - sin * sway, sin * surge + cos * sway, turn
-    return step_plant(plant, state, held[None])
+    the head's velocity at the start, in the fish frame. A small fish may need a step shorter than
+    `dt`. Raises BadInput for a swim that diverges at every step."""
+    for step in dt / 2.0 ** np.arange(HALVED):
+        plant = build_plant(fish, [water], servo, [around], float(step))
+        state = at_rest(plant, start)
+        if launch is not None:
+            cos, sin = np.cos(state.q[0, 2]), np.sin(state.q[0, 2])
+            surge, sway, turn = launch
+            state.v[0, :3] = cos * surge - sin * sway, sin * surge + cos * sway, turn
+        edges = np.asarray(step * np.arange(int(command.time[-1] / step) + 3), dtype=np.float64)
+        held = mean_held(command.time, command.columns["command_rad"], edges)
+        swum = step_plant(plant, state, held[None])
+        if not swum.lost.any():
+            return swum
+    raise BadInput(
+        f"{command.name}: {fish.name} diverges in the virtual pool, also at a step of"
+        f" {1e3 * step:g} ms; check the masses and sizes of its parts with `tailbeat show`."
+    )
 
 
 def _smooth(command: Recording, dt: float) -> Recording:
