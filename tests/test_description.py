@@ -81,7 +81,25 @@ BAD = {
     "unknown zone": ('zone = "fin"', 'zone = "wing"', "names zone 'wing'"),
     "unknown servo": ('servo = "identified"', 'servo = "best"', "servo 'best' is not one of"),
     "hinge order": ('hinge = "-245 mm"', 'hinge = "-205 mm"', "hinges must run from the head"),
+    "a hinge behind the fish": (
+        'hinge = "-335 mm"',
+        'hinge = "-2 m"',
+        "tail.links.4.hinge is x = -2 m, and all parts are between -0.42 and 0.12 m",
+    ),
+    "a hinge ahead of the fish": (
+        'hinge = "-215 mm"',
+        'hinge = "0.5 m"',
+        "tail.links.0.hinge is x = 0.5 m",
+    ),
+    "a tag far ahead": ('tracked = "40 0', 'tracked = "3000 0', "tracked is x = 3, y = 0 m, and"),
+    "a marker far beside": ('"0 0 60 mm"', '"0 -600 60 mm"', "markers.1.position is x = 0, y = -"),
     "band": ('band = "1 4 Hz"', 'band = "4 1 Hz"', "band [4.0, 1.0]"),
+    "a step that is no part of 20 ms": (
+        'step = "4 ms"',
+        'step = "3 ms"',
+        "simulation.step = '3 ms': the step must divide the 20 ms of the robot's loop, as 1, 2",
+    ),
+    "a long step": ('step = "4 ms"', 'step = "15 ms"', "simulation.step = '15 ms': the step must"),
     "not TOML": ("[motor]", "[motor", "not valid TOML"),
 }
 

@@ -4,7 +4,7 @@ moves, and what comes of a swim."""
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from tailbeat.control.actions import PERIOD
-from tailbeat.control.measure import PAPER
+from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.policy import load_policy
 from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
-from tailbeat.evaluate.following import FollowConfig, Followed, result, track
+from tailbeat.evaluate.following import FollowConfig, Followed, live, result, track
+from tailbeat.files import BadInput
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import SECOND, Frame, Order, Receiver
 from tailbeat.link.reasons import Reason
@@ -219,6 +220,25 @@ def test_a_fish_that_is_far_behind_or_held_is_said_to_be():
     hold = Hold(7.25, "hold", "no pose for 400 ms")
     held = result(followed("circle", 0.2, (hold,)))
     assert held.kept and held.faults == ("hold after 7.2 s: no pose for 400 ms",)
+
+
+def test_a_quick_fish_has_less_time_to_settle():
+    """It is 1 m ahead of its target in the first 4 s."""
+    swim = followed("circle", 0.1)
+    rows = np.array(swim.record.seen, float)
+    rows[rows[:, 0] < 4, 1] += 1
+    record = replace(swim.record, seen=tuple(map(tuple, rows.tolist())))
+    pools = [replace(swim.pool, measure=m) for m in (PAPER, Measure(speed=2.0))]
+    kept = [result(replace(swim, record=record, pool=pool)).kept for pool in pools]
+    assert kept == [True, False]
+
+
+@pytest.mark.parametrize("seconds", [3.0, 5.9])
+def test_a_swim_of_which_nothing_counts_is_refused_before_it(tmp_path, seconds):
+    asked = PathAsked("circle", seconds=seconds)
+    with pytest.raises(BadInput, match=r"--path circle: the target moves for .* for 6 s or more"):
+        live(FollowConfig("pulley-fish-pool-follow", asked), tmp_path, lambda _: None)
+    assert not list(tmp_path.iterdir())
 
 
 def test_where_the_fish_was_not_seen_no_place_is_guessed():

@@ -7,7 +7,9 @@ import pytest
 
 from tailbeat.evaluate.fresh_recordings import EVERY
 from tailbeat.files import BadInput
-from tailbeat.fish.description import length_of
+from tailbeat.fish.description import ends_of, length_of
+from tailbeat.fish.first_draft import described
+from tailbeat.fish.proportions import Given, sketch
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.water import whole
 from tailbeat.identify.gait import Track
@@ -18,11 +20,14 @@ from tailbeat.identify.manoeuvres import manoeuvres
 from tailbeat.identify.predict import path_errors, predict
 from tailbeat.identify.protocol import fluid_runs, limits
 from tailbeat.identify.runs import Run, as_run
+from tailbeat.link.places import LENGTH as POOL_LENGTH
+from tailbeat.pool import protocols
 from tailbeat.pool.protocols import record_fluid
 from tailbeat.recording import Recording
 
 FISH = load_fish("pulley-fish")
 POOL = load_fish("pulley-fish-pool")
+SMALL, LARGE = Given(0.15, 0.1, 2, "xl330"), Given(1.15, 14.0, 5, "xm540")
 MADE = manoeuvres(FISH, limits(FISH))
 
 
@@ -60,6 +65,41 @@ def test_a_launch_that_cannot_be_is_refused(launch: str, said: str) -> None:
     with pytest.raises(BadInput, match=said):
         list(record_fluid(FISH, commands=[command(launch=launch)]))
     assert 0.4 < length_of(FISH) < 0.7
+
+
+def test_a_small_fish_is_launched_as_fast_for_its_length_and_a_large_one_no_faster() -> None:
+    for given, ratio in ((SMALL, 0.15 / 0.54), (LARGE, 1.0)):
+        fish = described(sketch(given))
+        for name, one in manoeuvres(fish, limits(fish)).items():
+            launch, usual = launch_of(one, fish), launch_of(MADE[name], FISH)
+            assert (launch is None) == (usual is None)
+            if launch is not None and usual is not None:
+                assert launch == pytest.approx(ratio * usual, rel=1e-3), name
+
+
+def test_every_command_is_checked_before_the_first_one_is_played() -> None:
+    with pytest.raises(BadInput, match="fluid-x: launch = -2 0 0 is faster"):
+        next(record_fluid(FISH, commands=[command(), command(launch="-2 0 0")]))
+
+
+def test_a_swim_of_a_large_fish_begins_with_its_fin_off_the_wall() -> None:
+    fish = described(sketch(LARGE))
+    still = Recording("fluid-x", np.arange(0, 0.2, 0.02), {"command_rad": np.zeros(10)}, {})
+    (swim,) = record_fluid(fish, commands=[still])
+    rear = swim.columns["x_m"][0] - fish.tracked[0] + ends_of(fish)[0]
+    assert -POOL_LENGTH / 2 + 0.3 < rear < 0
+
+
+def test_a_swim_that_diverges_at_the_usual_step_has_a_shorter_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fish = described(sketch(SMALL))
+    slow = manoeuvres(fish, limits(fish))["fluid-25-slow"]
+    (swim,) = record_fluid(fish, commands=[slow])
+    assert swim.time[-1] > 5.0 and all(np.isfinite(one).all() for one in swim.columns.values())
+    monkeypatch.setattr(protocols, "HALVED", 1)
+    with pytest.raises(BadInput, match=r"fluid-25-slow: .* diverges .* at a step of 2 ms; check"):
+        list(record_fluid(fish, commands=[slow]))
 
 
 def test_the_launch_check_tells_the_even_law_from_a_trailing_edge() -> None:

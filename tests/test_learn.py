@@ -12,12 +12,12 @@ pytest.importorskip("stable_baselines3", reason="the train extra is not installe
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
-from tailbeat.control.actions import Direct, Generator
+from tailbeat.control.actions import PERIOD, Direct, Generator
 from tailbeat.control.observation import TABLE
 from tailbeat.env import randomize, sensors
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel, quiet
-from tailbeat.env.task import Settings, Task, check_settings
+from tailbeat.env.task import Scene, Settings, Task, check_settings
 from tailbeat.env.vector_env import FishEnv, FishVecEnv, FishVectorEnv
 from tailbeat.env.world import World
 from tailbeat.files import BadInput
@@ -146,7 +146,8 @@ def watched(model: SensorModel, steps: int = 600) -> tuple[np.ndarray, np.ndarra
     state = sensors.empty(1, steps)
     sensors.begin(model, state, 0, np.zeros(3), np.array([1.0, 0.0]), np.random.default_rng(0))
     pose, zero = np.zeros((1, 3)), np.zeros(1)
-    still = sensors.Motion(pose, pose, np.array([[1.0, 0.0]]), zero, zero, zero)
+    place = np.array([[1.0, 0.0]])
+    still = sensors.Motion(pose, pose, place, place, zero, zero, zero)
     age, gyro = [], []
     for step in range(steps):
         reading = sensors.sense(model, state, np.array([step]), still)
@@ -164,6 +165,22 @@ def test_frames_come_late_uneven_and_with_gaps():
     assert newest.max() > model.latency + model.latency_jitter + 1 / 60  # a dropped frame
     assert np.all(np.diff(age[20:], axis=1) > 0)  # newest first
     assert np.std(gyro) > model.yaw_rate_noise * 0.8
+
+
+def test_a_frame_shows_a_moving_target_where_it_was_then_and_one_that_jumps_at_one_place():
+    """The target was that of the step's end: up to 20 ms ahead of the fish in the same frame."""
+    ways = np.zeros((2, 61, 2))
+    ways[0, :, 0] = 0.3 * PERIOD * np.arange(61)
+    ways[1, 31:, 0] = 1.0
+    scene = Scene(np.zeros((2, 3)), np.zeros((2, 3)), ways, np.full(2, np.inf))
+    world, seen = World(FISH, STILL, [1, 2], scene=scene), set()
+    world.reset()
+    for step in range(1, 61):
+        frames = world.step(np.zeros((2, 6))).frames[:, 0]
+        if step > 2:
+            assert frames[0, 3] == pytest.approx(0.3 * (step * PERIOD - frames[0, 5]), abs=1e-9)
+        seen |= {float(frames[1, 3])}
+    assert seen == {0.0, 1.0}
 
 
 # ---- randomisation ------------------------------------------------------------------------------

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from support import command, tailbeat, tailbeat_process
+from tailbeat.cli import describe
 from tailbeat.files import BadInput
-from tailbeat.fish import check, convergence, first_draft
+from tailbeat.fish import check, convergence, first_draft, render
 from tailbeat.fish.buoyancy import buoyancy
 from tailbeat.fish.catalogue import profile, profiles
 from tailbeat.fish.description import Simulation, length_of
@@ -56,6 +57,10 @@ def test_the_paper_s_numbers_give_the_paper_s_fish():
     assert sketch(SIZES["paper"]).tag == 0.08
 
 
+def test_a_tag_fits_on_the_hull_of_a_slender_fish():
+    assert sketch(replace(SIZES["paper"], mass=0.31)).tag == pytest.approx(0.04)
+
+
 def test_what_was_given_is_in_the_compiled_fish(written):
     given, _, fish = written
     found = read_back(fish)
@@ -80,6 +85,19 @@ def test_every_size_floats_swims_and_holds_its_step(written):
     assert chosen.error < convergence.ALLOWED
     assert convergence.deviation(fish).error == pytest.approx(chosen.error, abs=0.01)
     assert found.warnings == ()
+
+
+def test_without_gl_the_view_grows_with_the_fish(monkeypatch):
+    monkeypatch.setattr(render, "_needs_missing_screen", lambda: True)
+    wide = []
+    for name in ("paper", "large"):
+        twin = compile_twin(first_draft.described(sketch(SIZES[name])))
+        images, how = render.frames(twin, np.zeros((1, twin.model.nq)))
+        image = next(images).astype(int)
+        columns = np.flatnonzero((image[..., 2] - image[..., 0] > 80).any(axis=0))  # blue
+        wide.append((columns[0], columns[-1]))
+        assert how == "drawn"
+    assert wide[0] == pytest.approx(wide[1], abs=3)
 
 
 def test_every_number_that_nobody_measured_says_so(tmp_path):
@@ -227,12 +245,22 @@ def test_on_a_terminal_five_questions_are_asked(tmp_path):
         ({"fin": (0.03, 0.7)}, r"--fin: span 700 mm"),
         ({"k_eff": 20.0}, r"--servo xl330: its stall torque of 0.52 N m bends a tail"),
         ({"k_eff": -1.0}, r"--k-eff -1 N m/rad"),
+        ({"k_eff": 1e-9}, r"usually has 0.14; allowed is 0.0014 or more, so check the unit"),
     ],
 )
 def test_an_impossible_fish_is_refused_before_anything_is_written(tmp_path, change, complaint):
     with pytest.raises(BadInput, match=complaint):
         first_draft.new_fish(tmp_path / "a.toml", replace(SIZES["small"], **change))
     assert not list(tmp_path.iterdir())
+
+
+FINS = ("60x70mm", "60mmx70mm", "60X70mm", "60×70mm", "6cm x 70 mm", "60mmx70", "6e-2x7e-2")
+
+
+@pytest.mark.parametrize("text", FINS)
+def test_a_fin_is_given_with_one_unit_or_two(text):
+    given = describe._measured(describe.Typed("28cm", "350g", fin=text))
+    assert given.fin == pytest.approx((0.06, 0.07))
 
 
 @pytest.mark.parametrize(

@@ -85,6 +85,29 @@ def test_the_fish_starts_behind_the_path_and_looks_along_it(name, measure):
     assert (np.abs(tail) <= np.array(POOL) / 2 + 1e-9).all()
 
 
+@pytest.mark.parametrize("size", [1.0, 2.13])
+@pytest.mark.parametrize(
+    ("x", "y", "heading"),
+    [(-2.3, 0, 0), (-2.0, 0.3, 0), (0, -0.95, 90), (-2.35, -0.95, 45), (2.3, 0.9, 200)],
+)
+def test_a_fish_near_a_wall_starts_behind_its_target_with_its_tail_inside(x, y, heading, size):
+    """It started upon its target, with the tail beyond the wall."""
+    ahead = np.array([np.cos(np.radians(heading)), np.sin(np.radians(heading))])
+    places = np.array([x, y]) + np.linspace(0, 0.5, 9)[:, None] * ahead
+    path, measure = TargetPath("line", np.arange(9.0), places, False, 8.0), Measure(size=size)
+    *tag, yaw = behind(path, measure)
+    way, looks = places[0] - tag, np.array([np.cos(yaw), np.sin(yaw)])
+    assert way == pytest.approx(np.hypot(*way) * looks) and np.hypot(*way) > 0.49 * size
+    for end in (np.array(tag), tag - 0.54 * size * looks):
+        assert (np.abs(end) <= np.array(POOL) / 2 + 1e-9).all()
+
+
+def test_a_fish_that_is_too_long_for_the_pool_is_refused():
+    path = target_path(PathAsked("circle"))
+    with pytest.raises(BadInput, match=r"a fish of 5\.4 m has no room behind the path"):
+        behind(path, Measure(size=10.0))
+
+
 # ---- files --------------------------------------------------------------------------------------
 
 
@@ -100,6 +123,13 @@ def test_a_file_with_times_goes_by_them_from_its_first(tmp_path):
     path = target_path(PathAsked(written(tmp_path, b"\xef\xbb\xbf" + TIMED.encode())))
     assert path.lap == 5.0 and path.at(1.0) == pytest.approx((0.05, 0.0))
     assert path.at(2.5) == pytest.approx((0.15, 0.0)) and path.at(4.0) == pytest.approx((0.2, 0.05))
+
+
+@pytest.mark.parametrize("head", ["time_s,y_m,x_m", "Time, Y ,X", "t,y,x,"])
+def test_columns_have_their_unit_or_not_in_any_case(tmp_path, head):
+    """They were walked at the default speed if the time was not called `time`."""
+    path = target_path(PathAsked(written(tmp_path, TIMED.replace("time,y,x", head) + " , \n  \n")))
+    assert path.lap == 5.0 and path.at(1.0) == pytest.approx((0.05, 0.0))
 
 
 def test_a_file_that_ends_where_it_begins_repeats(tmp_path):
@@ -124,6 +154,12 @@ BAD_FILES: dict[str, tuple[str | bytes, str]] = {
     "outside": (OUTSIDE, "line 4: x 2.40, y 0.00 m is outside the pool or less than 0.4 m from"),
     "no column": ("x,z\n1,2\n", "no column y; its first line must name"),
     "twice": ("x,y,x\n1,2,3\n", "two columns x"),
+    "twice by two names": ("x,y,t,time_s\n1,2,3,4\n", "two columns time"),
+    "another time": (
+        points((0, 0, 0), head="x,y,time_ms"),
+        "unknown column 'time_ms'; allowed are x",
+    ),
+    "huge": (LINE + "1e308,0\n", "line 6: x is '1e308'; give a finite number of metres, at most"),
     "no number": (LINE + "0.4,abc\n", "line 6: y is 'abc'; give a finite number of metres"),
     "not finite": (LINE + "0.4,inf\n", "line 6: y is 'inf'"),
     "short line": (LINE + "0.4\n", "line 6: y is ''"),
@@ -152,6 +188,8 @@ BAD_WORDS = {
     ("--path", "circle", "--laps", "0"): "--laps 0: give 1 or more",
     ("--path", "circle", "--laps", "2", "--seconds", "9"): "--laps 2 and --seconds 9: give one",
     ("--path", "circle", "--seconds", "-1"): "--seconds -1: give a time above 0",
+    ("--path", "circle", "--laps", 400 * "9"): "--laps 99999999999999999999: give 1 or more, up",
+    ("--path", "circle", "--seconds", "1e308"): "it takes 1e+308 s",
     ("--path", "circle", "--laps", "1000"): f"{LONGEST:g} s are allowed",
     ("--path", "circle", "--direct"): "--direct: a target on a --path moves in real time",
     ("--path", "circle", "--fish", "pulley-fish"): "--fish: a target on a --path",
@@ -161,7 +199,7 @@ BAD_WORDS = {
 }
 
 
-@pytest.mark.parametrize("words", BAD_WORDS, ids=" ".join)
+@pytest.mark.parametrize("words", BAD_WORDS, ids=lambda words: " ".join(words)[:40])
 def test_what_a_path_cannot_be_is_one_sentence(tmp_path, words):
     out = tmp_path / "out"
     line = complaint("swim", "--headless", "--out", out, *words)

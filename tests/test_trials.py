@@ -12,6 +12,7 @@ import pytest
 
 from tailbeat.cli.evaluate import _share, _walls
 from tailbeat.control.actions import PERIOD, Generator
+from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.policy import load_policy
 from tailbeat.env import randomize
 from tailbeat.env.sensors import quiet
@@ -43,6 +44,7 @@ from tailbeat.report.page import of_folder
 
 FISH, TWIN = load_fish("pulley-fish"), load_fish("pulley-fish-pool")
 POLICY = "pulley-fish-pool-generator"
+FAST = Measure(speed=2.0)
 SPACE = load_policy(POLICY).contract.actions
 
 
@@ -227,10 +229,36 @@ def test_a_fish_on_its_target_s_heels_crosses_twice_and_one_that_circles_does_no
     ways = [np.column_stack([one, np.zeros(len(one))]) for one in (behind, away)]
     found = runs(np.array(ways), np.array([target, target]))
     assert track.crossings(found).tolist() == [2, 0]
-    row = track._result("eight 73 s", found.part(slice(0, 1)), "eight")
+    row = track.result(track.TARGET_PATHS[0], found.part(slice(0, 1)))
     assert row.two_crossings == 1 and row.kept == 1
     assert row.median_distance == pytest.approx(0.8 * row.target_speed, rel=0.05)
     assert row.aside_rms < 0.02
+
+
+def test_a_swim_that_was_lost_has_not_kept_its_target():
+    way = paths.even(paths.eight, round(73.0 / PERIOD))
+    target = np.tile(way, (3, 1, 1))
+    pose = np.dstack([target, np.zeros(target.shape[:2])])
+    pose[1, 500:] = np.nan  # it diverged
+    lost = np.array([False, True, True])  # the last one in its last step
+    row = track.result(track.TARGET_PATHS[0], runs(pose, target, lost=lost))
+    assert (row.swims, row.kept, row.two_crossings) == (3, 1, 2)
+    assert track.passes(way[:300], way[:300]) == 0  # the target has not come to the middle
+
+
+def test_a_quick_fish_has_less_time_to_settle():
+    target = np.zeros((1, 400, 2))
+    pose = np.zeros((1, 400, 3))
+    pose[:, : round(4 / PERIOD), 0] = 1.0  # it arrives after 4 s
+    kept = [track.result(track.TARGET_PATHS[-1], runs(pose, target), m).kept for m in (PAPER, FAST)]
+    assert kept == [1, 0]
+
+
+def test_every_water_is_swum_after_a_moving_target():
+    waters = tuple(Water(body_friction=0.03 + 0.001 * i) for i in range(16))
+    (one,) = track.conditions(pool(waters=waters))
+    assert one.count == track.SWIMS * len(track.TARGET_PATHS)
+    assert one.water is not None and set(one.water) == set(waters)
 
 
 def test_a_slow_fish_that_sways_or_leads_crosses_too():

@@ -1,5 +1,6 @@
 """Describe a fish and see what it compiles to."""
 
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -105,11 +106,16 @@ def _quantity(option: str, text: str, dimension: str) -> float:
 
 
 def _fin(text: str) -> tuple[float, float]:
-    chord, cross, span = text.partition("x")
-    if not cross:
+    """Chord and span [m]; a number without a unit has that of the other."""
+    sides = [side.strip() for side in re.split("[xX×]", text)]
+    if len(sides) != 2 or not all(sides):
         raise BadInput(f"--fin {text!r}: give chord x span, such as 60x70mm.")
-    unit = span.strip().lstrip("0123456789.+-eE ")
-    return _quantity("--fin", f"{chord}{unit}", "length"), _quantity("--fin", span, "length")
+    own = [side.lstrip("0123456789.+-eE ") for side in sides]
+    chord, span = (
+        _quantity("--fin", side if unit else f"{side}{other}", "length")
+        for side, unit, other in zip(sides, own, reversed(own), strict=True)
+    )
+    return chord, span
 
 
 def show(

@@ -69,12 +69,14 @@ class SensorState(NamedTuple):
 class Motion(NamedTuple):
     """True motion of n fish in one control step.
 
-    The tag's poses `before` and `after` it (n, 3); at its end the target's position (n, 2), motor
-    angle [rad], its velocity and the yaw rate [rad/s] (n,).
+    The tag's poses `before` and `after` it (n, 3), and the target's positions `was` and `target`
+    (n, 2), between which a frame shows both; at its end motor angle [rad], its velocity and the yaw
+    rate [rad/s] (n,).
     """
 
     before: Array
     after: Array
+    was: Array
     target: Array
     angle: Array
     velocity: Array
@@ -163,6 +165,7 @@ def _film(figures, state, motion, i, step, period):  # type: ignore[no-untyped-d
     """Take the frames of fish `i` in this step."""
     draws, frames, phase = state.noise[i, step], state.frames[i], state.phase[i]
     before, after, now = motion.before[i], motion.after[i], (step + 1) * period
+    was, target = motion.was[i], motion.target[i]
     first = int(np.floor((now - period - phase) * figures.frame_rate + 1e-9)) + 1
     for k in range(PER_STEP):
         number = first + k
@@ -174,7 +177,8 @@ def _film(figures, state, motion, i, step, period):  # type: ignore[no-untyped-d
         for j in range(3):
             spread = figures.position_noise if j < 2 else figures.yaw_noise
             row[j] = before[j] + share * (after[j] - before[j]) + spread * own[j]
-        row[3], row[4] = motion.target[i, 0], motion.target[i, 1]
+        for j in range(2):
+            row[3 + j] = was[j] + share * (target[j] - was[j])
         row[5] = stamp + figures.stamp_noise * own[3]
         arrival = stamp + figures.latency + figures.latency_jitter * _uniform(own[4])
         row[6] = np.inf if _uniform(own[5]) < figures.dropped else arrival

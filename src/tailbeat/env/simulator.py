@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from tailbeat.control.actions import PERIOD
 from tailbeat.env import randomize
 from tailbeat.env.randomize import Randomisation
-from tailbeat.files import BadInput
 from tailbeat.fish import surge
 from tailbeat.fish.description import Fish
 from tailbeat.fish.edge import KUTTA
@@ -55,12 +54,7 @@ class TwinSimulator:
         self, fish: Fish, count: int, threads: int = 0, draws: Array | None = None
     ) -> None:
         twin = compile_twin(fish)
-        step = twin.model.opt.timestep
-        self.substeps = round(PERIOD / step)
-        if abs(self.substeps * step - PERIOD) > 1e-9:
-            raise BadInput(
-                f"{fish.name}: step {1e3 * step:g} ms does not divide 20 ms; choose one that does."
-            )
+        self.substeps = round(PERIOD / twin.model.opt.timestep)
         self.count, self.motor = count, twin.motor
         together = threads or default_threads()
         self.batch = batch.Batch(twin.model, count, nthread=together, persistent=True)

@@ -179,28 +179,30 @@ class World:
         age, simulator = np.minimum(self.age, self.steps_per_episode - 1), self.simulator
         lost = simulator.advance(act.setpoint(self.space, self.state), self.pushes[self.every, age])
         self.pose = tracked_pose(self.fish, simulator.qpos[:, :3])
-        self._move_targets()
+        was = self._move_targets()
         self.commands[:, 1:] = self.commands[:, :-1]
         self.commands[:, 0] = act.command(self.space, self.state)
         motor = simulator.qpos[:, simulator.motor], simulator.qvel[:, simulator.motor]
-        moved = sensors.Motion(before, self.pose, self.target, *motor, simulator.qvel[:, 2])
+        moved = sensors.Motion(before, self.pose, was, self.target, *motor, simulator.qvel[:, 2])
         readings = sensors.sense(self.settings.sensors, self.seen, age, moved)
         if self.settings.motion is not None:
             self.motion = motion.update(self.settings.motion, self.motion, readings.frames, PERIOD)
         self.age = self.age + 1
         return self._judge(action, self._observe(readings), lost)
 
-    def _move_targets(self) -> None:
+    def _move_targets(self) -> Array:
+        """Move the targets. Returns where they were (n, 2) [m]; one that jumped was never between
+        its old and its new place, so it is as if it had been at the new one."""
+        before = self.target
         if self.scene is not None:
             away = np.hypot(*(self.target - self.pose[:, :2]).T)
             self.along = self.along + (away < self.scene.lead)
             self.target = self.scene.at(self.along)
-            return
-        if self.task.follow:
-            before = self.target
+        elif self.task.follow:
             self.target = self.paths[self.every, np.minimum(self.age + 1, self.steps_per_episode)]
-            new = np.hypot(*(self.target - before).T) > JUMP * self.settings.measure.reach
-            self.here = np.where(new, 0.0, self.here + 1)
+        new = np.hypot(*(self.target - before).T) > JUMP * self.settings.measure.reach
+        self.here = np.where(new, 0.0, self.here + 1)
+        return np.where(new[:, None], self.target, before)
 
     def _observe(self, readings: sensors.Readings) -> NDArray[np.float32]:
         self.frames, yaw_rate = readings.frames, readings.yaw_rate

@@ -183,7 +183,7 @@ def read(out: Path) -> Evaluation:
         cut_short=tuple(name for name, (_, short) in held.items() if short),
         reach={name: reach.numbers(one) for name, one in reached.items()},
         disturb=disturb.numbers(disturbed) if disturb.CALM in disturbed else (),
-        track=tracks.numbers(swum) if tracks.TRACK in swum else (),
+        track=tracks.numbers(swum, run.measure) if tracks.TRACK in swum else (),
         out_of_distribution=out_of_distribution.numbers(beyond)
         if out_of_distribution.AS_TRAINED in beyond
         else (),

@@ -22,7 +22,10 @@ from tailbeat.operator.target_path import EIGHT, PathAsked, TargetPath, target_p
 
 Array = NDArray[np.float64]
 TEST_SWIM = 0.5  # m that the paper's fish moves before the swim, in the sign test and coasting
+CLEAR = 0.1  # m of the paper's fish: a turned start is so far from the walls (chosen)
+TURNS = np.radians([0, *(side * turn for turn in range(5, 181, 5) for side in (1, -1))]).tolist()
 GAP = 0.3  # s without a pose over which none is guessed
+COUNTED = 1.0  # s of a swim that must count (chosen)
 DENSE = 0.01  # m between points of a path to which a distance is measured
 
 
@@ -71,10 +74,11 @@ class FollowResult:
     """How a fish followed a target by the clock.
 
     The path, the time [s] that the target moved and its mean speed [m/s]. Distances [m] from the
-    target after the first 5 s: mean, median, 95th percentile, largest. Rms distance from the path
-    [m]. Whether it `kept` the target within `kept_within` [m] for all that time. On a figure eight,
-    how often it crossed the middle cleanly, with its direction over 0.4 s and over 2 s, `of` how
-    many times that the target did. Its holds, and whether the target went to the end of its path.
+    target after the first 5 s of the paper's fish: mean, median, 95th percentile, largest. Rms
+    distance from the path [m]. Whether it `kept` the target within `kept_within` [m] for all that
+    time. On a figure eight, how often it crossed the middle cleanly, with its direction over 0.4 s
+    and over 2 s, `of` how many times that the target did. Its holds, and whether the target went to
+    the end of its path.
     """
 
     path: str
@@ -113,6 +117,7 @@ def live(config: FollowConfig, out: Path, say: Say) -> Followed:
     loaded = load_policy(config.policy)
     measure = loaded.contract.measure
     path = target_path(config.asked, POOL, measure)
+    _check_time(path, measure)
     given = EvaluationConfig(config.fish, config.twin, "full", episodes=2, seed=config.seed)
     where = pool_of(loaded, given)
     from tailbeat.emulators.live import Chain, follow  # needs OpenCV
@@ -132,19 +137,48 @@ def live(config: FollowConfig, out: Path, say: Say) -> Followed:
 def behind(
     path: TargetPath, measure: Measure, pool: tuple[float, float] = POOL
 ) -> tuple[float, float, float]:
-    """Where the tag starts: x, y [m] and yaw [rad], on the tangent behind the path's first place.
+    """Where the tag starts: x, y [m] and yaw [rad], behind the path's first place and looking at
+    it.
 
-    The sign test before the swim brings the fish nearer. Its tail stays inside the pool.
+    The sign test before the swim brings the fish nearer. Its tail stays inside the pool: where
+    there is no room on the tangent, the start is turned about the first place, as little as can be.
+    Raises BadInput for a fish that is too long.
     """
-    yaw = path.heading
-    ahead = np.array([np.cos(yaw), np.sin(yaw)])
-    tail = LENGTH * measure.size  # m behind the tag, at most
-    back = np.abs(ahead) > 1e-9
-    walls = -np.sign(ahead) * np.array(pool) / 2
-    room = float(np.min((path.places[0] - walls)[back] / ahead[back])) - tail
-    away = min(BEHIND * measure.reach + TEST_SWIM * measure.size, max(room, 0.0))
-    x, y = (path.places[0] - away * ahead).tolist()
+    place, tail = path.places[0], LENGTH * measure.size  # m behind the tag, at most
+    inside = np.array(pool) - 2 * CLEAR * measure.size  # a turned tail beats along a wall
+    rooms = {
+        turn: _room(place, path.heading + turn, inside if turn else np.array(pool)) - tail
+        for turn in TURNS
+    }
+    enough = [turn for turn, room in rooms.items() if room >= TEST_SWIM * measure.size]
+    turn = enough[0] if enough else max(rooms, key=lambda one: rooms[one])
+    if rooms[turn] < 0:
+        raise BadInput(
+            f"--path {path.name}: a fish of {tail:.2g} m has no room behind the path's first point"
+            f" in a pool of {pool[0]:g} x {pool[1]:g} m; let the path begin elsewhere."
+        )
+    yaw = path.heading + turn
+    away = min(BEHIND * measure.reach + TEST_SWIM * measure.size, rooms[turn])
+    x, y = (place - away * np.array([np.cos(yaw), np.sin(yaw)])).tolist()
     return x, y, yaw
+
+
+def _room(place: Array, yaw: float, pool: Array) -> float:
+    """Distance from a place to the wall behind a fish with this yaw [m]."""
+    ahead = np.array([np.cos(yaw), np.sin(yaw)])
+    back = np.abs(ahead) > 1e-9
+    walls = -np.sign(ahead) * pool / 2
+    return float(np.min((place - walls)[back] / ahead[back]))
+
+
+def _check_time(path: TargetPath, measure: Measure) -> None:
+    """Check that some of the swim counts. Raises BadInput."""
+    settling = SETTLING * measure.time
+    if path.seconds < settling + COUNTED:
+        raise BadInput(
+            f"--path {path.name}: the target moves for {path.seconds:.3g} s, of which the first"
+            f" {settling:.3g} s do not count; let it move for {settling + COUNTED:.3g} s or more."
+        )
 
 
 # ---- what came of it ----------------------------------------------------------------------------
@@ -167,15 +201,15 @@ def track(path: TargetPath, record: FollowRecord) -> Track:
 
 
 def result(followed: Followed) -> FollowResult:
-    """The numbers of a swim after a target. Raises BadInput if it was shorter than 5 s."""
+    """The numbers of a swim after a target. Raises BadInput if nothing was seen that counts."""
     path, record, m = followed.path, followed.record, followed.pool.measure
     whole = track(path, record)
-    settled = whole.after >= SETTLING
+    settled = whole.after >= SETTLING * m.time
     away = whole.distance[settled]
     if not np.isfinite(away).any():
         raise BadInput(
-            f"{followed.log}: the fish was not seen after the first {SETTLING:g} s, which do not"
-            f" count; let the target move for longer."
+            f"{followed.log}: the fish was not seen after the first {SETTLING * m.time:.3g} s,"
+            f" which do not count; let the target move for longer."
         )
     passed, slowly, of = crossings(path, whole, m)
     return FollowResult(

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, Generator
 from tailbeat.evaluate.trial import Progress
-from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, swim
 from tailbeat.fish.twin import Twin, compile_twin
@@ -105,14 +104,8 @@ def _in_pool(fish: Fish, waters: Sequence[Water], setpoints: Array) -> Array:
 
 
 def _in_twin(twin: Twin, setpoints: Array) -> Array:
-    """Poses (n, k + 1, 3) of the fish frame in the twin. Raises BadInput for a step that does not
-    divide 20 ms."""
-    step = twin.model.opt.timestep
-    each = round(PERIOD / step)
-    if abs(each * step - PERIOD) > 1e-9:
-        raise BadInput(
-            f"{twin.fish.name}: step {1e3 * step:g} ms does not divide 20 ms; choose one that does."
-        )
+    """Poses (n, k + 1, 3) of the fish frame in the twin."""
+    each = round(PERIOD / twin.model.opt.timestep)
     commands = np.repeat(setpoints, each, axis=1)
     done = swim([twin] * len(commands), [Start.at_rest()] * len(commands), list(commands), each)
     return np.stack([np.where(one.diverged, np.nan, one.qpos[:, :3]) for one in done])

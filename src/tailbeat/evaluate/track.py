@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.observation import wrapped
 from tailbeat.env.task import Scene
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.scenes import follow, stays
-from tailbeat.evaluate.trial import Condition, Pool, pools
+from tailbeat.evaluate.trial import Condition, Pool
 from tailbeat.files import BadInput
 from tailbeat.operator.paths import LAP, MARGIN, PATHS, even, lap_length
 from tailbeat.pool.plant import Surroundings
@@ -71,8 +72,8 @@ def _target_paths() -> tuple[TargetPath, ...]:
 
 
 TARGET_PATHS = _target_paths()
-SETTLING = 5.0  # s at the start that do not count
 # Of the paper's fish, as are the paths and their times.
+SETTLING = 5.0  # s at the start that do not count
 KEPT = 0.6  # m: largest distance to the target of a swim that kept it
 BESIDE, MINUTE = 0.5, 60.0  # m, s: near a target, and how long that is looked at
 CROSSING, ALIGNED = 0.15, np.radians(45)  # m, rad, of a clean pass through the eight's middle
@@ -83,17 +84,16 @@ TRACK = "track"
 
 
 def conditions(pool: Pool) -> list[Condition]:
-    """Ten swims of 73 s per path, each with its own water and noise; one condition."""
+    """Ten swims of 73 s per path, each with its own noise; one condition. The waters come one after
+    the other over all paths."""
     parts = [
         follow(pool.fish, SHAPES[one.path], one.lap, SECONDS, SWIMS, one.lead, pool.measure)
         for one in TARGET_PATHS
     ]
     whole = Scene(*(np.concatenate([getattr(one, n) for one in parts]) for n in vars(parts[0])))
-    water = len(TARGET_PATHS) * pools(pool.waters, SWIMS)
     around = (Surroundings(walls=pool.walls),)
     _check_room(pool.walls, pool.measure.reach)
-    given = {"water": water, "around": around, "seconds": SECONDS, "stop": False}
-    return [pool.condition(TRACK, whole, **given)]
+    return [pool.condition(TRACK, whole, around=around, seconds=SECONDS, stop=False)]
 
 
 def _check_room(walls: tuple[float, float], reach: float) -> None:
@@ -113,26 +113,28 @@ def by_path(runs: Runs) -> dict[str, Runs]:
     return {name: runs.part(own) for name, own in parts.items()}
 
 
-def numbers(by_condition: Mapping[str, Runs]) -> tuple[TrackResult, ...]:
-    """Results per path of the target."""
+def numbers(by_condition: Mapping[str, Runs], measure: Measure = PAPER) -> tuple[TrackResult, ...]:
+    """Results per path of the target, in the fish's measure."""
     swims = by_path(by_condition[TRACK])
-    return tuple(_result(one.name, swims[one.name], one.path) for one in TARGET_PATHS)
+    return tuple(result(one, swims[one.name], measure) for one in TARGET_PATHS)
 
 
-def _result(name: str, runs: Runs, path: str) -> TrackResult:
-    first, last, reach = round(SETTLING / PERIOD), round(MINUTE / PERIOD), float(runs.reach[0])
+def result(target: TargetPath, runs: Runs, measure: Measure = PAPER) -> TrackResult:
+    """Results of swims after one target. A swim that was lost has not kept it."""
+    first, last = (round(s * measure.time / PERIOD) for s in (SETTLING, MINUTE))
+    path, reach = target.path, measure.reach
     away, off = runs.distance[:, first:], aside(runs, path)[:, first:]
     crossed = [_twice(runs, half) if path == "eight" else None for half in (AROUND, LONG)]
     moved = np.hypot(*np.moveaxis(np.diff(runs.target, axis=1), -1, 0))
     return TrackResult(
-        condition=name,
+        condition=target.name,
         swims=runs.count,
         target_speed=float(np.nanmean(moved) / PERIOD),
         mean_distance=float(np.nanmean(away)),
         median_distance=float(np.nanmedian(away)),
         p95_distance=float(np.nanpercentile(away, 95)),
         aside_rms=float(np.sqrt(np.nanmean(np.square(off)))),
-        kept=int((np.nanmax(away, axis=1) < KEPT * reach).sum()),
+        kept=int((~runs.lost & (away.max(axis=1) < KEPT * reach)).sum()),
         two_crossings=crossed[0],
         two_crossings_over_2_s=crossed[1],
         beside=float((runs.distance[:, -last:] < BESIDE * reach).mean()),
@@ -173,7 +175,7 @@ def passes(pose: Any, target: Any, half: int = AROUND) -> int:
         if at[k] < 0.05 and at[k] <= at[k - 1] and at[k] < at[k + 1]
     ]
     begins = [max(k - EARLY, 0) for k in times]
-    ends = [*begins[1:], len(at) - 1]
+    ends = [*begins, len(at) - 1][1:]
     return sum(
         _clean(pose, slice(first, last), target[k + 1] - target[k], half)
         for k, first, last in zip(times, begins, ends, strict=True)
@@ -182,10 +184,10 @@ def passes(pose: Any, target: Any, half: int = AROUND) -> int:
 
 def _clean(pose: Any, part: slice, branch: Any, half: int) -> bool:
     """Whether a path passes the middle along the branch in a part of its rows."""
-    near = np.hypot(pose[part, 0], pose[part, 1])
-    if len(near) < 12 or not np.nanmin(near) < CROSSING:
+    near = np.nan_to_num(np.hypot(pose[part, 0], pose[part, 1]), nan=np.inf)
+    if len(near) < 12 or not near.min() < CROSSING:
         return False
-    k = part.start + int(np.nanargmin(near))
+    k = part.start + int(near.argmin())
     way = pose[min(k + half, len(pose) - 1), :2] - pose[max(k - half, 0), :2]
     turn = np.arctan2(way[1], way[0]) - np.arctan2(branch[1], branch[0])
     return bool(abs(wrapped(turn)) < ALIGNED)

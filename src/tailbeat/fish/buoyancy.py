@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tailbeat.fish.description import Body, Fish, Part, parts_of
+from tailbeat.fish.bodies import Body, Part
+from tailbeat.fish.description import Fish, parts_of
 
 FLOATS = 0.15  # share of the mass by which a hull may displace more or less: boxes are rounded
 TRIM = 0.05  # share of the length between the centres of mass and of volume

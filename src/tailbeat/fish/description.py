@@ -5,23 +5,20 @@ common origin that the author chooses. Everything is SI inside; a file may use a
 `units.UNITS`. `twin.py` compiles it for the engine.
 """
 
-from itertools import pairwise
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from tailbeat.fish import bodies as b
 from tailbeat.fish import units as u
+from tailbeat.fish.bodies import Body, Link, Model, Part
 
-SHORTEST = 1e-3  # m: a wet part shorter than this has no chord that could have a trailing edge
 Family = Literal["dynamixel-x", "feetech-sts"]  # of a servo: which driver speaks to it
+PERIOD = 0.02  # s, of the robot's loop
 COEFFICIENTS = ("blunt", "slender", "angular", "kutta", "magnus")  # the engine's order
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Medium(_Model):
+class Medium(Model):
     """The water."""
 
     density: u.Density = Field(gt=0)
@@ -30,16 +27,25 @@ class Medium(_Model):
     """Dynamic viscosity of the water."""
 
 
-class Simulation(_Model):
+class Simulation(Model):
     """Step and integrator of the engine; docs/explain/twin.md says why these are the defaults."""
 
     step: u.Time = Field(default=0.002, gt=0, le=0.02)
-    """Time step of the engine."""
+    """Time step of the engine. It divides the 20 ms of the robot's loop."""
     integrator: Literal["implicit", "implicitfast", "Euler", "RK4"] = "implicit"
     """Integrator of the engine."""
 
+    @field_validator("step")
+    @classmethod
+    def _divides(cls, step: float) -> float:
+        if abs(round(PERIOD / step) * step - PERIOD) > 1e-9:
+            raise ValueError(
+                "the step must divide the 20 ms of the robot's loop, as 1, 2, 4 or 5 ms do"
+            )
+        return step
 
-class Zone(_Model):
+
+class Zone(Model):
     """Five coefficients for the parts that name this zone; see docs/explain/fluid-law.md."""
 
     blunt: u.Ratio = Field(ge=0)
@@ -58,7 +64,7 @@ class Zone(_Model):
         return tuple(getattr(self, name) for name in COEFFICIENTS)
 
 
-class TrailingEdge(_Model):
+class TrailingEdge(Model):
     """Only the rear end of a wet part sheds circulation (`edge.py`)."""
 
     speed: u.Speed = Field(default=0.03, gt=0, le=0.5)
@@ -68,85 +74,7 @@ class TrailingEdge(_Model):
     rear end keeps its circulation in either direction of the flow."""
 
 
-class Part(_Model):
-    """A box-shaped piece of a body. With a `zone` it feels water, as an ellipsoid whose semi-axes
-    are half its size."""
-
-    name: str
-    """Name of the part, for messages."""
-    position: u.Point3
-    """Centre of the box."""
-    size: u.Point3
-    """Full length, width and height of the box, each above 0."""
-    mass: u.Mass = Field(default=0.0, ge=0)
-    """Mass of a uniform box. It enters the body's mass, centre and inertia."""
-    zone: str | None = None
-    """Name of the zone whose coefficients act on the part. Without it the part feels no water."""
-    added_mass: u.Mass = Field(default=0.0, ge=0)
-    """Water that the part carries sideways. It counts only if the fish's `added_inertia` is above
-    0."""
-    flooded: bool = False
-    """Whether water fills the part. `show` then takes it as neutral. No effect on the twin."""
-
-    @model_validator(mode="after")
-    def _sizes(self) -> "Part":
-        if min(self.size) <= 0:
-            raise ValueError("size must be above 0 in all three directions")
-        return self
-
-
-class Inertial(_Model):
-    """Mass, centre and inertias of a body, from CAD or a balance."""
-
-    mass: u.Mass = Field(gt=0)
-    """Mass of the body."""
-    centre: u.Point3
-    """Centre of mass."""
-    inertia: u.Inertia3
-    """Principal moments of inertia about x, y, z through the centre."""
-
-
-class Mesh(_Model):
-    """The user's own STL or OBJ, for pictures of a body."""
-
-    file: str
-    """Path of the STL or OBJ, absolute or from the working folder."""
-    scale: u.Ratio = Field(default=1.0, gt=0)
-    """Factor from the mesh's units to metres."""
-    position: u.Point3 = (0.0, 0.0, 0.0)
-    """Place of the mesh's origin."""
-
-
-class Body(_Model):
-    """A rigid piece of the fish."""
-
-    parts: tuple[Part, ...] = Field(min_length=1)
-    """Boxes that the body is made of."""
-    inertial: Inertial | None = None
-    """Mass, centre and inertias, where they are known better than from the parts."""
-    mesh: Mesh | None = None
-    """Mesh for pictures. It has no effect on the physics."""
-
-
-class Link(Body):
-    """One tail link behind its passive hinge."""
-
-    hinge: u.Length
-    """x of the hinge. It falls from link to link."""
-    stiffness: u.AngularStiffness = Field(gt=0)
-    """Stiffness of the hinge."""
-    strip_height: u.Length | None = Field(default=None, gt=0)
-    """Height of the flexible strip that the hinge stands for. A tail's identification spreads the
-    measured stiffness in proportion to height over length."""
-    strip_length: u.Length | None = Field(default=None, gt=0)
-    """Length of the flexible strip that the hinge stands for."""
-    guides: u.Points2 = ()
-    """Holes (x, y) of the left tendon, from the head. The right tendon's are the mirror image."""
-    crossed: bool = False
-    """Whether the two tendons swap sides on this link."""
-
-
-class Motor(_Model):
+class Motor(Model):
     """What moves the tendons."""
 
     kind: Literal["pulley", "crank"]
@@ -165,7 +93,7 @@ class Motor(_Model):
     """Lowest and highest angle, within -85 to 85 deg. A pulley needs it."""
 
 
-class Servo(_Model):
+class Servo(Model):
     """Position servo: torque = kp (command(t - delay) - angle) - kv speed, within the limit."""
 
     kp: u.AngularStiffness = Field(gt=0)
@@ -184,7 +112,7 @@ class Servo(_Model):
     """Time from a command to its effect."""
 
 
-class Hardware(_Model):
+class Hardware(Model):
     """The servo as bought, and how the IMU is mounted. Drivers, emulators and the robot's limits
     read this; the twin does not, so an identification may not change it and a policy does not
     depend on it."""
@@ -218,7 +146,7 @@ class Hardware(_Model):
     """Axis of the IMU that points up. A BNO085 must have `z` or `-z`."""
 
 
-class Tendons(_Model):
+class Tendons(Model):
     """The antagonistic pair. Without `stiffness` it is inextensible (a constraint). With it, each
     tendon is a spring that pulls and never pushes."""
 
@@ -234,7 +162,7 @@ class Tendons(_Model):
     """Holes (x, y) of the left tendon in the head. The right tendon's are the mirror image."""
 
 
-class Tail(_Model):
+class Tail(Model):
     """The chain of links."""
 
     k_eff: u.AngularStiffness | None = None
@@ -249,7 +177,7 @@ class Tail(_Model):
     """Links from the head to the fin."""
 
 
-class Marker(_Model):
+class Marker(Model):
     """A point that a camera follows."""
 
     name: str
@@ -260,7 +188,7 @@ class Marker(_Model):
     """Place of the marker."""
 
 
-class Uncertain(_Model):
+class Uncertain(Model):
     """A number that no test bench measured and the fluid fit may move."""
 
     field: str
@@ -277,7 +205,7 @@ class Uncertain(_Model):
     """Whether the fit searches ln(value)."""
 
 
-class Fish(_Model):
+class Fish(Model):
     """The whole fish. Everything is SI."""
 
     name: str
@@ -333,10 +261,15 @@ def parts_of(fish: Fish) -> list[Part]:
     return [part for body in (fish.head, *fish.tail.links) for part in body.parts]
 
 
+def ends_of(fish: Fish) -> tuple[float, float]:
+    """x of the rear of the rearmost part and of the front of the foremost part [m]."""
+    return b.ends((fish.head, *fish.tail.links))
+
+
 def length_of(fish: Fish) -> float:
     """Length from the front of the foremost part to the rear of the rearmost part [m]."""
-    places = [(part.position[0], part.size[0] / 2) for part in parts_of(fish)]
-    return max(x + half for x, half in places) - min(x - half for x, half in places)
+    rear, front = ends_of(fish)
+    return front - rear
 
 
 def _name_errors(fish: Fish) -> list[str]:
@@ -360,16 +293,11 @@ def _name_errors(fish: Fish) -> list[str]:
 
 def _geometry_errors(fish: Fish) -> list[str]:
     """Impossible shapes: hinges out of order, an empty band, a pulley that unwinds."""
-    hinges = [link.hinge for link in fish.tail.links]
-    found = []
-    if any(b >= a for a, b in pairwise(hinges)):
-        found.append("hinges must run from the head to the fin: each hinge's x below the last")
-    bodies = {"head": fish.head} | {f"link {i}": link for i, link in enumerate(fish.tail.links)}
-    found += [
-        f"{name} has no mass; give its parts their masses"
-        for name, body in bodies.items()
-        if body.inertial is None and sum(part.mass for part in body.parts) <= 0
-    ]
+    bodies = (fish.head, *fish.tail.links)
+    places = {f"markers.{i}.position": one.position for i, one in enumerate(fish.markers)}
+    places |= {"tracked": fish.tracked, "motor.position": fish.motor.position}
+    found = [*b.hinge_errors(bodies, fish.tail.links), *b.mass_errors(bodies)]
+    found += b.place_errors(bodies, places)
     if (own := fish.hardware) and not own.supply_range[0] <= own.supply <= own.supply_range[1]:
         low, high = own.supply_range
         found.append(f"hardware.supply is {own.supply:g} V; the servo takes {low:g} to {high:g} V")
@@ -382,18 +310,7 @@ def _geometry_errors(fish: Fish) -> list[str]:
             "motor.range must lie within -85 to 85 deg: beyond, the tendon leaves the pulley"
         )
     if fish.trailing_edge is not None:
-        found += _chord_errors(fish)
+        found += b.chord_errors(bodies)
     if fish.tendons.stiffness is None and (fish.tendons.slack or fish.tendons.two_way):
         found.append("tendons.slack and two_way need a tendons.stiffness")
     return found
-
-
-def _chord_errors(fish: Fish) -> list[str]:
-    """Wet parts that are too short along x to have a rear end."""
-    wet = [part for part in parts_of(fish) if part.zone is not None]
-    return [
-        f"part {part.name!r} is {1e3 * part.size[0]:g} mm long and trailing_edge needs a length of"
-        f" {1e3 * SHORTEST:g} mm or more; give its length along x, or remove trailing_edge"
-        for part in wet
-        if part.size[0] < SHORTEST
-    ]

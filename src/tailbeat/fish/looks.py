@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.fish.description import Body, Fish, Part, length_of
+from tailbeat.fish.bodies import Body, Part
+from tailbeat.fish.description import Fish, length_of
 
 Array = NDArray[np.float64]
 

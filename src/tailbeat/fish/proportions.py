@@ -31,6 +31,7 @@ STROKE = math.radians(80)  # the tendons stay on the pulley
 BEND_SHARE = 0.6  # of the stall torque, to bend the tail by the whole stroke
 LEAST_STROKE = 0.15  # rad that the servo still makes at the band's top
 HIGHEST = 5.0  # Hz: ten of the robot's commands per beat
+SOFTEST = 0.01  # of the usual stiffness at its length; below, a unit is wrong (chosen)
 SLENDER = (0.5, 2.0)  # allowed ratio of width over length to the pulley fish's
 # Added mass of a rectangular plate broadside on, over that of the strip pi/4 chord^2 span, by span
 # over chord (DNV-RP-C205, appendix D).
@@ -114,7 +115,7 @@ def sketch(given: Given) -> Sketch:
              SHARES["mid"] * given.mass),
         _tail(given, scale, wide, fin, arms, stiffness),
         fin, radius, MOTOR_SHARE * given.mass, k_eff, _band(scale, servo),
-        _tag(scale),
+        _tag(min(scale, wide)),
     )  # fmt: skip
 
 
@@ -135,8 +136,12 @@ def _check(given: Given) -> None:
                 f"--fin: {side} {1e3 * size:g} mm; a fish of {1e3 * given.length:g} mm may have"
                 f" {1e3 * low:.0f} to {1e3 * high:.0f} mm."
             )
-    if given.k_eff is not None and not given.k_eff > 0:
-        raise BadInput(f"--k-eff {given.k_eff:g} N m/rad: give a stiffness above 0.")
+    usual = K_EFF * (given.length / LENGTH) ** 3
+    if given.k_eff is not None and not given.k_eff >= SOFTEST * usual:
+        raise BadInput(
+            f"--k-eff {given.k_eff:g} N m/rad: a tail of a fish of {given.length:g} m usually has"
+            f" {usual:.2g}; allowed is {SOFTEST * usual:.2g} or more, so check the unit."
+        )
 
 
 def _width(given: Given, scale: float) -> float:
@@ -173,7 +178,8 @@ def _check_bend(given: Given, servo: Profile, k_eff: float) -> None:
 
 
 def _tag(scale: float) -> float:
-    """The largest side in whole 5 mm that fits, at most the paper's 80 mm."""
+    """The largest side in whole 5 mm that fits, at most the paper's 80 mm. `scale` is the hull's
+    length or width over the pulley fish's, whichever is smaller."""
     return 5e-3 * max(math.floor(80 * min(scale, 1.0) / 5 + 1e-9), 1)
 
 

@@ -15,6 +15,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tailbeat.files import new_file
+from tailbeat.fish.description import length_of
+from tailbeat.fish.proportions import LENGTH
 from tailbeat.fish.twin import Twin
 
 Array = NDArray[np.float64]
@@ -69,12 +71,15 @@ def _drawn(twin: Twin, qpos: Array, size: tuple[int, int]) -> Iterator[Image]:
     for row in qpos:
         data.qpos[:] = row
         mujoco.mj_kinematics(twin.model, data)
-        _draw_top(axes, twin.model, data)
+        _draw_top(axes, twin.model, data, length_of(twin.fish) / LENGTH)
         canvas.draw()
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _draw_top(axes: matplotlib.axes.Axes, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+def _draw_top(
+    axes: matplotlib.axes.Axes, model: mujoco.MjModel, data: mujoco.MjData, scale: float
+) -> None:
+    """`scale`: the fish's length over the pulley fish's."""
     axes.clear()
     for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_ELLIPSOID):
         half = model.geom_size[geom]
@@ -86,7 +91,8 @@ def _draw_top(axes: matplotlib.axes.Axes, model: mujoco.MjModel, data: mujoco.Mj
         )
         axes.fill(*rim.T, color="tab:blue", alpha=0.6)
     x, y = data.body("head").xpos[:2]
-    axes.set(xlim=(x - 0.7, x + 0.4), ylim=(y - 0.31, y + 0.31), xlabel="x [m]", ylabel="y [m]")
+    along, across = (x - 0.7 * scale, x + 0.4 * scale), (y - 0.31 * scale, y + 0.31 * scale)
+    axes.set(xlim=along, ylim=across, xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal")
     axes.grid(alpha=0.3)
 

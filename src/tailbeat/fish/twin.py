@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.fish import edge, surge
-from tailbeat.fish.description import Body, Fish, Inertial, Servo
+from tailbeat.fish.bodies import Body, Inertial
+from tailbeat.fish.description import Fish, Servo
 from tailbeat.fish.looks import add_looks
 from tailbeat.fish.units import Triple
 

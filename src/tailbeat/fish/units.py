@@ -37,7 +37,7 @@ def typed(text: str, dimension: str) -> float:
     """A quantity as typed on a command line, in SI: "280mm", "280 mm", or "0.28" for the SI unit.
     Raises ValueError that says what is allowed."""
     usual = next(iter(UNITS[dimension]))
-    found = re.fullmatch(r"\s*([-+0-9.eE]+?)\s*([a-zA-Z].*)?", text)
+    found = re.fullmatch(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([a-zA-Z].*)?", text)
     number = None if found is None else _number(found[1])
     if found is None or number is None or not math.isfinite(number):
         raise ValueError(f"{text!r} is not a number with a unit such as {usual}")

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.fish.description import Fish
+from tailbeat.fish.description import Fish, length_of
+from tailbeat.fish.proportions import LENGTH
 from tailbeat.identify.launch import KEY
 from tailbeat.identify.protocol import RATE, ServoLimits, largest
 from tailbeat.recording import Recording
@@ -40,8 +41,9 @@ def manoeuvres(
     the number of wandering ones."""
     low, high = fish.band
     middle = float(np.sqrt(low * high))
+    short = min(length_of(fish) / LENGTH, 1.0)  # a longer fish has no larger pool
     kinds = [
-        *(("launch", _launched(limit, *one)) for one in _launches(low, middle, high)),
+        *(("launch", _launched(limit, short * v, b)) for v, b in _launches(low, middle, high)),
         *(("brake", _played(limit, one)) for one in _stops(low, middle, high)),
         *(("slow", _played(limit, [Beat(SECONDS, *one)])) for one in SLOW),
         *(("turn", _played(limit, [Beat(SECONDS, *one)])) for one in _turns(low, middle, high)),
@@ -58,7 +60,7 @@ SLOW = ((0.5, 1.0, 0.0), (0.3, 0.5, 0.6), (0.7, 0.8, -0.3))  # Hz, fraction of t
 
 
 def _launches(low: float, middle: float, high: float) -> list[tuple[float, Beat]]:
-    """Surge of each launch [m/s], and the beat after it."""
+    """Surge of each launch of the paper's fish [m/s], and the beat after it."""
     return [
         (-0.1, Beat(SECONDS, 0.75 * middle, 0.9)),
         (-0.25, Beat(SECONDS, 1.25 * middle, 0.9)),

@@ -1,6 +1,7 @@
 """Read a target's path from a CSV file: columns `x`, `y` [m] in the pool, and perhaps `time` [s].
 
-Lines that begin with # are comments. Other columns are ignored.
+Names with a unit, as in recordings, are the same: `x_m`, `y_m`, `time_s`. Another column is
+refused: it could be a time that is not understood. Lines that begin with # are comments.
 """
 
 import csv
@@ -16,7 +17,9 @@ from tailbeat.files import BadInput
 
 Array = NDArray[np.float64]
 FEWEST, MOST = 4, 100_000  # points
+LARGEST = 1e10  # of any number: beyond, squares of products overflow
 UNITS = {"x": "metres", "y": "metres", "time": "seconds"}
+NAMES = {"x": "x", "x_m": "x", "y": "y", "y_m": "y", "time": "time", "time_s": "time", "t": "time"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,12 +87,14 @@ def _rows(name: str) -> Iterator[tuple[int, list[float]]]:
 
 def _written(reader: Iterator[list[str]]) -> Iterator[list[str]]:
     """Lines that are neither empty nor comments."""
-    return (words for words in reader if any(words) and not words[0].lstrip().startswith("#"))
+    lines = ([word.strip() for word in words] for words in reader)
+    return (words for words in lines if any(words) and not words[0].startswith("#"))
 
 
 def _head(name: str, words: list[str]) -> list[str]:
-    """Names of the columns. Raises BadInput where one is missing, or there twice."""
-    head = [word.strip() for word in words]
+    """Names of the columns as in `UNITS`; one may have none. Raises BadInput for a column that is
+    missing, unknown or there twice."""
+    head = [NAMES.get(word.lower(), word) for word in words]
     for column in ("x", "y"):
         if column not in head:
             found = ", ".join(head)[:80] or "nothing"
@@ -97,21 +102,26 @@ def _head(name: str, words: list[str]) -> list[str]:
                 f"{name}: no column {column}; its first line must name the columns x, y and"
                 f" perhaps time, but has {found}."
             )
-    for column in UNITS:
+    for column in filter(None, head):
+        if column not in UNITS:
+            raise BadInput(
+                f"{name}: unknown column {column[:40]!r}; allowed are x or x_m, y or y_m, and"
+                f" time, time_s or t, so rename it or leave it out."
+            )
         if head.count(column) > 1:
             raise BadInput(f"{name}: two columns {column}; leave one out.")
     return head
 
 
 def _number(name: str, line: int, words: list[str], column: str, place: int) -> float:
-    word = words[place].strip() if place < len(words) else ""
+    word = words[place] if place < len(words) else ""
     try:
         number = float(word)
     except ValueError:
         number = math.nan
-    if not math.isfinite(number):
+    if not abs(number) <= LARGEST:
         raise BadInput(
             f"{name}, line {line}: {column} is {word[:40]!r}; give a finite number of"
-            f" {UNITS[column]}."
+            f" {UNITS[column]}, at most {LARGEST:g} in size."
         )
     return number

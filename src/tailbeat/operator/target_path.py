@@ -24,7 +24,7 @@ USUAL = 0.12  # m/s of the paper's fish: a target's speed where none is given (c
 POINTS = 1000  # of one lap of a named path
 JUMP = 0.25  # m of the paper's fish: neighbours that are farther apart are a jump (chosen)
 CLOSED = 0.01  # m: a file whose last point is so near the first is a closed path
-LONGEST = 3600.0  # s
+LONGEST, MOST_LAPS = 3600.0, 100_000  # s
 SLACK = 1.01  # of the fastest speed: the points of a named path are not quite even
 AHEAD = 0.05  # m of a path that give its first direction
 
@@ -157,8 +157,8 @@ def _seconds(asked: PathAsked, lap: float, closed: bool) -> float:
         raise BadInput(f"--laps {asked.laps} and --seconds {asked.seconds:g}: give one of them.")
     if asked.seconds is not None and not 0 < asked.seconds < math.inf:
         raise BadInput(f"--seconds {asked.seconds:g}: give a time above 0.")
-    if asked.laps is not None and asked.laps < 1:
-        raise BadInput(f"--laps {asked.laps}: give 1 or more.")
+    if asked.laps is not None and not 1 <= asked.laps <= MOST_LAPS:
+        raise BadInput(f"--laps {str(asked.laps)[:20]}: give 1 or more, up to {MOST_LAPS}.")
     whole = lap * (asked.laps or 1) if asked.seconds is None else asked.seconds
     if not closed and whole > lap * (1 + 1e-9):
         raise BadInput(
@@ -166,7 +166,7 @@ def _seconds(asked: PathAsked, lap: float, closed: bool) -> float:
             f" or fewer seconds, or a path that returns to its first point."
         )
     if whole > LONGEST:
-        raise BadInput(f"--path {asked.path}: it takes {whole:.0f} s; {LONGEST:g} s are allowed.")
+        raise BadInput(f"--path {asked.path}: it takes {whole:g} s; {LONGEST:g} s are allowed.")
     return whole
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
-from tailbeat.fish.description import Body, Fish, Part, Servo
+from tailbeat.fish.bodies import Body, Part
+from tailbeat.fish.description import Fish, Servo
 from tailbeat.fish.linkage import moment_arms
 from tailbeat.fish.twin import compile_twin, inertial
 from tailbeat.pool.kinematics import FRAME, pose

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from tailbeat.files import BadInput
-from tailbeat.fish.description import Fish, Servo
+from tailbeat.fish.description import Fish, Servo, ends_of
 from tailbeat.fish.show import shaft_stiffness
 from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.launch import KEY as LAUNCH
@@ -50,9 +50,11 @@ from tailbeat.recording import Recording, require
 Array = NDArray[np.float64]
 SENSORS, WATER = Sensors(), Water()
 DT = 0.002  # s
+HALVED = 4  # times that the step is halved for a swim that diverges
 SERVO_DT = 0.00025  # s; the mean command of a longer step reaches the force limit too early
 AIR = 1.2e-3  # density of air over that of water
 MARGIN = 0.35  # m: a recording ends when the fish is this close to a wall
+BEGIN_AT, BACKWARD = 0.8, 0.6  # m from the pool's end: start of a swim; more if launched backward
 # The test bench's drive for the tail: stiff, and on the motor's side of the torque sensor.
 DRIVE = Servo(kp=300.0, kv=3.0, armature=1e-9, damping=0.0, force_limit=50.0, delay=0.0)
 
@@ -80,7 +82,7 @@ def record_tail(
             "angle_rad": encoder(_at(swum, swum.q[0, :, 3], time)),
             # the torque of a step is that at its middle
             "torque_nm": torque_cell(
-                np.interp(time, swum.time[1:] - 0.0005, swum.torque[0, 1:]), sensors, rng
+                np.interp(time, swum.time[1:] - swum.time[1] / 2, swum.torque[0, 1:]), sensors, rng
             ),
         }
         yield Recording(command.name, time, columns, _meta(water), {"condition": label})
@@ -119,11 +121,12 @@ def record_fluid(
     Cut where the fish comes near a wall. The encoder is read at the loop's rate and interpolated to
     the frames, as a recorder that joins two logs does.
     """
-    played = commands or _swims(fish)
-    for number, command in enumerate(_checked(fish, played)):
+    played = _checked(fish, commands or _swims(fish))
+    launches = [launch_of(command, fish) for command in played]
+    for number, (command, launch) in enumerate(zip(played, launches, strict=True)):
         rng = np.random.default_rng([seed, 200 + number])
-        side, launch = rng.uniform(-0.2, 0.2, 2), launch_of(command, fish)
-        begin = _begin(command, 0.0 if launch is None else launch[0])
+        side = rng.uniform(-0.2, 0.2, 2)
+        begin = _begin(fish, command, 0.0 if launch is None else launch[0])
         start = np.array([[begin, side[0], side[1] / 2]])
         around = Surroundings(walls=POOL)
         swum = _play(fish, command, water, around, None, DT, start, launch)
@@ -159,12 +162,13 @@ def _swims(fish: Fish) -> list[Recording]:
     return [*fluid_runs(fish, limit).values(), *manoeuvres(fish, limit).values()]
 
 
-def _begin(command: Recording, surge: float) -> float:
+def _begin(fish: Fish, command: Recording, surge: float) -> float:
     """Start x [m] of a swim: the pool's end, or the middle if the command says so. A fish launched
-    backward starts farther from the end."""
+    backward starts farther from the end, and so does one whose fin would be near the wall."""
     if command.meta.get(BEGIN) == "middle":
         return 0.0
-    return -LENGTH / 2 + (1.4 if surge < 0 else 0.8)
+    rear, _ = ends_of(fish)
+    return -LENGTH / 2 + max(BEGIN_AT, MARGIN - rear) + (BACKWARD if surge < 0 else 0.0)
 
 
 def _checked(fish: Fish, commands: Sequence[Recording]) -> Sequence[Recording]:
@@ -198,16 +202,24 @@ def _play(
     launch: Array | None = None,
 ) -> Swum:
     """Play a command recording to its end; each setpoint is held until the next. `launch` (3,) is
-    the head's velocity at the start, in the fish frame."""
-    plant = build_plant(fish, [water], servo, [around], dt)
-    edges = np.asarray(dt * np.arange(int(command.time[-1] / dt) + 3), dtype=np.float64)
-    held = mean_held(command.time, command.columns["command_rad"], edges)
-    state = at_rest(plant, start)
-    if launch is not None:
-        cos, sin = np.cos(state.q[0, 2]), np.sin(state.q[0, 2])
-        surge, sway, turn = launch
-        state.v[0, :3] = cos * surge - sin * sway, sin * surge + cos * sway, turn
-    return step_plant(plant, state, held[None])
+    the head's velocity at the start, in the fish frame. A small fish may need a step shorter than
+    `dt`. Raises BadInput for a swim that diverges at every step."""
+    for step in dt / 2.0 ** np.arange(HALVED):
+        plant = build_plant(fish, [water], servo, [around], float(step))
+        state = at_rest(plant, start)
+        if launch is not None:
+            cos, sin = np.cos(state.q[0, 2]), np.sin(state.q[0, 2])
+            surge, sway, turn = launch
+            state.v[0, :3] = cos * surge - sin * sway, sin * surge + cos * sway, turn
+        edges = np.asarray(step * np.arange(int(command.time[-1] / step) + 3), dtype=np.float64)
+        held = mean_held(command.time, command.columns["command_rad"], edges)
+        swum = step_plant(plant, state, held[None])
+        if not swum.lost.any():
+            return swum
+    raise BadInput(
+        f"{command.name}: {fish.name} diverges in the virtual pool, also at a step of"
+        f" {1e3 * step:g} ms; check the masses and sizes of its parts with `tailbeat show`."
+    )
 
 
 def _smooth(command: Recording, dt: float) -> Recording:

@@ -132,9 +132,10 @@ def _draw_pool(axes: Axes, whole: Track, path: TargetPath) -> None:
 
 def _draw_distance(axes: Axes, whole: Track, followed: Followed) -> None:
     axes.plot(whole.after, 100 * whole.distance, color=SWUM)
-    limit = 100 * following.KEPT * followed.pool.measure.reach
+    measure = followed.pool.measure
+    limit = 100 * following.KEPT * measure.reach
     axes.axhline(limit, color=LIMIT, ls="--", lw=1, label=f"{limit:g} cm")
-    axes.axvspan(0, min(SETTLING, whole.after[-1]), color=COMMAND, alpha=0.15, lw=0)
+    axes.axvspan(0, min(SETTLING * measure.time, whole.after[-1]), color=COMMAND, alpha=0.15, lw=0)
     for number, one in enumerate(followed.record.holds):
         axes.axvline(one.after, color=MISSED, lw=1, label="hold" if number == 0 else None)
     axes.set(xlabel="time after the start [s]", ylabel="distance [cm]")
