@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
 from support import tailbeat
+from tailbeat.evaluate import zoo_run
 from tailbeat.evaluate.zoo import COUNT, SERVOS, WRONG, animals, guess
 from tailbeat.evaluate.zoo_run import STEPS, Step, ZooConfig, commands, counted, zoo
 from tailbeat.files import BadInput, write_json
@@ -83,7 +84,8 @@ def test_a_decided_number_counts_as_held_only_inside_its_interval(tmp_path):
     assert counted(tmp_path) == (2, 1)
 
 
-def test_an_interrupted_recording_begins_anew_and_a_finished_step_is_kept(tmp_path):
+def test_an_interrupted_recording_begins_anew_and_a_finished_step_is_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(zoo_run, "QUICK", {"servo": ("servo-steps",), "fluid": ("fluid-02",)})
     animal, config = animals(0)[0], ZooConfig(tmp_path, quick=True)
     said: list[str] = []
     folder = tmp_path / f"{animal.name}-quick"

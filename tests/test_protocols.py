@@ -16,7 +16,7 @@ from tailbeat.identify import posterior
 from tailbeat.identify.chain import ChainPaths, Folder, _keys, identify_all, read_folder
 from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.job import FluidConfig
-from tailbeat.identify.protocol import fluid_runs, limits
+from tailbeat.identify.protocol import fluid_runs, limits, servo_commands
 from tailbeat.identify.search import Effort
 from tailbeat.identify.tail import identify_tail
 from tailbeat.pool.protocols import record_fluid, record_servo, record_tail
@@ -27,6 +27,7 @@ from tailbeat.recording import Recording, crop, read_recording, write_recording
 from tailbeat.report.identified import DRAWINGS
 
 FISH = load_fish("pulley-fish")
+SERVO = ("servo-chirp", "servo-steps", "servo-beat")
 LITTLE = FluidConfig(1, 1, effort=Effort(generations=1, population=8, polish=3), draws=4)
 
 
@@ -34,8 +35,11 @@ LITTLE = FluidConfig(1, 1, effort=Effort(generations=1, population=8, polish=3),
 def folder(tmp_path_factory):
     """All experiments, as files; three of the 39 swims."""
     out = tmp_path_factory.mktemp("pool")
-    for kind in ("tail", "servo", "check"):
+    for kind in ("tail", "check"):
         record(kind, "pulley-fish", out, seed=0)
+    servo = servo_commands(FISH, limits(FISH))
+    for bench in record_servo(FISH, commands=[servo[name] for name in SERVO]):
+        write_recording(bench, out / f"{bench.name}.csv")
     swims = fluid_runs(FISH, limits(FISH))
     chosen = [swims[f"fluid-{number:02d}"] for number in (1, 5, 7)]
     for swim in record_fluid(FISH, commands=chosen):
@@ -132,11 +136,10 @@ def test_one_folder_one_command(folder, tmp_path):
     """The whole chain with little effort: every stage runs, and its result goes on to the next."""
     few = tmp_path / "few"
     few.mkdir()
-    benches = ("tail-sweep", "servo-chirp", "servo-steps", "servo-beat")
-    for name in benches:
+    for name in ("tail-sweep", *SERVO):
         (few / f"{name}.csv").write_bytes((folder / f"{name}.csv").read_bytes())
     for name in ("fluid-01", "fluid-05", "fluid-07", "check-01-mixed", "check-02-sweep"):
-        short = crop(read_recording(folder / f"{name}.csv"), 0.0, 6.0)
+        short = crop(read_recording(folder / f"{name}.csv"), 0.0, 3.0)
         name = name.replace("-07", "-06")  # so that the third swim is held out
         write_recording(replace(short, name=name), few / f"{name}.csv")
     out = tmp_path / "mine.toml"
