@@ -23,7 +23,7 @@ def zoo(
     targets: Annotated[int, typer.Option(help="Number of targets of every fish.")] = 100,
     quick: Annotated[
         bool,
-        typer.Option("--quick", help="See in minutes that every step runs; trains for seconds only."),
+        typer.Option("--quick", help="See that every step runs; trains for seconds only."),
     ] = False,
     json: JsonOption = None,
 ) -> None:

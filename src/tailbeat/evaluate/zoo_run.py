@@ -22,8 +22,8 @@ from tailbeat.processes import end, start_verb
 
 Say = Callable[[str], None]
 STEPS = ("new-fish", "record", "identify", "train", "evaluate")
-# To see in a minute that all steps fit together: few recordings, a short search, and a training that
-# is too short for a policy that swims well.
+# To see in minutes that all steps fit together: few recordings, a short search, and a training too
+# short for a policy that swims well.
 QUICK = {
     "servo": ("servo-chirp", "servo-steps", "servo-triangle", "servo-beat"),
     "fluid": ("fluid-02", "fluid-06", "fluid-14-launch", "fluid-28-turn"),
@@ -161,7 +161,7 @@ def commands(animal: Animal, name: str, config: ZooConfig, folder: Path) -> list
 
 
 def _record(lab: str, data: str, commands: Path | None) -> list[list[str]]:
-    """All three recordings; with `commands`, a folder for the protocol's commands, a few of them."""
+    """All three recordings; with a folder for the protocol's `commands`, a few of them."""
     typed = [["record", kind, "--fish", lab, "--out", data] for kind in ("tail", "servo", "fluid")]
     if commands is None:
         return typed

@@ -16,7 +16,6 @@ from tailbeat.identify.protocol import EVERY, HELD_OUT_SERVO, present_name
 from tailbeat.identify.servo_job import ServoConfig
 from tailbeat.identify.stages import DrawFluid, DrawServo, DrawTail, Paths, Progress
 
-
 SERVO_GENERATIONS = 10  # of the servo's search for each of the fluid's; 150 by default
 
 
