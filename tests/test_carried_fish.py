@@ -5,7 +5,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
@@ -24,7 +23,14 @@ from tailbeat.evaluate import store
 from tailbeat.evaluate.evaluation import EvaluationConfig, describe, pool_of
 from tailbeat.evaluate.reach import TrialConfig, try_policy
 from tailbeat.files import BadInput
-from tailbeat.fish.store import digest, load_fish, with_values, write_identified
+from tailbeat.fish.store import (
+    Entries,
+    Entry,
+    digest,
+    load_fish,
+    with_values,
+    write_identified,
+)
 from tailbeat.fish.twin import compile_twin
 from tailbeat.report.page import trained_on
 from tailbeat.robot.doctor import check_policy
@@ -67,8 +73,8 @@ def test_the_fish_inside_is_the_one_it_was_trained_on(own):
 
 def test_the_contract_has_the_digest_of_the_file_that_the_environment_swims(own, tmp_path):
     """And the fish inside compiles to the environment's model, number by number."""
-    entry: dict[str, Any] = {"value": 2.0, "unit": "1", "source": "a lab"}
-    values: dict[str, Any] = {"name": "mine", "zones.fin.kutta": entry}
+    entry: Entry = {"value": 2.0, "unit": "1", "source": "a lab"}
+    values: Entries = {"name": "mine", "zones.fin.kutta": entry}
     write_identified("pulley-fish-pool", tmp_path / "mine.toml", values, "")
     described, (_, policy) = load_fish(tmp_path / "mine.toml"), own
     swum = World(described, settings_for(policy.contract), [0]).simulator.physics.twin
