@@ -3,11 +3,13 @@
 import json
 from contextlib import contextmanager
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
+from mujoco.batch import MODEL_FIELDS
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
@@ -15,11 +17,21 @@ from policies import POLICIES
 from support import complaint, tailbeat
 from tailbeat.control.actions import Generator
 from tailbeat.control.policy import KEY, Policy, _digests, as_text, load_policy, shipped
+from tailbeat.env.task import settings_for
+from tailbeat.env.world import World
 from tailbeat.evaluate import store
 from tailbeat.evaluate.evaluation import EvaluationConfig, describe, pool_of
 from tailbeat.evaluate.reach import TrialConfig, try_policy
 from tailbeat.files import BadInput
-from tailbeat.fish.store import load_fish, with_values
+from tailbeat.fish.store import (
+    Entries,
+    Entry,
+    digest,
+    load_fish,
+    with_values,
+    write_identified,
+)
+from tailbeat.fish.twin import compile_twin
 from tailbeat.report.page import trained_on
 from tailbeat.robot.doctor import check_policy
 from tailbeat.robot.fits import carried, check_swims, twin_of
@@ -57,6 +69,20 @@ def test_the_fish_inside_is_the_one_it_was_trained_on(own):
     _, policy = own
     assert carried(policy.contract) == OWN == twin_of(policy, None)
     assert check_swims(policy, None, POOL_FISH) == OWN
+
+
+def test_the_contract_has_the_digest_of_the_file_that_the_environment_swims(own, tmp_path):
+    """And the fish inside compiles to the environment's model, number by number."""
+    entry: Entry = {"value": 2.0, "unit": "1", "source": "a lab"}
+    values: Entries = {"name": "mine", "zones.fin.kutta": entry}
+    write_identified("pulley-fish-pool", tmp_path / "mine.toml", values, "")
+    described, (_, policy) = load_fish(tmp_path / "mine.toml"), own
+    swum = World(described, settings_for(policy.contract), [0]).simulator.physics.twin
+    assert policy.contract.fish_digest == digest(described) == digest(swum.fish)
+    inside = compile_twin(carried(policy.contract)).model
+    for name in MODEL_FIELDS:
+        a, b = (attrgetter(name)(model) for model in (inside, swum.model))
+        assert np.array_equal(a, b), name
 
 
 @pytest.mark.parametrize("name", POLICIES)

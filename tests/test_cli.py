@@ -12,6 +12,7 @@ from synthetic import record
 from tailbeat.cli.app import spread_lists
 from tailbeat.cli.renamed import refuse_old_names
 from tailbeat.fish.store import load_fish
+from tailbeat.identify import launch
 from tailbeat.recording import read_recording, write_recording
 
 
@@ -30,7 +31,8 @@ def test_lists_of_recordings_follow_an_option():
     )
 
 
-def test_new_fish_show_and_predict(tmp_path, swim):
+def test_new_fish_show_and_predict(tmp_path, swim, monkeypatch):
+    monkeypatch.setattr(launch, "SECONDS", 2.5)
     assert tailbeat_process("new-fish", tmp_path / "my.toml").returncode == 0
     shown = tailbeat(
         "show",
@@ -39,13 +41,14 @@ def test_new_fish_show_and_predict(tmp_path, swim):
         tmp_path / "my.png",
         "--json",
         tmp_path / "s.json",
+        "--launches",
     )
     assert shown.returncode == 0, shown.stderr
-    assert "k_eff_read" in shown.stdout
+    assert "k_eff_read" in shown.stdout and "launch [m/s]" in shown.stdout
     assert (tmp_path / "my.png").stat().st_size > 5000
-    assert json.loads((tmp_path / "s.json").read_text())["hinges"][0]["arm_m"] == pytest.approx(
-        0.015
-    )
+    found = json.loads((tmp_path / "s.json").read_text())
+    assert found["hinges"][0]["arm_m"] == pytest.approx(0.015)
+    assert [row["launch"] for row in found["launches"]] == 6 * [0.0, 0.03, -0.03, -0.1, -0.3]
     done = tailbeat("predict", "--fish", "pulley-fish", swim, "--json", tmp_path / "p.json")
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "p.json").read_text())

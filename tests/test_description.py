@@ -7,6 +7,7 @@ import pytest
 from tailbeat.evaluate.open_loop import beat, summary
 from tailbeat.files import BadInput
 from tailbeat.fish.store import (
+    Entry,
     fish_path,
     load_fish,
     new_fish,
@@ -126,7 +127,7 @@ def test_values_are_set_by_path_and_checked():
 
 
 def test_identified_fish_keeps_comments_and_records_where_from(tmp_path):
-    entry = {"value": 1.25, "unit": "1", "interval": [1.0, 1.5], "source": "identified on a"}
+    entry: Entry = {"value": 1.25, "unit": "1", "interval": [1.0, 1.5], "source": "identified on a"}
     target = tmp_path / "id.toml"
     write_identified(PULLEY, target, {"zones.fin.kutta": entry}, "made by a test")
     text = target.read_text()
@@ -139,9 +140,9 @@ def test_identified_fish_keeps_comments_and_records_where_from(tmp_path):
 
 def test_a_field_that_the_file_lacks_is_added_where_it_belongs(tmp_path):
     new_fish(tmp_path / "mine.toml")
-    entry = {"value": 1.3, "unit": "1", "source": "a test"}
-    paths = {"tail.stiffness_scale": entry, "added_inertia": entry, "simulation.step": None}
-    values = {path: e or {"value": 1.0, "unit": "ms", "source": "t"} for path, e in paths.items()}
+    entry: Entry = {"value": 1.3, "unit": "1", "source": "a test"}
+    step: Entry = {"value": 1.0, "unit": "ms", "source": "t"}
+    values = {"tail.stiffness_scale": entry, "added_inertia": entry, "simulation.step": step}
     write_identified(tmp_path / "mine.toml", tmp_path / "out.toml", values, "n")
     fish = load_fish(tmp_path / "out.toml")
     assert fish.tail.stiffness_scale == 1.3 and fish.added_inertia == 1.3

@@ -1,6 +1,6 @@
-"""Lift by the direction of the flow, and one model everywhere."""
+"""Lift by the direction of the flow."""
 
-from dataclasses import replace
+from itertools import count
 
 import mujoco
 import numpy as np
@@ -8,17 +8,12 @@ import pytest
 
 from forces import ellipsoid_forces, fluid_forces, generalised
 from tailbeat.control.actions import PERIOD
-from tailbeat.env import randomize
-from tailbeat.env.randomize import FIELDS, Randomisation
-from tailbeat.env.simulator import TwinSimulator
 from tailbeat.files import BadInput
 from tailbeat.fish import edge
 from tailbeat.fish.description import Fish, TrailingEdge
 from tailbeat.fish.rollout import Start, Swim, swim
-from tailbeat.fish.store import load_fish, shipped, with_values
+from tailbeat.fish.store import load_fish, with_values
 from tailbeat.fish.twin import Options, compile_twin
-
-pytestmark = pytest.mark.realtime
 
 GAITS = [(1.2, 0.5), (1.5, 0.6), (2.0, 0.3), (3.0, 0.2), (3.5, 0.18)]  # Hz, rad
 PLATE = np.array([0.035, 0.001, 0.08])
@@ -128,20 +123,44 @@ def test_the_even_engine_swims_backward_for_good_and_a_trailing_edge_does_not() 
         assert min(last_speed(done) for done in sines(whole, 12.0, launch)) > 0.05
 
 
-def test_correcting_every_control_period_errs_by_one_percent_of_the_path(
+def beats_and_turns(fish: Fish) -> list[Swim]:
+    """The gaits launched backward and forward, and two tight turns from rest."""
+    twin, step = compile_twin(fish), fish.simulation.step
+    time = np.arange(0, 8, step)
+    beats = [stroke * np.sin(2 * np.pi * rate * time) for rate, stroke in GAITS]
+    turns = [0.4 + 0.6 * np.sin(2 * np.pi * rate * time) for rate in (1.0, 1.5)]
+    launches = [-0.3] * len(beats) + [0.3] * len(beats) + [0.0] * len(turns)
+    starts = [Start(np.zeros(3), np.array([launch, 0.0, 0.0])) for launch in launches]
+    return swim([twin] * len(starts), starts, [*beats, *beats, *turns], round(PERIOD / step))
+
+
+def path_errors(rough: list[Swim], fine: list[Swim]) -> np.ndarray:
+    """Root mean square distance of each swim, as a fraction of its path."""
+    pairs = [(a.qpos[:, :2], b.qpos[:, :2]) for a, b in zip(rough, fine, strict=True)]
+    way = [np.linalg.norm(np.diff(b, axis=0), axis=1).sum() for _, b in pairs]
+    apart = [np.sqrt(np.square(a - b).sum(axis=1).mean()) for a, b in pairs]
+    return np.array(apart) / np.array(way)
+
+
+def test_the_corrections_held_for_a_control_period_err_as_documented(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Median 0.5 %, at most 1.2 % (strokes of 0.6 rad)."""
-    fish, errors = load_fish("pulley-fish-pool"), []
-    for launch in (-0.3, -0.03, 0.3):
-        monkeypatch.setattr(edge, "HOLD", PERIOD)
-        held = sines(fish, 8.0, launch)
-        monkeypatch.setattr(edge, "HOLD", fish.simulation.step)
-        for rough, fine in zip(held, sines(fish, 8.0, launch), strict=True):
-            way = np.linalg.norm(np.diff(fine.qpos[:, :2], axis=0), axis=1).sum()
-            apart = np.linalg.norm(rough.qpos[:, :2] - fine.qpos[:, :2], axis=1)
-            errors.append(np.sqrt(np.mean(apart**2)) / way)
-    assert np.median(errors) < 0.01 and max(errors) < 0.015
+    """Lift alone below 1 % of the path in every swim; lift and surge force in straight beats 1.2 %
+    at most."""
+    fish = load_fish("pulley-fish-pool")
+    held = beats_and_turns(fish)
+    monkeypatch.setattr(edge, "HOLD", fish.simulation.step)
+    fine, weigh, calls = beats_and_turns(fish), edge.weigh, count()
+
+    def seldom(lift: edge.Lift) -> None:
+        if next(calls) % round(PERIOD / fish.simulation.step) == 0:
+            weigh(lift)
+
+    monkeypatch.setattr(edge, "weigh", seldom)
+    alone = path_errors(beats_and_turns(fish), fine)
+    assert 0 < max(alone) < 0.01
+    both = path_errors(held, fine)[:-2]
+    assert np.median(both) < 0.005 and max(both) < 0.0125
 
 
 def test_a_mirrored_command_gives_mirrored_motion() -> None:
@@ -165,83 +184,3 @@ def test_a_part_without_a_length_is_refused_by_name() -> None:
     fish = edged("pulley-fish-pool")
     with pytest.raises(BadInput, match=r"part 'fin' is 0\.5 mm long.*give its length"):
         with_values(fish, {"tail.links.4.parts.1.size": (0.0005, 0.002, 0.16)})  # type: ignore[dict-item]
-
-
-# ---- one model everywhere -----------------------------------------------------------------------
-
-
-def drawn(fish: Fish, ranges: Randomisation, count: int = 1, seed: int = 0) -> TwinSimulator:
-    body, rng = TwinSimulator(fish, count), np.random.default_rng(seed)
-    body.rest(np.arange(count))
-    for i in range(count):
-        body.draw(i, ranges, rng)
-    body.ready(np.arange(count))
-    return body
-
-
-@pytest.mark.parametrize("name", shipped())
-def test_a_world_with_nothing_drawn_swims_the_compiled_twin_bit_for_bit(name: str) -> None:
-    fish, steps = load_fish(name), 1500
-    command = 0.6 * np.sin(2 * np.pi * 1.5 * PERIOD * np.arange(steps))
-    body = drawn(fish, randomize.none(), 2)
-    swum = [body.qpos.copy()]
-    for angle in command:
-        body.advance(np.full(2, angle), np.zeros((2, 2)))
-        swum.append(body.qpos.copy())
-    alone = swim([compile_twin(fish)], [Start.at_rest()], [np.repeat(command, body.substeps)],
-                 body.substeps)[0]  # fmt: skip
-    for i in range(2):
-        assert np.array_equal(np.array(swum)[:, i], alone.qpos)
-
-
-# What may change in the model when one quantity is drawn, beside the engine's own inverse weights
-# of what carries a mass.
-FOLLOWS = {
-    "head_mass": {"body_mass", "body_subtreemass"},
-    "head_inertia": {"body_inertia"},
-    "head_centre": {"body_ipos", "dof_length", "bvh_aabb"},  # a hinge's lever, bounding boxes
-    "tail_stiffness": {"jnt_stiffness"},
-    "tail_damping": {"dof_damping"},
-    "fluid": {"geom_fluid"},
-    "servo_gain": {"actuator_gainprm", "actuator_biasprm"},
-    "servo_damping": {"dof_damping"},
-    "servo_limit": {"actuator_forcerange"},
-    "servo_delay": {"actuator_delay"},
-    "density": {"opt.density"},
-    "current": {"opt.wind"},
-}
-INERTIAL = {"dof_M0", "dof_invweight0", "body_invweight0", "tendon_invweight0", "actuator_acc0"}
-
-
-def changed_fields(fish: Fish, ranges: Randomisation) -> set[str]:
-    """Fields of the batch's own model that differ from the compiled one."""
-    from mujoco import batch  # its list of fields alone
-
-    model, own = compile_twin(fish).model, drawn(fish, ranges).batch.get_model(0)
-    found = set()
-    for name in batch.MODEL_FIELDS:
-        a, b = (m.opt if name.startswith("opt.") else m for m in (model, own))
-        leaf = name.removeprefix("opt.")
-        if not np.array_equal(getattr(a, leaf), getattr(b, leaf)):
-            found.add(name)
-    return found
-
-
-@pytest.mark.parametrize("name", ["pulley-fish-pool", "crank-fish"])
-@pytest.mark.parametrize("quantity", FOLLOWS)
-def test_a_draw_changes_what_was_drawn_and_nothing_else(name: str, quantity: str) -> None:
-    ranges = replace(randomize.none(), **{quantity: getattr(Randomisation(), quantity)})
-    found = changed_fields(load_fish(name), ranges)
-    inertial = INERTIAL if quantity.startswith("head") else set()
-    assert found <= FOLLOWS[quantity] | inertial
-    crank = load_fish(name).servos[load_fish(name).servo].delay == 0
-    assert found or (quantity == "servo_delay" and crank) or quantity == "servo_damping"
-
-
-def test_a_draw_of_masses_leaves_the_waters_virtual_masses_out() -> None:
-    """`mj_setConst` derives them anew: this is what trained every policy on another fish."""
-    fish = load_fish("pulley-fish-pool")
-    body = drawn(fish, Randomisation(), 3)
-    nominal = compile_twin(fish).model.geom_fluid[:, 6:]
-    assert np.array_equal(body.physics.fields["geom_fluid"][2, :, 6:], nominal)
-    assert "tendon_invweight0" in FIELDS

@@ -1,20 +1,11 @@
-"""The operator's page in a real browser, with the emulated bench and the robot's loop behind it.
+"""The operator's page in a real browser, with the emulated bench and the robot's loop behind it."""
 
-Rig and loop are threads here and share an interpreter with the test, so limits are wide. What the
-page asks for is looked up where it ends: in the frames that the fish got and in its servo.
-"""
-
-import contextlib
 import json
 import math
 import re
-import signal
-import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -28,158 +19,25 @@ import websockets.sync.client as ws
 from selenium import webdriver
 from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
-from websockets.exceptions import InvalidMessage
 
 from browser import shown, visit
-from lines import XW430
-from support import command, until
-from tailbeat.cli import station, swim
-from tailbeat.control.policy import load_policy
-from tailbeat.emulators import rig as bench
+from operator_lab import FISH, JPEG, KEY, ROOM, SOON, TAG, Lab, ask, live, near, open_lab
+from support import until
 from tailbeat.files import BadInput
-from tailbeat.fish.store import load_fish
 from tailbeat.link import datagrams as link
 from tailbeat.link.reasons import Reason
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import Numbers, State, Status
-from tailbeat.operator.client import (
-    OperatorClient,
-    announce,
-    is_local,
-    open_client,
-    open_page,
-    turn,
-)
+from tailbeat.operator.client import announce, is_local, open_client
 from tailbeat.operator.snapshot import body, snapshot
-from tailbeat.robot.devices import Devices
-from tailbeat.robot.dynamixel import BUS_WATCHDOG
-from tailbeat.robot.imu import connect as connect_imu
-from tailbeat.robot.loop import Loop
-from tailbeat.robot.safety import SafetyLimits
-from tailbeat.robot.servo import connect as connect_servo
 
 pytestmark = pytest.mark.realtime
-
-KEY, ROOM, TAG = bytes(32), (5.5, 2.7), (1.5, 0.5)
-FISH, POLICY = load_fish("pulley-fish"), load_policy("pulley-fish-pool-generator")
-WIDE = SafetyLimits(pose_hold=9.0, pose_stop=15.0, imu_hold=9.0, servo_hold=9.0, servo_stop=15.0,
-              clock_doubt=2.0, overruns_hold=10**6)  # fmt: skip
-PATIENT = 4.0  # s for a reply of servo or IMU: their thread waits for a processor
-SOON = 40.0  # s: what takes a tenth of a second may take that on a busy machine
-# A picture to be found again: one grey pixel.
-JPEG = bytes.fromhex(
-    "ffd8ffe000104a46494600010100000100010000ffdb004300" + "08" * 64 + "ffc0000b080001000101011100"
-    "ffc4001f0000010501010101010100000000000000000102030405060708090a0b"
-    "ffc400b5100002010303020403050504040000017d01020300041105122131410613516107227114328191a1082342b1"
-    "c11552d1f02433627282090a161718191a25262728292a3435363738393a434445464748494a535455565758595a6364"
-    "65666768696a737475767778797a838485868788898a92939495969798999aa2a3a4a5a6a7a8a9aab2b3b4b5b6b7b8b9"
-    "bac2c3c4c5c6c7c8c9cad2d3d4d5d6d7d8d9dae1e2e3e4e5e6e7e8e9eaf1f2f3f4f5f6f7f8f9fa"
-    "ffda0008010100003f00fbd0ffd9"
-)
-
-
-@dataclass
-class Lab:
-    """A loop that ticks, the rig under it, and the rig's operator page."""
-
-    loop: Loop
-    rig: bench.Rig
-    client: OperatorClient
-    picture: bytes = b""
-
-    @property
-    def torque(self) -> int:
-        return self.rig.servo.get(64)
-
-    @property
-    def target(self) -> tuple[float, float] | None:
-        """The one that the fish got."""
-        frames = self.loop.devices.receiver.frames
-        return frames[0].target if frames else None
-
-    @property
-    def page(self) -> str:
-        return self.client.url.partition("#")[0]
-
-    def order(self, **words: Any) -> None:
-        """As a page with the token does; the server answers in turn, so it has taken it."""
-        with ws.connect(live(self)) as page:
-            page.send(json.dumps({"token": self.client.token, **words}))
-            assert ask(page, do="hello", token=self.client.token) == "token accepted"
-
-    def bring(self, word: str, state: State, give: Callable[[], None] | None = None) -> None:
-        """Order until it is so, as an operator does: a busy machine may lose or refuse an order."""
-        for _ in range(5):
-            give() if give else self.order(do=word)
-            with contextlib.suppress(AssertionError):
-                self.stands(state, SOON / 5)
-                return
-        self.stands(state, 0.0)
-
-    def rest(self) -> None:
-        """Back to a disarmed fish that follows its tag."""
-        self.bring("disarm", State.DISARMED)
-        self.order(do="tag")
-        until(lambda: near(self, *TAG))
-
-    def swim(self) -> None:
-        self.rest()
-        for word, state in (("arm", State.ARMED), ("swim", State.RUN)):
-            self.bring(word, state)
-
-    def stands(self, state: State, seconds: float = SOON) -> None:
-        now = lambda: self.loop.safety_status  # noqa: E731
-        until(lambda: now().state is state, what=now, seconds=seconds)
 
 
 @pytest.fixture(scope="module")
 def lab() -> Iterator[Lab]:
-    heard = link.bind("127.0.0.1", 0)
-    rig = bench.open_rig(FISH, KEY, heard.getsockname(), TAG)
-    rig.shaft.advance(0.0, 0.01)
-    client, ended = open_client(("127.0.0.1", 0), ROOM), threading.Event()
-    made = Lab(None, rig, client)  # type: ignore[arg-type]
-
-    def over() -> bool:
-        turn(client, rig.station.sender, FISH, time.monotonic(), picture=made.picture)
-        return ended.is_set()
-
-    def tick() -> None:
-        while not ended.is_set():
-            made.loop.tick(time.monotonic())
-            time.sleep(0.02)
-
-    serving = threading.Thread(target=bench.serve, args=(rig, over), daemon=True)
-    serving.start()
-    servo, imu = (
-        connect_servo(rig.ports[0], XW430, deadline=PATIENT),
-        connect_imu(rig.ports[1], None, PATIENT),
-    )
-    imu.prepare()
-    arming = servo.arm
-
-    def armed(watchdog: float = 0.1) -> float:
-        """Without the servo's own watchdog: a thread may be late by more than it can wait."""
-        held = arming()
-        servo.set(BUS_WATCHDOG, 0)
-        return held
-
-    servo.arm = armed  # type: ignore[method-assign]
-    receiver = link.Receiver(KEY, ROOM)
-    devices = Devices(servo, imu, receiver, heard, rig.station.socket.getsockname())
-    made.loop = Loop(POLICY, devices, lambda row: None, WIDE, sign_test=False)
-    ticking = threading.Thread(target=tick, daemon=True)
-    ticking.start()
-    until(lambda: receiver.clock.offset(0) is not None and made.loop.poses.seen)
-    yield made
-    ended.set()
-    for thread in (ticking, serving):
-        thread.join(10)
-    servo.close()
-    imu.close()
-    client.close()
-    bench.close_rig(rig)
-    heard.close()
+    with open_lab() as made:
+        yield made
 
 
 @pytest.fixture
@@ -204,11 +62,6 @@ def scale(browser: webdriver.Chrome) -> float:
         "return [m.getBoundingClientRect().width, m.viewBox.baseVal.width]"
     )
     return box[0] / box[1]
-
-
-def near(lab: Lab, x: float, y: float) -> bool:
-    at = lab.target
-    return at is not None and abs(at[0] - x) < 0.03 and abs(at[1] - y) < 0.03
 
 
 # ---- in the browser -----------------------------------------------------------------------------
@@ -481,22 +334,6 @@ def test_a_server_that_dies_is_started_again_and_the_page_comes_back(lab, page):
 # ---- without one --------------------------------------------------------------------------------
 
 
-def live(lab: Lab) -> str:
-    return f"{lab.page.replace('http', 'ws')}live"
-
-
-def ask(page: ws.ClientConnection, **words: Any) -> str:
-    """What the server says to a command."""
-    page.send(json.dumps(words))
-    end = time.monotonic() + SOON
-    while time.monotonic() < end:
-        message = json.loads(page.recv(SOON))
-        page.send("drawn")
-        if message["said"]:
-            return message["said"][0]
-    raise AssertionError("no answer")
-
-
 def test_commands_that_cannot_be_are_refused_with_the_reason(lab):
     token = lab.client.token
     with ws.connect(live(lab)) as page:
@@ -545,107 +382,3 @@ def test_the_fish_is_drawn_where_its_tag_is_and_bends_to_the_motor_s_side():
     tag = FISH.tracked[0]
     assert nose[0] == pytest.approx(1.0 - tag + 0.12) and nose[1] == pytest.approx(0.5)
     assert fin[0] < nose[0] - 0.4 and left[-1][1] > fin[1] + 0.02
-
-
-# ---- the station's verb --------------------------------------------------------------------------
-
-
-def joined(page: str) -> ws.ClientConnection:
-    """The page's stream. A busy machine's station may replace a slow server: then once more."""
-    for _ in range(3):
-        try:
-            return ws.connect(f"{page.replace('http', 'ws')}live")
-        except (InvalidMessage, OSError):
-            time.sleep(1.0)
-    raise AssertionError("the page's server ends every connection")
-
-
-def test_the_laptop_answers_orders_and_stops_the_fish_when_it_ends(tmp_path: Path):
-    """The test is the fish here: it asks, hears and reports over real sockets."""
-    from tailbeat.link.status import status_datagram
-
-    link.make_key(tmp_path / "fish.key")
-    key, fish, probe = link.read_key(tmp_path / "fish.key"), link.bind("127.0.0.1", 0), None
-    probe = link.bind("127.0.0.1", 0)
-    there = probe.getsockname()
-    probe.close()
-    robot, listen = (f"{host}:{port}" for host, port in (fish.getsockname(), there))
-    words = ["station", "--robot", robot, "--listen", listen, "--page", "127.0.0.1:0"]
-    words += ["--key", str(tmp_path / "fish.key")]
-    process = subprocess.Popen(command(*words), stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    url = process.stdout.readline().split()[-1]
-    to, count, orders = link.Receiver(key, ROOM), 0, list[link.Order]()
-
-    def hear() -> None:
-        nonlocal count
-        count += 1
-        status = Status(
-            State.RUN, Reason.SWIMMING, "swimming", 0, 0, to.ordered.get(to.run, 0), 0.0, Numbers()
-        )
-        fish.sendto(link.ask_datagram(key, to.nonce, count, time.monotonic_ns()), there)
-        fish.sendto(status_datagram(key, to.run, to.nonce, count, status), there)
-        for data, _ in link.drain(fish):
-            to.take(data, time.monotonic_ns())
-        orders.extend(to.take_orders())
-
-    try:
-        until(lambda: hear() or to.clock.offset(time.monotonic_ns()) is not None)  # type: ignore[func-returns-value]
-        page, token = url.split("#token=")
-        with joined(page) as browser:
-            browser.send(json.dumps({"do": "arm", "token": token}))
-            until(lambda: hear() or orders == [link.Order.ARM])  # type: ignore[func-returns-value]
-            assert "No camera given" in json.loads(browser.recv(SOON))["now"]["note"]
-        process.send_signal(signal.SIGINT)
-        until(lambda: hear() or link.Order.STOP in orders)  # type: ignore[func-returns-value]
-        until(lambda: hear() or process.poll() == 0)  # type: ignore[func-returns-value]
-        assert "run: swimming" in process.stdout.read()
-    finally:
-        process.kill()
-        process.wait(10)
-        process.stdout.close()
-        fish.close()
-
-
-def test_a_drive_waits_for_orders_and_ends_with_the_torque_off(tmp_path: Path):
-    """All of it in processes of its own; a busy machine may refuse to arm, and says why."""
-    words = ["drive", "pulley-fish-pool-generator", "--emulated", "--wait", "--page", "127.0.0.1:0",
-             "--log", tmp_path / "a.mcap", "--json", tmp_path / "a.json"]  # fmt: skip
-    process = subprocess.Popen(command(*words), stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    try:
-        page, token = process.stdout.readline().split()[-1].split("#token=")
-        with ws.connect(f"{page.replace('http', 'ws')}live") as browser:
-
-            def status() -> dict[str, Any]:
-                browser.send("drawn")
-                return json.loads(browser.recv(SOON))["now"]["status"] or {}
-
-            until(lambda: status().get("reason") == "not armed yet")
-            time.sleep(2.0)  # by itself it would arm after one
-            assert status()["state"] == "disarmed"
-            browser.send(json.dumps({"do": "arm", "token": token}))
-            until(lambda: status()["reason"] != "not armed yet")
-        process.send_signal(signal.SIGINT)
-        said, _ = process.communicate(timeout=60)
-        assert process.returncode in (0, 1) and "Traceback" not in said
-        assert json.loads((tmp_path / "a.json").read_text())["rejected_datagrams"] == {}
-    finally:
-        process.kill()
-        process.wait(10)
-
-
-def test_what_a_console_cannot_have_is_one_sentence(tmp_path: Path):
-    words = {
-        "servo": "a",
-        "imu": "b",
-        "listen": "127.0.0.1:1",
-        "station": "127.0.0.1:2",
-        "key": tmp_path,
-    }
-    with pytest.raises(BadInput, match="the station shows it"):
-        swim.drive("p", tmp_path / "a", page="127.0.0.1:0", **words)  # type: ignore[arg-type]
-    with pytest.raises(BadInput, match="--camera needs --calibration"):
-        station.station("127.0.0.1:1", tmp_path, "127.0.0.1:2", camera="/dev/video0")
-    with pytest.raises(BadInput, match="give host:port"):
-        open_page("8080")

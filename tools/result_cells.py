@@ -129,6 +129,15 @@ def smallest(rows: Any, name: str) -> float | None:
     return None if None in found or not found else min(found)
 
 
+def recovered(rows: Any, launch: float) -> str:
+    """How many beats end forward after a launch [m/s], and their final speeds, lowest to highest.
+    A speed is missing where the twin diverged."""
+    ends = [row["speed"] for row in rows if row["launch"] == launch]
+    known = [end for end in ends if end is not None]
+    forward = sum(end > 0 for end in known)
+    return f"{forward} of {len(ends)}, {fix(min(known), 2)} to {fix(max(known), 2)}"
+
+
 def minutes(result: Any) -> float:
     """Time of all steps of a result [min]."""
     return float(sum(result["origin"]["seconds"]) / 60)
@@ -136,5 +145,18 @@ def minutes(result: Any) -> float:
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     one.__name__: one
-    for one in (fix, sig, span, per_cent, off, rate, made, stale, error, largest, smallest)
+    for one in (
+        fix,
+        sig,
+        span,
+        per_cent,
+        off,
+        rate,
+        made,
+        stale,
+        error,
+        largest,
+        smallest,
+        recovered,
+    )
 } | {"minutes": minutes, "hits": hits, "unique": unique, "pick": pick, "len": len}

@@ -123,14 +123,18 @@ def show(
     picture: Annotated[Path | None, typer.Option(help="Picture to write, .png.")] = None,
     viewer: Annotated[bool, typer.Option(help="Open MuJoCo's viewer.")] = False,
     strict: Annotated[bool, typer.Option(help="Exit with 1 if there is a warning.")] = False,
+    launches: Annotated[
+        bool, typer.Option(help="Launch the twin backward and forward in six beats (seconds).")
+    ] = False,
     json: JsonOption = None,
 ) -> None:
     """Print what a fish compiles to and render a picture. Also check it as a marine engineer would.
     With a posterior beside the fish, print which identified numbers its recordings decide."""
     from tailbeat.fish import show as compiled
-    from tailbeat.identify import posterior
+    from tailbeat.identify import launch, posterior
 
-    shown = compiled.show(fish, picture, viewer, json)
+    more = launch.tables if launches else lambda fish: {}
+    shown = compiled.show(fish, picture, viewer, json, more)
     output.tables({title: [headed(row) for row in rows] for title, rows in shown.tables.items()})
     try:
         if (known := posterior.of(fish)) is not None:
@@ -171,7 +175,8 @@ NAMED = {
     "k_eff_formula": "N m/rad", "k_eff_read": "N m/rad", "k_eff_stated": "N m/rad",
     "inertia_x": "kg m^2", "inertia_y": "kg m^2", "inertia_z": "kg m^2", "stiffness": "N m/rad",
     "kp": "N m/rad", "kv": "N m s/rad", "armature": "kg m^2", "damping": "N m s/rad",
-    "friction": "N m", "force_limit": "N m", "delay": "s",
+    "friction": "N m", "force_limit": "N m", "delay": "s", "frequency": "Hz", "stroke": "rad",
+    "launch": "m/s", "speed": "m/s",
 }  # fmt: skip
 
 

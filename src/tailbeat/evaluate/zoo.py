@@ -3,14 +3,13 @@ believes of it, which is wrong by 40 % in stiffness and servo."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tailbeat.control.measure import MASS
 from tailbeat.fish.catalogue import profiles
 from tailbeat.fish.proportions import BEND_SHARE, K_EFF, LENGTH, STROKE, Given
-from tailbeat.fish.store import load_fish, write_identified
+from tailbeat.fish.store import Entry, load_fish, write_identified
 
 COUNT = 8  # fish; the last one is the shipped crank fish
 SHORTEST, LONGEST = 0.15, 1.2  # m
@@ -71,7 +70,7 @@ def guess(lab: Path, target: Path, seed: int) -> None:
     if fish.tail.k_eff is not None:
         values["tail.k_eff"] = stiff * fish.tail.k_eff, "N m/rad"
     values |= {stem + name: (_factor(rng) * getattr(servo, name), UNITS[name]) for name in SERVO}
-    entries: dict[str, dict[str, Any] | str] = {
+    entries: dict[str, Entry | str] = {
         path: {"value": float(f"{value:.6g}"), "unit": unit, "source": "a first guess"}
         for path, (value, unit) in values.items()
     }

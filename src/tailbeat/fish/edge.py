@@ -14,7 +14,7 @@ leads, a part of the circulation is lost; r is identified from launched swims.
 
 `u` follows from positions and velocities alone: the law has no memory. `weigh` updates the
 coefficients of all fish of a batch once every `HOLD`. The error of this interval is in
-docs/experiments/2026-11-steps-and-integrators.md.
+docs/experiments/2026-11-steps-and-integrators.md: below 1 % of the path.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 NAME = "trailing_edge"  # of the number that a compiled model carries
 KUTTA = 4  # column of `geom_fluid`
-HOLD = 0.02  # s between two updates of the coefficients: the control period
+# s between two updates of the coefficients, and of the force in `surge.py`: the control period. A
+# fish is identified with it; another interval needs another identification (docs/explain/twin.md).
+HOLD = 0.02
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,6 @@
 """Show what a fish compiles to: numbers read back from the engine's model, and a picture."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import Options, Twin, compile_twin
 
 Array = NDArray[np.float64]
+Tables = dict[str, list[dict[str, Any]]]  # of rows, by their titles
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 TOLERANCE = 0.01  # relative difference between stated and compiled k_eff that draws a warning
 
@@ -142,7 +144,7 @@ def _warnings(fish: Fish, k_read: float) -> list[str]:
     return found
 
 
-def tables(fish: Fish) -> dict[str, list[dict[str, Any]]]:
+def tables(fish: Fish) -> Tables:
     """Everything `tailbeat show` prints, as rows: whole fish, first check, bodies, hinges, zones,
     servo, warnings."""
     compiled = read_back(fish)
@@ -218,21 +220,28 @@ def _hinges(fish: Fish, compiled: Compiled) -> list[dict[str, Any]]:
 class Shown:
     """The result of `show`: tables of rows, the picture, and how it was made."""
 
-    tables: dict[str, list[dict[str, Any]]]
+    tables: Tables
     picture: Path
     how: str
 
 
-def show(fish: str, picture: Path | None, viewer: bool, json: Path | None) -> Shown:
+def show(
+    fish: str,
+    picture: Path | None,
+    viewer: bool,
+    json: Path | None,
+    more: Callable[[Fish], Tables] = lambda fish: {},
+) -> Shown:
     """Compile a fish, read its numbers back, and write a picture (default: runs/NAME.png, which is
-    overwritten). `json` takes the tables. Raises BadInput if `picture` or `json` exists."""
+    overwritten). `json` takes the tables, and what `more` makes of the fish. Raises BadInput if
+    `picture` or `json` exists."""
     described = load_fish(fish)
     target = picture or Path("runs") / f"{described.name}.png"
     if target.suffix.lower() not in PICTURES:
         raise BadInput(f"--picture {target}: allowed are {', '.join(PICTURES)}.")
     for path in filter(None, (picture, json)):
         refuse_existing(path)
-    found = tables(described)
+    found = tables(described) | more(described)
     twin = compile_twin(described, Options(looks=True))
     how = save_picture(twin, np.zeros(twin.model.nq), target, overwrite=picture is None)
     if json is not None:

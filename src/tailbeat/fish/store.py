@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import tomlkit
 from pydantic import ValidationError
@@ -15,6 +15,18 @@ from tailbeat.files import BadInput, new_file, refuse_existing
 from tailbeat.fish.description import Fish, Hardware
 
 PAPER = "pulley-fish"  # the paper's fish
+
+
+class Entry(TypedDict):
+    """An identified number as a description holds it: in `unit`, with its 95 % interval."""
+
+    value: float
+    unit: str
+    interval: NotRequired[list[float]]
+    source: str
+
+
+Entries = Mapping[str, Entry | str]  # by a field's dotted path
 
 
 def shipped() -> list[str]:
@@ -136,15 +148,14 @@ def check_fish_name(path: Path) -> None:
 def write_identified(
     source: str | Path,
     target: Path,
-    values: Mapping[str, Mapping[str, Any] | str],
+    values: Entries,
     note: str,
     overwrite: bool = False,
 ) -> None:
     """Copy the description at `source` to `target` with fields replaced and all comments kept.
 
-    `values` maps a dotted path to {value, unit, interval, source}, in SI, or to text. `note` is
-    written first, line by line, as comments. Raises BadInput if `target` exists and `overwrite` is
-    false.
+    `values` are in SI, or text. `note` is written first, line by line, as comments. Raises BadInput
+    if `target` exists and `overwrite` is false.
     """
     document = tomlkit.parse(fish_path(source).read_text(encoding="utf-8-sig"))
     for path, entry in values.items():
@@ -167,7 +178,7 @@ def _child(node: Any, key: str) -> Any:
     return node[key]
 
 
-def _inline(entry: Mapping[str, Any]) -> tomlkit.items.InlineTable:
+def _inline(entry: Entry) -> tomlkit.items.InlineTable:
     table = tomlkit.inline_table()
     table.update(entry)
     return table

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from tailbeat.fish.description import Fish
+from tailbeat.fish.store import Entry
 from tailbeat.identify import bands
 from tailbeat.identify.estimate import as_row
 from tailbeat.identify.glitch_report import as_rows
@@ -93,15 +94,15 @@ def misfit(best: Fit) -> list[str]:
     ]
 
 
-def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Field -> {value, unit, interval, source} for `store.write_identified`, one for each zone."""
+def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, Entry | str]:
+    """Fields for `store.write_identified`, one for each zone."""
     few = len(recordings) <= NAMED
     swims = ", ".join(recordings) if few else f"{len(recordings)} swims, named on top"
     source = f"identified on {swims}"
-    written: dict[str, dict[str, Any]] = {}
+    written: dict[str, Entry | str] = {}
     for path, known in found.estimates().items():
         remark = source if known.decided else f"{source}; not decided by the data"
-        entry = {
+        entry: Entry = {
             "value": float(f"{known.value:.6g}"),
             "unit": known.unit,
             "interval": [float(f"{edge:.4g}") for edge in known.interval],
@@ -112,13 +113,13 @@ def toml_values(found: Identified, recordings: Sequence[str]) -> dict[str, dict[
     return {**_assumed(found.fish), **written}
 
 
-def _assumed(fish: Fish) -> dict[str, Any]:
+def _assumed(fish: Fish) -> dict[str, Entry | str]:
     """The numbers of the fluid law that the fit assumed, from the fitted fish."""
     numbers = {"added_inertia": (fish.added_inertia, "1"), "added_along": (fish.added_along, "1")}
     if (blend := fish.trailing_edge) is not None:
         numbers["trailing_edge.speed"] = (blend.speed, "m/s")
         numbers["trailing_edge.reverse"] = (blend.reverse, "1")
-    written: dict[str, Any] = {
+    written: dict[str, Entry | str] = {
         path: {"value": value, "unit": unit, "source": "the fit's assumption"}
         for path, (value, unit) in numbers.items()
     }

@@ -27,9 +27,8 @@ from tailbeat.identify.fluid import (
 )
 from tailbeat.identify.intervals import estimates
 from tailbeat.identify.kinematic import fit_kinematic, predict_kinematic, replayable
-from tailbeat.identify.launch import Launched, check_launches
+from tailbeat.identify.launch import Launched, check_launches, gaits
 from tailbeat.identify.predict import Prediction, predict, speed_mae
-from tailbeat.identify.protocol import largest, limits
 from tailbeat.identify.runs import Run
 from tailbeat.identify.search import Effort, Fit, search_once
 from tailbeat.identify.space import Parameter, values
@@ -209,22 +208,11 @@ def _conclude(
         tuple(swim_all(drawn, judged)),
         tuple(predicted[0][: len(fit)]),
         tuple(predicted[0][len(fit) :]),
-        tuple(check_launches(best, gaits(best, everything))),
+        tuple(check_launches(best, gaits(best, [run.gait.frequency for run in everything]))),
         _rival(fit, validate),
         tuple(seeds),
         time.monotonic() - began,
     )
-
-
-def gaits(fish: Fish, runs: Sequence[Run]) -> list[tuple[float, float | None]]:
-    """Steady beats (frequency [Hz], stroke [rad], None for a crank) over the recorded band."""
-    known = [r.gait.frequency for r in runs if np.isfinite(r.gait.frequency)]
-    beats = np.clip(known or [max(fish.band[0], fish.band[1] / 4), fish.band[1]], *fish.band)
-    chosen = np.geomspace(beats.min(), beats.max(), 6)
-    if fish.motor.range is None:
-        return [(float(rate), None) for rate in chosen]
-    limit = limits(fish)
-    return [(float(rate), 0.7 * largest(limit, float(rate))) for rate in chosen]
 
 
 def _rival(fit: Sequence[Run], validate: Sequence[Run]) -> tuple[Prediction, ...]:

@@ -6,7 +6,8 @@ released from a moving carriage; the virtual pool sets the velocity.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, length_of
 from tailbeat.fish.rollout import Start, Swim, replay_command, swim
 from tailbeat.fish.twin import Options, compile_twin
+from tailbeat.identify.protocol import largest, limits
 from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]
@@ -72,6 +74,19 @@ class Launched:
     speed: float
 
 
+def gaits(fish: Fish, recorded: Sequence[float] = ()) -> list[tuple[float, float | None]]:
+    """Six steady beats (frequency [Hz], stroke [rad], None for a crank) over the `recorded`
+    frequencies [Hz], of which NaN does not count; without any, over the fish's band from a quarter
+    of its upper edge."""
+    known = [rate for rate in recorded if np.isfinite(rate)]
+    beats = np.clip(known or [max(fish.band[0], fish.band[1] / 4), fish.band[1]], *fish.band)
+    chosen = np.geomspace(beats.min(), beats.max(), 6)
+    if fish.motor.range is None:
+        return [(float(rate), None) for rate in chosen]
+    limit = limits(fish)
+    return [(float(rate), 0.7 * largest(limit, float(rate))) for rate in chosen]
+
+
 def check_launches(
     fish: Fish, gaits: Sequence[tuple[float, float | None]], launches: Sequence[float] = LAUNCHES
 ) -> list[Launched]:
@@ -112,3 +127,8 @@ def _last_speed(done: Swim) -> float:
 def stuck(checks: Sequence[Launched], least: float = 0.0) -> list[Launched]:
     """The swims whose final speed is not above `least` [m/s], with the diverged ones."""
     return [one for one in checks if not one.speed > least]
+
+
+def tables(fish: Fish) -> dict[str, list[dict[str, Any]]]:
+    """The check over the fish's band, as rows."""
+    return {"launches": [asdict(one) for one in check_launches(fish, gaits(fish))]}

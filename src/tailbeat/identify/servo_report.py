@@ -10,6 +10,7 @@ import numpy as np
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
+from tailbeat.fish.store import Entry
 from tailbeat.identify.estimate import as_row
 from tailbeat.identify.glitch_report import as_rows
 from tailbeat.identify.intervals import trade_offs
@@ -117,11 +118,11 @@ def remedy(a: str, b: str) -> str:
     return SEPARATES.get(frozenset((a, b)), OTHERWISE)
 
 
-def toml_values(found: ServoFit, recordings: Sequence[str]) -> dict[str, dict[str, Any] | str]:
-    """Field -> {value, unit, interval, source} for `store.write_identified`."""
+def toml_values(found: ServoFit, recordings: Sequence[str]) -> dict[str, Entry | str]:
+    """Fields for `store.write_identified`."""
     rows = found.estimates()
     source = f"identified on {', '.join(recordings)}"
-    written: dict[str, dict[str, Any] | str] = {"servo": "identified"}
+    written: dict[str, Entry | str] = {"servo": "identified"}
     for name, value in found.servo.items():
         row = rows[name]
         remark = source if row.decided else f"{source}; not decided by the data"

@@ -4,7 +4,7 @@ The caller passes the function that draws the figure, so that the three files ar
 If the fit fails, nothing is written.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 
 from tailbeat.files import refuse_existing, write_json
 from tailbeat.fish.store import (
+    Entries,
     check_fish_name,
     fish_path,
     load_fish,
@@ -40,7 +41,6 @@ from tailbeat.identify.tail_report import TailResult
 from tailbeat.recording import Recording, read_recording
 
 Progress = Callable[[int, str, float, float], None]
-Values = Mapping[str, dict[str, Any] | str]  # fields of a description and their new entries
 DrawTail = Callable[[TailResult, Recording | None, Path], None]
 DrawServo = Callable[[ServoFit, Path], None]
 DrawFluid = Callable[[list[tuple[str, Prediction]], Path], None]
@@ -152,8 +152,8 @@ def _write_fluid(
 
 
 def _reported(
-    paths: Paths, values: Values, report: dict[str, Any], draw: Callable[[Path], None]
-) -> Values:
+    paths: Paths, values: Entries, report: dict[str, Any], draw: Callable[[Path], None]
+) -> Entries:
     """Draw the figure and write the report, with the step that the fish holds; returns the values
     with that step. Raises BadInput, before anything is written, if no step holds."""
     step = _held(paths, values)
@@ -165,7 +165,7 @@ def _reported(
     return {**values, **step_check.toml_values(step)}
 
 
-def _held(paths: Paths, values: Values) -> Held:
+def _held(paths: Paths, values: Entries) -> Held:
     """The step that the fish with these identified values holds. Raises BadInput for none."""
     trial = paths.scratch / "step.toml"
     write_identified(paths.fish, trial, values, "", overwrite=True)

@@ -7,6 +7,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish import convergence
 from tailbeat.fish.convergence import Deviation
 from tailbeat.fish.description import Fish
+from tailbeat.fish.store import Entry
 
 SOURCE = "chosen after the identification: the described step errs too much"
 
@@ -49,11 +50,11 @@ def held(fish: Fish) -> Held:
     return Held(best, best.simulation != fish.simulation, own.error)
 
 
-def toml_values(found: Held) -> dict[str, dict[str, Any] | str]:
+def toml_values(found: Held) -> dict[str, Entry | str]:
     """Fields of the step for `store.write_identified`; none if it stays."""
     if not found.changed:
         return {}
-    step = {"value": found.step.simulation.step, "unit": "s", "source": SOURCE}
+    step: Entry = {"value": found.step.simulation.step, "unit": "s", "source": SOURCE}
     return {"simulation.step": step, "simulation.integrator": found.step.simulation.integrator}
 
 

@@ -6,6 +6,7 @@ from importlib.metadata import version
 from typing import Any
 
 from tailbeat.fish.description import Fish
+from tailbeat.fish.store import Entry
 from tailbeat.identify.decay import Loop, RingDown
 from tailbeat.identify.estimate import as_row
 from tailbeat.identify.glitch_report import as_rows
@@ -121,18 +122,18 @@ def _ring(ring: RingDown) -> dict[str, Any]:
     }
 
 
-def toml_values(found: TailResult, recordings: Sequence[str]) -> dict[str, dict[str, Any] | str]:
-    """Field -> {value, unit, interval, source} for `store.write_identified`."""
+def toml_values(found: TailResult, recordings: Sequence[str]) -> dict[str, Entry | str]:
+    """Fields for `store.write_identified`."""
     fit, source = found.fit, f"identified on {', '.join(recordings)}"
     k = fit.k_eff.value
 
-    def _entry(value: float, unit: str, interval: Sequence[float]) -> dict[str, Any]:
+    def _entry(value: float, unit: str, interval: Sequence[float]) -> Entry:
         edges = [float(f"{max(edge, 0.0):.5g}") for edge in interval]
         number = float(f"{max(value, 0.0):.6g}")
         return {"value": number, "unit": unit, "interval": edges, "source": source}
 
     damping = [edge / k for edge in fit.c_eff.interval]
-    written: dict[str, dict[str, Any] | str] = {
+    written: dict[str, Entry | str] = {
         "tail.k_eff": _entry(k, "N m/rad", fit.k_eff.interval),
         "tail.damping_time": _kept(_entry(found.damping_time, "s", damping), fit.c_eff.above_zero),
         "tail.friction": _kept(
@@ -146,7 +147,7 @@ def toml_values(found: TailResult, recordings: Sequence[str]) -> dict[str, dict[
     return written
 
 
-def _kept(entry: dict[str, Any], measured: bool) -> dict[str, Any]:
+def _kept(entry: Entry, measured: bool) -> Entry:
     """An entry of a number that stays as it was described where it was not measured."""
     source = entry["source"]
     said = source if measured else f"as described: {source}, which do not decide it"

@@ -90,8 +90,12 @@ class Shown:
         """Whether there is a picture that is not old."""
         return time.monotonic() - self.taken < PICTURE_AGE
 
-    async def hand_over(self, command: dict[str, Any]) -> str:
-        """Give a command to the owner; returns "", or why not."""
+    async def hand_over(
+        self, do: str, asker: str = "", at: tuple[float, float] | None = None
+    ) -> str:
+        """Give the owner a command: what to `do`, the browser that asked, and the place of a
+        target. Returns "", or why not."""
+        command = {"do": do, "asker": asker} if at is None else {"do": do, "at": at}
         for _ in range(round(PATIENCE / 0.01)):
             try:
                 self.owner.send(json.dumps(command).encode())
@@ -110,7 +114,7 @@ async def obey(shown: Shown, text: str, asker: str = "") -> str:
     if asked is None:
         return NO_COMMAND
     if asked.do == "stop":
-        return await shown.hand_over({"do": "stop", "asker": asker})
+        return await shown.hand_over("stop", asker)
     if not hmac.compare_digest(asked.token.encode(), shown.token.encode()):
         return "refused: wrong token; use the one printed at the start"
     if asked.do == "hello":
@@ -120,7 +124,7 @@ async def obey(shown: Shown, text: str, asker: str = "") -> str:
 
 async def _trusted(shown: Shown, asked: Message, asker: str) -> str:
     if asked.do in ORDERS or asked.do == "tag":
-        return await shown.hand_over({"do": asked.do, "asker": asker})
+        return await shown.hand_over(asked.do, asker)
     if asked.do != "target":
         return NO_COMMAND
     if not is_place(asked.at):
@@ -128,7 +132,7 @@ async def _trusted(shown: Shown, asked: Message, asker: str) -> str:
     (x, y), (length, width) = asked.at, shown.room
     if abs(x) > length / 2 or abs(y) > width / 2:
         return f"refused: the target is outside the pool of {length:g} by {width:g} m"
-    return await shown.hand_over({"do": "target", "at": [x, y]})
+    return await shown.hand_over("target", at=(x, y))
 
 
 def is_place(at: Any) -> bool:
@@ -177,7 +181,7 @@ def make_app(shown: Shown, hosts: list[str]) -> FastAPI:
     @asynccontextmanager
     async def listening(_: FastAPI) -> AsyncIterator[None]:
         asyncio.get_running_loop().add_reader(shown.owner, shown.take)
-        await shown.hand_over({"do": "ready"})
+        await shown.hand_over("ready")
         yield
 
     app = guarded(FastAPI(lifespan=listening, openapi_url=None), hosts)
