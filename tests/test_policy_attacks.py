@@ -15,7 +15,11 @@ from tailbeat.control import policy_checks
 from tailbeat.control.network_file import LARGEST, check_network
 from tailbeat.control.policy import KEY, _digests, as_text, load_policy, shipped
 from tailbeat.files import BadInput
-from tailbeat.robot.fits import carried
+from tailbeat.link import datagrams as link
+from tailbeat.robot import timing
+from tailbeat.robot.fits import carried, check_named
+from tailbeat.robot.ports import Ports
+from tailbeat.robot.session import DriveConfig, drive
 
 PATH = shipped()["pulley-fish-pool-generator"]
 CONTRACT = load_policy(PATH).contract
@@ -47,8 +51,12 @@ def saved(tmp_path: Path, model: onnx.ModelProto) -> Path:
 
 def altered(tmp_path: Path, **fields: object) -> Path:
     """The shipped policy with other fields in its contract, signed anew."""
+    return carrying(tmp_path, {**json.loads(as_text(CONTRACT))["contract"], **fields})
+
+
+def carrying(tmp_path: Path, content: dict[str, object]) -> Path:
+    """The shipped policy with this contract, signed anew."""
     model = onnx.load(str(PATH))
-    content = {**json.loads(as_text(CONTRACT))["contract"], **fields}
     text = json.dumps({"contract": content, "digests": _digests(content)})
     model.metadata_props[0].value = text
     onnx.save(model, str(tmp_path / "altered.onnx"))
@@ -124,6 +132,58 @@ def test_a_network_that_takes_too_long_is_given_up(tmp_path, monkeypatch):
 def test_contracts_that_were_signed_anew_are_refused(tmp_path, fields, refusal):
     with pytest.raises(BadInput, match=refusal):
         load_policy(altered(tmp_path, **fields))
+
+
+ACTIONS = json.loads(as_text(CONTRACT))["contract"]["actions"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "refusal"),
+    [
+        ({"tau": 1e-9}, "tau = 1e-09 s; give 0.001 s or more"),
+        ({"ceiling": 1e300}, r"ceiling = 1e\+300 Hz; give at most 25 Hz"),
+        ({"high": float("inf")}, "high = inf; give at most 100"),
+        ({"first": float("nan")}, "first = nan; give at most"),
+        ({"offset": "wide"}, "a field of its contract is not what it should be"),
+        ({"binds": "nothing"}, "binds = 'nothing'; give fundamental or signal"),
+    ],
+)
+def test_actions_that_no_motor_can_follow_are_refused(tmp_path, fields, refusal):
+    with pytest.raises(BadInput, match=refusal):
+        load_policy(altered(tmp_path, actions={**ACTIONS, **fields}))
+
+
+def test_actions_beyond_the_fish_s_motor_or_band_are_refused_and_all_are_named(tmp_path):
+    wide = altered(tmp_path, actions={**ACTIONS, "low": -3.1, "high": 3.1, "ceiling": 9.0})
+    with pytest.raises(BadInput, match=r"motor allows -1.39626 to .* reaches 9 Hz and .* 4 Hz"):
+        check_named(str(wide), "pulley-fish")
+    with pytest.raises(BadInput, match=r"is not the pool's: .* head, .*; band is 1-4 Hz, here .*;"):
+        check_named(str(PATH), "crank-fish")
+    narrow = altered(tmp_path, actions={**ACTIONS, "low": -0.5, "high": 0.5})
+    check_named(str(narrow), "pulley-fish")
+
+
+def test_an_old_file_signed_anew_for_another_fish_is_refused(tmp_path):
+    """Without the fish inside, the shipped fish of the contract's name must match it."""
+    held = json.loads(as_text(CONTRACT))["contract"]
+    old = {k: one for k, one in held.items() if k not in ("description", "measure")}
+    contract = load_policy(carrying(tmp_path, old)).contract
+    assert carried(contract).name == "pulley-fish-pool"
+    other = {**old, "fish": "crank-fish", "fish_digest": "0", "band": [0.0, 99.0]}
+    contract = load_policy(carrying(tmp_path, other)).contract
+    with pytest.raises(BadInput, match=r"description has changed .*; band is 0-99 Hz, here"):
+        carried(contract)
+
+
+def test_a_drive_checks_a_policy_also_without_a_fish(tmp_path, monkeypatch):
+    monkeypatch.setattr(timing, "claim", lambda: [])
+    wide = altered(tmp_path, actions={**ACTIONS, "low": -3.1, "high": 3.1})
+    link.make_key(tmp_path / "key")
+    ends = ("127.0.0.1", 1), ("127.0.0.1", 2)
+    ports = Ports(str(tmp_path / "no servo"), "none", *ends)
+    config = DriveConfig(str(wide), ports, tmp_path / "key", tmp_path / "a.mcap", force_camera=True)
+    with pytest.raises(BadInput, match=r"actions reach -3.1 to 3.1 rad"):
+        drive(config, lambda text: None)
 
 
 def test_digests_that_are_a_list_are_refused(tmp_path):

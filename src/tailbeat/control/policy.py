@@ -190,6 +190,8 @@ def _contract(path: Path, text: str) -> Contract:
     try:
         contract = _built(content)
         check_space(contract.actions)
+    except BadInput as error:
+        raise BadInput(f"{path}: {error} Export the policy again.") from None
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise BadInput(
             f"{path}: a field of its contract is not what it should be ({error!r}); export it"
@@ -226,6 +228,13 @@ def check_fits(
 ) -> None:
     """Raises BadInput if a policy was trained for another fish, another description of it
     (`digest`), another band [Hz] or another control period [s]. It names each difference."""
+    refuse(unfit(contract, fish, digest, band, period))
+
+
+def unfit(
+    contract: Contract, fish: str, digest: str, band: tuple[float, float], period: float
+) -> list[str]:
+    """The differences for which `check_fits` refuses a policy."""
     wrong = []
     if contract.fish != fish:
         wrong.append(f"fish is {contract.fish}, here {fish}")
@@ -235,6 +244,11 @@ def check_fits(
         wrong.append(f"band is {_range(contract.band)} Hz, here {_range(band)} Hz")
     if contract.period != period:
         wrong.append(f"period is {1e3 * contract.period:g} ms, here {1e3 * period:g} ms")
+    return wrong
+
+
+def refuse(wrong: list[str]) -> None:
+    """Raises BadInput if there are differences between a policy and its fish."""
     if wrong:
         raise BadInput(
             f"policy: {'; '.join(wrong)}. Train one for this fish, or pass the fish it was trained"

@@ -24,7 +24,7 @@ from tailbeat.robot import imus, safety, servo, systemd, timing, watchdog
 from tailbeat.robot import log as log_file
 from tailbeat.robot.devices import Devices
 from tailbeat.robot.doctor_devices import NO_WATCHDOG, check_before_driving
-from tailbeat.robot.fits import NONE, carried, check_driven, check_yaw_rate
+from tailbeat.robot.fits import NONE, carried, check_driven, check_swims, check_yaw_rate
 from tailbeat.robot.imu import PATIENCE, ImuFault, mounting_of
 from tailbeat.robot.imus import YawSensor
 from tailbeat.robot.loop import Loop
@@ -80,7 +80,7 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
     loaded, secret = load_policy(config.policy), link.read_key(config.key)
     check_driven(loaded.contract)
     check_yaw_rate(loaded.contract, config.ports.imu, config.force_camera)
-    hardware = _hardware(config, loaded.contract)
+    hardware = _hardware(config, loaded)
     if hardware.family == "feetech-sts":
         say(f"        {hardware.model}: {NO_WATCHDOG}")
     refuse_existing(config.log)
@@ -101,9 +101,11 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
         return _result(own, config)
 
 
-def _hardware(config: DriveConfig, contract: Contract) -> Hardware:
-    """The servo of the fish that drives."""
-    return hardware_of(load_fish(config.fish) if config.fish else carried(contract))
+def _hardware(config: DriveConfig, policy: Policy) -> Hardware:
+    """The servo of the fish that drives. Raises BadInput if the policy does not fit that fish."""
+    fish = load_fish(config.fish) if config.fish else carried(policy.contract)
+    check_swims(policy, None, fish)
+    return hardware_of(fish)
 
 
 def notes(policy: str, contract: Contract) -> dict[str, str]:
