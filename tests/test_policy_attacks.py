@@ -23,6 +23,8 @@ from tailbeat.robot.session import DriveConfig, drive
 
 PATH = shipped()["pulley-fish-pool-generator"]
 CONTRACT = load_policy(PATH).contract
+ACTIONS = json.loads(as_text(CONTRACT))["contract"]["actions"]
+BIG = 10**400  # an integer that no float holds
 ENDLESS = """
   <ir_version: 8, opset_import: ["" : 17]> attack (float[n,24] observation) => (float[n,6] action)
   { limit = Constant <value: tensor = int64 {9223372036854775807}> ()
@@ -127,14 +129,23 @@ def test_a_network_that_takes_too_long_is_given_up(tmp_path, monkeypatch):
         ({"golden": [[], []]}, "its golden pairs are not 24 observations and 6 actions each"),
         ({"golden": [[[0.0] * 24] * 2, [[0.0] * 6]]}, "its golden pairs are not"),
         ({"golden": [[[0.0] * 23], [[0.0] * 6]]}, "its golden pairs are not"),
+        ({"golden": [[["a"] * 24], [["b"] * 6]]}, "its golden pairs are not"),
+        ({"golden": [["a" * 24], ["b" * 6]]}, "its golden pairs are not"),
+        ({"golden": [[[[1.0], [2.0, 3.0]] * 12], [[0.0] * 6]]}, "its golden pairs are not"),
+        ({"golden": [[{str(k): 0 for k in range(24)}], [[0.0] * 6]]}, "its golden pairs are not"),
+        ({"golden": [[[BIG] * 24], [[0.0] * 6]]}, "its golden pairs are not"),
+        ({"golden": [[[0.0] * 24] * 200, [[0.0] * 6] * 200]}, "its golden pairs are not"),
+        ({"band": [0, BIG]}, "a field of its contract is not what it should be"),
+        ({"actions": {**ACTIONS, "floor": BIG}}, "floor = 1000.*; give at most 25 Hz"),
+        ({"description": "x"}, "not what it should be .*description is a str"),
+        ({"description": [1]}, "not what it should be .*description is a list"),
+        ({"training": "long"}, "not what it should be .*training is a str"),
+        ({"fish": 3}, "not what it should be .*fish is a int"),
     ],
 )
 def test_contracts_that_were_signed_anew_are_refused(tmp_path, fields, refusal):
     with pytest.raises(BadInput, match=refusal):
         load_policy(altered(tmp_path, **fields))
-
-
-ACTIONS = json.loads(as_text(CONTRACT))["contract"]["actions"]
 
 
 @pytest.mark.parametrize(
@@ -184,6 +195,16 @@ def test_a_drive_checks_a_policy_also_without_a_fish(tmp_path, monkeypatch):
     config = DriveConfig(str(wide), ports, tmp_path / "key", tmp_path / "a.mcap", force_camera=True)
     with pytest.raises(BadInput, match=r"actions reach -3.1 to 3.1 rad"):
         drive(config, lambda text: None)
+
+
+@pytest.mark.parametrize("text", ["[" * 200_000, '{"contract": {"training": ' + '{"a":' * 400])
+def test_a_contract_that_is_nested_without_end_is_refused(tmp_path, text):
+    closed = text + "1" + "}" * (text.count("{") - 1) + ', "digests": {}}'
+    model = onnx.load(str(PATH))
+    model.metadata_props[0].value = closed if text.startswith("{") else text
+    onnx.save(model, str(tmp_path / "p.onnx"))
+    with pytest.raises(BadInput, match="its contract cannot be read"):
+        load_policy(tmp_path / "p.onnx")
 
 
 def test_digests_that_are_a_list_are_refused(tmp_path):

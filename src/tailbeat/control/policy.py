@@ -170,7 +170,8 @@ def _contract(path: Path, text: str) -> Contract:
         version = content["version"]
         if not isinstance(digests, dict):
             raise TypeError("digests are not a table")
-    except (ValueError, KeyError, TypeError) as error:
+        checks.check_depth(content)
+    except (KeyError, RecursionError, TypeError, ValueError) as error:
         raise BadInput(f"{path}: its contract cannot be read; export the policy again.") from error
     if version not in VERSIONS:
         raise BadInput(
@@ -192,7 +193,7 @@ def _contract(path: Path, text: str) -> Contract:
         check_space(contract.actions)
     except BadInput as error:
         raise BadInput(f"{path}: {error} Export the policy again.") from None
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise BadInput(
             f"{path}: a field of its contract is not what it should be ({error!r}); export it"
             f" again."
@@ -206,6 +207,7 @@ def _contract(path: Path, text: str) -> Contract:
 
 
 def _built(content: dict[str, Any]) -> Contract:
+    checks.check_kinds(content)
     content["observation"] = tuple(Entry(**entry) for entry in content["observation"])
     content["actions"] = SPACES[content["actions"]["kind"]](**content["actions"])
     low, high = map(float, content["band"])

@@ -2,7 +2,7 @@
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,31 @@ from tailbeat.files import BadInput
 
 Single = NDArray[np.float32]
 Pairs = tuple[Sequence[list[float]], ...]
+PAIRS, LARGEST = 100, 1e6  # golden pairs, and any number in them; 16 pairs are exported
+DEPTH = 30  # tables inside tables of a contract; a fish has nine
+KINDS = {"fish": str, "fish_digest": str, "training": dict, "description": dict | None}
 CLOSE = 1e-5  # golden actions agree to this on any machine; 1e-6 was measured here
 PATIENCE = 5.0  # s for the first answers of a network
+
+
+def check_kinds(content: Mapping[str, object]) -> None:
+    """Raises TypeError for a text or a table of a contract that is something else."""
+    for name, kind in KINDS.items():
+        if not isinstance(content.get(name), kind):
+            raise TypeError(f"{name} is a {type(content.get(name)).__name__}")
+
+
+def check_depth(content: Any) -> None:
+    """Raises ValueError for a contract whose tables are nested without end."""
+    if _deeper(content, DEPTH):
+        raise ValueError(f"it is nested more than {DEPTH} times")
+
+
+def _deeper(value: Any, depth: int) -> bool:
+    if not isinstance(value, dict | list):
+        return False
+    inside = value.values() if isinstance(value, dict) else value
+    return depth == 0 or any(_deeper(one, depth - 1) for one in inside)
 
 
 def measure_from(path: Path, held: Any) -> Measure:
@@ -56,12 +79,22 @@ def check_pairs(
 ) -> None:
     """Refuse golden pairs that are not as many observations as actions, of the right sizes."""
     rows = (len(observation), size(space))
-    paired = len(golden) == 2 and len(golden[0]) == len(golden[1]) > 0
-    if not paired or any({len(row) for row in golden[i]} != {rows[i]} for i in (0, 1)):
+    if not _paired(golden, rows):
         raise BadInput(
-            f"{path}: its golden pairs are not {rows[0]} observations and {rows[1]} actions each;"
-            f" export the policy again."
+            f"{path}: its golden pairs are not {rows[0]} observations and {rows[1]} actions each,"
+            f" {PAIRS} at most; export the policy again."
         )
+
+
+def _paired(golden: Pairs, wide: tuple[int, int]) -> bool:
+    """Whether both sides are as many rows of finite numbers, as wide as this."""
+    try:
+        sides = [np.array(side, dtype=float) for side in golden]
+    except (OverflowError, TypeError, ValueError):
+        return False
+    count = len(golden[0]) if golden else 0
+    fits = [one.shape for one in sides] == [(count, one) for one in wide]
+    return fits and 0 < count <= PAIRS and all((np.abs(one) < LARGEST).all() for one in sides)
 
 
 def check_source(path: Path, yaw_rate: object) -> None:
