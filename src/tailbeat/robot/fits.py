@@ -84,7 +84,7 @@ def check_swims(policy: Policy, twin: str | None, fish: Fish) -> Fish:
     contract, trained = policy.contract, twin_of(policy, twin)
     body = [one for one in _unlike(trained, fish) if not one.startswith("band.")]
     wrong = unfit(contract, trained.name, digest(trained), fish.band, PERIOD)
-    wrong += _unlike_motor(contract.actions, fish)
+    wrong += [*_unlike_motor(contract.actions, fish), *_unlike_servo(policy, trained)]
     _refuse_bodies(body, wrong)
     refuse(wrong)
     return trained
@@ -127,6 +127,18 @@ def _unlike_motor(space: ActionSpace, fish: Fish) -> list[str]:
     except BadInput as beyond:
         found.append(str(beyond).split("; ")[0])
     return found
+
+
+def _unlike_servo(policy: Policy, trained: Fish) -> list[str]:
+    """Where the shaft that a policy's file expects has not the servo of the training."""
+    if policy.expected is None:
+        return []
+    shaft, servo = policy.expected.shaft, trained.servos[trained.servo]
+    return [
+        f"expected {name} of the servo is {getattr(shaft, name):g}, here {getattr(servo, name):g}"
+        for name in ("kp", "kv", "force_limit", "delay")
+        if not math.isclose(getattr(shaft, name), getattr(servo, name), rel_tol=1e-9)
+    ]
 
 
 def _refuse_bodies(body: list[str], others: list[str]) -> None:
