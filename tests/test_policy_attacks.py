@@ -10,10 +10,12 @@ import pytest
 pytest.importorskip("onnx", reason="the train extra is not installed")
 
 import onnx
+import onnxruntime
 
+from policies import POLICIES
 from tailbeat.control import policy_checks
 from tailbeat.control.network_file import LARGEST, check_network
-from tailbeat.control.policy import KEY, _digests, as_text, load_policy, shipped
+from tailbeat.control.policy import KEY, _digests, as_text, decide, load_policy, shipped
 from tailbeat.files import BadInput
 from tailbeat.link import datagrams as link
 from tailbeat.robot import timing
@@ -104,17 +106,54 @@ def test_a_network_of_double_precision_is_refused(tmp_path):
         load_policy(saved(tmp_path, model))
 
 
-def test_a_network_that_takes_too_long_is_given_up(tmp_path, monkeypatch):
-    wide = np.full((24, 100_000), 1e-6, np.float32)
+def outer(size: int, steps: int = 0) -> onnx.ModelProto:
+    """A file of 200 kB whose layers make square matrices of this size, and multiply them."""
+    layers = ["m0 = Mul(a, b)", *(f"m{k + 1} = MatMul(m{k}, m{k})" for k in range(steps))]
     model = onnx.parser.parse_model(
-        '<ir_version: 8, opset_import: ["" : 17]> slow (float[n,24] observation)'
-        " => (float[n,24] action) { a = MatMul(observation, w) action = MatMul(a, v) }"
+        '<ir_version: 8, opset_import: ["" : 17]> outer (float[n,24] observation)'
+        f" => (float[n,6] action) {{ {' '.join(layers)} x = MatMul(observation, l)"
+        f" y = MatMul(x, m{steps}) action = MatMul(y, r) }}"
     )
-    for name, weights in (("w", wide), ("v", wide.T.copy())):
+    shapes = {"a": (size, 1), "b": (1, size), "l": (24, size), "r": (size, 6)}
+    for name, shape in shapes.items():
+        weights = np.full(shape, 1.0 if name == "a" else 1.0 / size, np.float32)
         model.graph.initializer.append(onnx.numpy_helper.from_array(weights, name))
-    monkeypatch.setattr(policy_checks, "PATIENCE", 0.0)
-    with pytest.raises(BadInput, match="does not run"):
-        load_policy(saved(tmp_path, model))
+    return model
+
+
+def test_a_network_that_takes_too_long_is_given_up(tmp_path, monkeypatch):
+    """Between two layers, and not after the last."""
+    path = saved(tmp_path, outer(600, steps=14))
+
+    def worked(refusal: str) -> float:
+        began = time.thread_time()
+        with pytest.raises(BadInput, match=refusal):
+            load_policy(path)
+        return time.thread_time() - began
+
+    whole = worked("golden actions are off")
+    monkeypatch.setattr(policy_checks, "PATIENCE", 0.01)
+    assert worked("no answer within 0.01 s; give a smaller one") < whole / 2
+
+
+def test_constant_layers_do_not_run_while_a_network_is_loaded(monkeypatch):
+    """Folded, they would run where nothing gives them up."""
+    options = onnxruntime.SessionOptions()
+    monkeypatch.setattr(onnxruntime, "SessionOptions", lambda: options)
+    load_policy(PATH)
+    off = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+    assert options.graph_optimization_level == off
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_decisions_are_those_of_an_optimised_network_to_the_last_bit(name):
+    policy = load_policy(POLICIES[name])
+    usual = onnxruntime.InferenceSession(str(POLICIES[name]), providers=["CPUExecutionProvider"])
+    wide = len(policy.contract.observation)
+    seen = np.random.default_rng(0).normal(size=(64, wide)).astype(np.float32)
+    for batch in (seen, seen[:1], np.array(policy.contract.golden[0], np.float32)):
+        wanted = usual.run(None, {"observation": batch})[0]
+        assert np.array_equal(decide(policy, batch), wanted)
 
 
 @pytest.mark.parametrize(

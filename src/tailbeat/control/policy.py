@@ -140,14 +140,14 @@ def load_policy(name_or_path: str | Path) -> Policy:
     field's digest, the observation table, and the golden pairs. Raises BadInput that names what is
     wrong."""
     path = policy_path(name_or_path)
-    check_network(path)
-    options = onnxruntime.SessionOptions()
+    network, options = check_network(path), onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # errors are reported below
+    # An optimised network runs its constant layers while it is loaded, where no time ends. A
+    # decision takes 19.6 us instead of 18.7, and is the same to the last bit.
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     try:
-        session = onnxruntime.InferenceSession(
-            str(path), options, providers=["CPUExecutionProvider"]
-        )
+        session = onnxruntime.InferenceSession(network, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime raises a dozen kinds of its own
         raise BadInput(f"{path}: not a readable ONNX file; export the policy again.") from error
     metadata = session.get_modelmeta().custom_metadata_map

@@ -14,12 +14,13 @@ from tailbeat.control.actions import PERIOD, ActionSpace, size
 from tailbeat.control.camera_yaw import SOURCES
 from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.motion import MotionFilter
+from tailbeat.control.network_file import ROWS
 from tailbeat.control.observation import Entry
 from tailbeat.files import BadInput
 
 Single = NDArray[np.float32]
 Pairs = tuple[Sequence[list[float]], ...]
-PAIRS, LARGEST = 100, 1e6  # golden pairs, and any number in them; 16 pairs are exported
+LARGEST = 1e6  # of the numbers in golden pairs
 DEPTH = 30  # tables inside tables of a contract; a fish has nine
 KINDS = {"fish": str, "fish_digest": str, "training": dict, "description": dict | None}
 CLOSE = 1e-5  # golden actions agree to this on any machine; 1e-6 was measured here
@@ -82,7 +83,7 @@ def check_pairs(
     if not _paired(golden, rows):
         raise BadInput(
             f"{path}: its golden pairs are not {rows[0]} observations and {rows[1]} actions each,"
-            f" {PAIRS} at most; export the policy again."
+            f" {ROWS} at most; export the policy again."
         )
 
 
@@ -94,7 +95,7 @@ def _paired(golden: Pairs, wide: tuple[int, int]) -> bool:
         return False
     count = len(golden[0]) if golden else 0
     fits = [one.shape for one in sides] == [(count, one) for one in wide]
-    return fits and 0 < count <= PAIRS and all((np.abs(one) < LARGEST).all() for one in sides)
+    return fits and 0 < count <= ROWS and all((np.abs(one) < LARGEST).all() for one in sides)
 
 
 def check_source(path: Path, yaw_rate: object) -> None:
@@ -148,6 +149,10 @@ def check_golden(
         raise BadInput(f"{path}: the network does not take {wide} observations; export it again.")
     try:
         answer = _timed(session, seen)
+    except TimeoutError:
+        raise BadInput(
+            f"{path}: the network gave no answer within {PATIENCE:g} s; give a smaller one."
+        ) from None
     except Exception as error:  # onnxruntime raises a dozen kinds of its own
         raise BadInput(
             f"{path}: the network does not run on observations of single precision; export it"
@@ -167,12 +172,22 @@ def check_golden(
 
 
 def _timed(session: onnxruntime.InferenceSession, seen: Single) -> Single:
-    """The network's answer, given up after `PATIENCE`."""
-    options = onnxruntime.RunOptions()
-    timer = threading.Timer(PATIENCE, lambda: setattr(options, "terminate", True))
+    """The network's answer. Raises TimeoutError after `PATIENCE`, once the layer that runs then has
+    ended."""
+    options, late = onnxruntime.RunOptions(), threading.Event()
+
+    def give_up() -> None:
+        late.set()
+        options.terminate = True
+
+    timer = threading.Timer(PATIENCE, give_up)
     timer.start()
     try:
         answer: Single = session.run(None, {"observation": seen}, options)[0]
+    except Exception as error:
+        if late.is_set():
+            raise TimeoutError from error
+        raise
     finally:
         timer.cancel()
     return answer
