@@ -98,6 +98,8 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
             own.logging = lambda: written.healthy
             _guarded(own, config, hardware, say, each)
             written.last_notes["pace"] = json.dumps(own.pace.report())
+        if written.failed or written.dropped:
+            say(f"log: {written.dropped} rows are lost; {written.failed or 'its writer was late'}")
         return _result(own, config)
 
 
