@@ -23,7 +23,11 @@ from tailbeat.link.status import State
 from tailbeat.robot import imus, safety, servo, systemd, timing, watchdog
 from tailbeat.robot import log as log_file
 from tailbeat.robot.devices import Devices
-from tailbeat.robot.doctor_devices import NO_WATCHDOG, check_before_driving
+from tailbeat.robot.doctor_devices import (
+    NO_WATCHDOG,
+    check_before_driving,
+    check_imu_before_driving,
+)
 from tailbeat.robot.fits import NONE, carried, check_driven, check_swims, check_yaw_rate
 from tailbeat.robot.imu import PATIENCE, ImuFault, mounting_of
 from tailbeat.robot.imus import YawSensor
@@ -162,7 +166,7 @@ def _open_devices(config: DriveConfig, key: bytes, hardware: Hardware) -> Iterat
         check_before_driving(ports.servo, motor, hardware)
         if ports.imu != NONE:
             gyro = imus.connect(ports.imu, mounting_of(hardware))
-            _prepare(gyro, ports.imu)
+            _prepare(gyro, ports.imu, hardware)
         receiver = link.Receiver(key)  # the station sends the pool's size
         with link.bind(*ports.listen) as heard:
             yield Devices(motor, gyro, receiver, heard, ports.station)
@@ -197,11 +201,12 @@ def _result(own: Loop, config: DriveConfig) -> DriveResult:
     )
 
 
-def _prepare(gyro: YawSensor, path: str) -> None:
-    """Set the IMU up, with a longer deadline. Raises BadInput."""
+def _prepare(gyro: YawSensor, path: str, hardware: Hardware) -> None:
+    """Set the IMU up and check it, with a longer deadline. Raises BadInput."""
     gyro.deadline, usual = PATIENCE, gyro.deadline
     try:
         gyro.prepare()
+        check_imu_before_driving(path, gyro, hardware)
     except ImuFault as fault:
         raise BadInput(f"{path}: {fault}; run `tailbeat doctor`.") from None
     gyro.deadline = usual
