@@ -25,7 +25,7 @@ from tailbeat.robot import log as logs
 from tailbeat.robot import log_salvage
 from tailbeat.robot.log import COLUMNS, read_log, read_rows, start
 from tailbeat.robot.log_export import as_recording, export, losses
-from tailbeat.robot.log_rows import read_row
+from tailbeat.robot.log_rows import NOTED, read_row
 from tailbeat.robot.log_salvage import CHUNK
 
 pytestmark = pytest.mark.realtime
@@ -121,6 +121,26 @@ def test_what_is_no_log_is_refused(tmp_path):
     (tmp_path / "text.mcap").write_text("hello")
     with pytest.raises(BadInput, match="no row of a swim"):
         read_rows(tmp_path / "text.mcap")
+
+
+def test_a_recording_carries_what_its_log_s_head_tells(tmp_path):
+    from tailbeat.control.policy import load_policy
+    from tailbeat.robot.session import notes
+
+    policy = "pulley-fish-pool-generator"
+    told = {
+        **notes(policy, load_policy(policy).contract),
+        "yaw_rate": "a",
+        "sign_test": "two\nlines",
+    }
+    assert set(told) == set(NOTED) and "unknown" in told["calibration"] and told["git"]
+    log = start(tmp_path / "a.mcap", {**told, "gain": "7"})  # nothing that an identification reads
+    log.put(row(0))
+    log.put(row(1))
+    log.close()
+    export(tmp_path / "a.mcap", tmp_path / "a.csv")
+    meta = read_recording(tmp_path / "a.csv").meta
+    assert dict(meta) == {**told, "source": "tailbeat drive", "sign_test": "two lines"}
 
 
 # ---- damage -------------------------------------------------------------------------------------

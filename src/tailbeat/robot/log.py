@@ -5,6 +5,7 @@ never waits, and a process that is killed loses only the last chunk. With a full
 disk, rows are dropped and counted; the loop decides what follows.
 """
 
+import contextlib
 import json
 import math
 import queue
@@ -218,6 +219,15 @@ def _texts(path: Path) -> tuple[list[bytes], bool]:
             return [one.data for _, channel, one in messages if channel.topic == TOPIC], True
     except Exception:  # damaged bytes make a reader raise whatever they like
         return [], False
+
+
+def read_notes(path: Path) -> dict[str, str]:
+    """What the head of a log tells, as far as it is whole: date, policy, versions."""
+    found: dict[str, str] = {}
+    with contextlib.suppress(Exception), path.open("rb") as file:  # as in `_texts`
+        for one in NonSeekingReader(file, record_size_limit=RECORD).iter_metadata():
+            found |= one.metadata if one.name == NOTES else {}
+    return found
 
 
 def is_whole(path: Path) -> bool:

@@ -10,9 +10,11 @@ import numpy as np
 
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.recording import Recording, write_recording
-from tailbeat.robot.log import COLUMNS, Swim, read_log, read_rows
+from tailbeat.robot.log import COLUMNS, Swim, read_log, read_notes, read_rows
+from tailbeat.robot.log_rows import NOTED
 
 GAPS = 5  # of which a sentence tells the times
+LONGEST = 300  # letters of a note
 
 
 def as_recording(path: Path) -> Recording:
@@ -29,7 +31,14 @@ def _recording(path: Path, rows: list[dict[str, Any]]) -> Recording:
         raise BadInput(f"{path}: {len(whole)} complete rows; a recording needs at least 2.")
     time = np.array(sorted(whole), dtype=np.float64)
     columns = {name: np.array([whole[at][name] for at in time], float) for name in COLUMNS}
-    return Recording(path.stem, time - time[0], columns, {"source": "tailbeat drive"})
+    return Recording(path.stem, time - time[0], columns, _meta(path))
+
+
+def _meta(path: Path) -> dict[str, str]:
+    """Where a recording comes from, with what its log tells of policy, fish and versions."""
+    notes = read_notes(path)
+    told = {name: " ".join(notes[name].split())[:LONGEST] for name in NOTED if name in notes}
+    return {"source": "tailbeat drive", **told}
 
 
 def export(log: Path, out: Path) -> tuple[Recording, Swim]:

@@ -9,6 +9,11 @@ from tailbeat.files import BadInput
 
 Row = dict[str, Any]
 TOPIC = "/swim"
+# What the head of a drive's log tells, which goes into a recording made of it.
+NOTED = (
+    "date", "policy", "policy_sha256", "contract", "fish_digest", "calibration", "yaw_rate",
+    "sign_test", "tailbeat", "git", "onnxruntime", "python",
+)  # fmt: skip
 LONGEST = 40  # letters of a wrong value that a sentence shows
 PLAIN, HUGE = {float, int, type(None)}, 1 << 1000  # no float holds a larger integer
 # Fields of a row. A number that is not finite is left out of its row.

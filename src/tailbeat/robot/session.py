@@ -20,6 +20,7 @@ from tailbeat.fish.store import hardware_of, load_fish
 from tailbeat.link import datagrams as link
 from tailbeat.link.reasons import Reason
 from tailbeat.link.status import State
+from tailbeat.processes import git_describe
 from tailbeat.robot import imus, safety, servo, systemd, timing, watchdog
 from tailbeat.robot import log as log_file
 from tailbeat.robot.devices import Devices
@@ -115,14 +116,17 @@ def _hardware(config: DriveConfig, policy: Policy) -> Hardware:
 
 
 def notes(policy: str, contract: Contract) -> dict[str, str]:
-    """What the head of a log tells of a drive: its date, what swam, and with which versions."""
+    """What the head of a log tells of a drive: its date, what swam, and with which versions. The
+    camera's calibration is the station's; the link does not carry it."""
     return {
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "policy": policy,
         "policy_sha256": hashlib.sha256(policy_path(policy).read_bytes()).hexdigest(),
         "contract": contract.fish,
         "fish_digest": contract.fish_digest,
+        "calibration": "unknown to the robot: the station has it",
         "tailbeat": __version__,
+        "git": git_describe(),
         "onnxruntime": version("onnxruntime"),
         "python": platform.python_version(),
     }
