@@ -85,11 +85,12 @@ WAYS: dict[str, Callable[[bytes, float, bytes], bytes]] = {
 @dataclass(frozen=True)
 class Kind:
     """A type of file: how a whole one is written into a folder, the file's path in it that is
-    damaged, and the verbs that read it."""
+    damaged, and the verbs that read it. `after` is done to the folder after the damage."""
 
     write: Callable[[Path], None]
     path: str
     verbs: tuple[str, ...]
+    after: Callable[[Path], None] = lambda folder: None
 
 
 def fish(folder: Path) -> None:
@@ -104,6 +105,34 @@ def policy(folder: Path) -> None:
     from tailbeat.control.policy import shipped
 
     (folder / "a.onnx").write_bytes(shipped()["pulley-fish-pool-generator"].read_bytes())
+
+
+def contract(folder: Path) -> None:
+    """The same, with what its metadata say in a file of its own."""
+    import onnx
+
+    policy(folder)
+    metadata = {one.key: one.value for one in onnx.load(str(folder / "a.onnx")).metadata_props}
+    parts = {key: json.loads(text) for key, text in metadata.items()}
+    (folder / "contract.json").write_text(json.dumps(parts))
+
+
+def signed(folder: Path) -> None:
+    """Put what the file says back into the policy, with digests that fit: they refuse no damage."""
+    import onnx
+
+    from tailbeat.control.policy import KEY, _digests
+
+    text = (folder / "contract.json").read_text("utf-8", "replace")
+    try:
+        parts = {key: json.dumps(part) for key, part in json.loads(text).items()}
+        content = json.loads(text)[KEY]["contract"]
+        parts[KEY] = json.dumps({"contract": content, "digests": _digests(content)})
+    except (AttributeError, KeyError, RecursionError, TypeError, ValueError):
+        parts = {KEY: text}
+    model = onnx.load(str(folder / "a.onnx"))
+    onnx.helper.set_model_props(model, parts)
+    onnx.save(model, str(folder / "a.onnx"))
 
 
 def recording(end: str) -> Callable[[Path], None]:
@@ -230,6 +259,9 @@ KINDS = {
     "policy": Kind(policy, "a.onnx", (
         "policy show a.onnx", "policy diff pulley-fish-pool-generator a.onnx",
     )),
+    "contract": Kind(contract, "contract.json", (
+        "policy show a.onnx", "doctor --policy a.onnx --key a.key",
+    ), signed),
     "csv": Kind(recording("csv"), "a.csv", (
         "predict a.csv --fish pulley-fish --json out.json",
         "coverage a.csv --against a.csv --fish pulley-fish",

@@ -150,6 +150,12 @@ def test_arming_asks_for_the_fastest_speed_in_each_meaning_of_it(bench, servo, p
 
 
 @pytest.mark.realtime
+def test_a_limit_that_no_register_holds_is_a_fault(servo):
+    with pytest.raises(ServoFault, match="register 9 takes 0 to 65535, not -103"):
+        servo.prepare(-3.3, 1.4)
+
+
+@pytest.mark.realtime
 def test_what_arming_sets_is_kept_without_power(bench, servo):
     bench.device.put(33, 1)
     servo.prepare(-1.4, 1.4)

@@ -108,6 +108,7 @@ def test_damaged_files(tmp_path: Path, name: str, count: int):
         shutil.copytree(whole, folder)
         path = folder / kind.path
         path.write_bytes(reduce(damaged, changes, path.read_bytes()))
+        kind.after(folder)
         survives(verb.split(), folder)
 
     held()

@@ -157,6 +157,20 @@ def test_what_the_doctor_calls_bad_is_refused_before_anything_moves(name):
 
 
 @pytest.mark.realtime
+def test_a_bus_that_leaves_no_room_in_a_period_is_refused():
+    with servo_bench() as bench:
+        bench.device.faults.slow = 0.012
+        servo = connect(bench.path, XW430, deadline=PATIENT)
+        with pytest.raises(
+            BadInput, match=r"servo reading time is median \d+.* ms.*: latency timer"
+        ):
+            check_before_driving(bench.path, servo, XW430)
+        bench.device.faults.slow = 0.0
+        check_before_driving(bench.path, servo, XW430)
+        servo.close()
+
+
+@pytest.mark.realtime
 def test_what_arming_mends_is_not_refused():
     with servo_bench() as bench:
         bench.device.put(52, 2100)

@@ -113,7 +113,7 @@ def test_the_launch_check_tells_the_even_law_from_a_trailing_edge() -> None:
 # of the band, and in the fastest.
 FORWARD = "+++++"
 RECOVERED = {
-    "crank-fish": ("++---", FORWARD),  # no trailing edge: a slow beat keeps the direction
+    "crank-fish": (FORWARD, FORWARD),
     "pulley-fish": ("++---", "-+---"),  # the paper's law: a fast beat also starts backward
     "pulley-fish-pool": (FORWARD, FORWARD),
 }

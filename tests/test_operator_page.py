@@ -6,6 +6,7 @@ import re
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -28,7 +29,12 @@ from tailbeat.link import datagrams as link
 from tailbeat.link.reasons import Reason
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import Numbers, State, Status
-from tailbeat.operator.client import announce, is_local, open_client
+from tailbeat.operator import snapshot as snapshots
+from tailbeat.operator.client import (
+    announce,
+    is_local,
+    open_client,
+)
 from tailbeat.operator.snapshot import body, snapshot
 
 pytestmark = pytest.mark.realtime
@@ -235,10 +241,14 @@ def test_a_fish_that_is_armed_again_after_a_stop_is_not_stopped_again(chromium):
         return shown(chromium, "state").lower() == state.value
 
     try:
-        visit(chromium, client.url.partition("#")[0])
-        until(lambda: shows_too(State.RUN))
+        visit(chromium, client.url)
+        disarm = chromium.find_element(By.ID, "disarm")
+        until(lambda: shows_too(State.TEST) and disarm.is_enabled())
+        assert chromium.find_element(By.ID, "icon").get_attribute("d").startswith("M")
         chromium.find_element(By.ID, "stop").click()
-        until(lambda: shows_too(State.RUN) and found.count("stop") > 1)  # it is repeated
+        until(lambda: shows_too(State.TEST) and found.count("stop") > 1)  # it is repeated
+        found.clear()
+        until(lambda: shows_too(State.RUN) and found.count("stop") > 1)
         until(lambda: shows_too(State.STOP))
         found.clear()
         end = time.monotonic() + 2.0
@@ -248,6 +258,19 @@ def test_a_fish_that_is_armed_again_after_a_stop_is_not_stopped_again(chromium):
     finally:
         client.close()
         heard.close()
+
+
+def test_each_state_has_its_sign_its_colour_and_its_place_among_those_with_torque():
+    folder = Path(snapshots.__file__).parent
+    script, sheet = ((folder / name).read_text("utf-8") for name in ("page.js", "page.css"))
+    for state in [one.value for one in State]:
+        assert re.search(rf'^  {state}: "M', script, re.MULTILINE), state
+        coloured = (
+            f'body[data-state="{state}"] {{' in sheet and f'li[data-state="{state}"]' in sheet
+        )
+        assert coloured or state == "disarmed"
+    with_torque = [one.value for one in State if one not in (State.DISARMED, State.STOP)]
+    assert json.loads(script.partition("TORQUE = ")[2].partition(";")[0]) == with_torque
 
 
 def test_a_wrong_token_is_refused_said_and_moves_nothing(lab, chromium):

@@ -10,15 +10,23 @@ import pytest
 pytest.importorskip("onnx", reason="the train extra is not installed")
 
 import onnx
+import onnxruntime
 
+from policies import POLICIES
 from tailbeat.control import policy_checks
 from tailbeat.control.network_file import LARGEST, check_network
-from tailbeat.control.policy import KEY, _digests, as_text, load_policy, shipped
+from tailbeat.control.policy import KEY, _digests, as_text, decide, load_policy, shipped
 from tailbeat.files import BadInput
-from tailbeat.robot.fits import carried
+from tailbeat.link import datagrams as link
+from tailbeat.robot import timing
+from tailbeat.robot.fits import carried, check_named
+from tailbeat.robot.ports import Ports
+from tailbeat.robot.session import DriveConfig, drive
 
 PATH = shipped()["pulley-fish-pool-generator"]
 CONTRACT = load_policy(PATH).contract
+ACTIONS = json.loads(as_text(CONTRACT))["contract"]["actions"]
+BIG = 10**400  # an integer that no float holds
 ENDLESS = """
   <ir_version: 8, opset_import: ["" : 17]> attack (float[n,24] observation) => (float[n,6] action)
   { limit = Constant <value: tensor = int64 {9223372036854775807}> ()
@@ -47,8 +55,12 @@ def saved(tmp_path: Path, model: onnx.ModelProto) -> Path:
 
 def altered(tmp_path: Path, **fields: object) -> Path:
     """The shipped policy with other fields in its contract, signed anew."""
+    return carrying(tmp_path, {**json.loads(as_text(CONTRACT))["contract"], **fields})
+
+
+def carrying(tmp_path: Path, content: dict[str, object]) -> Path:
+    """The shipped policy with this contract, signed anew."""
     model = onnx.load(str(PATH))
-    content = {**json.loads(as_text(CONTRACT))["contract"], **fields}
     text = json.dumps({"contract": content, "digests": _digests(content)})
     model.metadata_props[0].value = text
     onnx.save(model, str(tmp_path / "altered.onnx"))
@@ -94,17 +106,54 @@ def test_a_network_of_double_precision_is_refused(tmp_path):
         load_policy(saved(tmp_path, model))
 
 
-def test_a_network_that_takes_too_long_is_given_up(tmp_path, monkeypatch):
-    wide = np.full((24, 100_000), 1e-6, np.float32)
+def outer(size: int, steps: int = 0) -> onnx.ModelProto:
+    """A file of 200 kB whose layers make square matrices of this size, and multiply them."""
+    layers = ["m0 = Mul(a, b)", *(f"m{k + 1} = MatMul(m{k}, m{k})" for k in range(steps))]
     model = onnx.parser.parse_model(
-        '<ir_version: 8, opset_import: ["" : 17]> slow (float[n,24] observation)'
-        " => (float[n,24] action) { a = MatMul(observation, w) action = MatMul(a, v) }"
+        '<ir_version: 8, opset_import: ["" : 17]> outer (float[n,24] observation)'
+        f" => (float[n,6] action) {{ {' '.join(layers)} x = MatMul(observation, l)"
+        f" y = MatMul(x, m{steps}) action = MatMul(y, r) }}"
     )
-    for name, weights in (("w", wide), ("v", wide.T.copy())):
+    shapes = {"a": (size, 1), "b": (1, size), "l": (24, size), "r": (size, 6)}
+    for name, shape in shapes.items():
+        weights = np.full(shape, 1.0 if name == "a" else 1.0 / size, np.float32)
         model.graph.initializer.append(onnx.numpy_helper.from_array(weights, name))
-    monkeypatch.setattr(policy_checks, "PATIENCE", 0.0)
-    with pytest.raises(BadInput, match="does not run"):
-        load_policy(saved(tmp_path, model))
+    return model
+
+
+def test_a_network_that_takes_too_long_is_given_up(tmp_path, monkeypatch):
+    """Between two layers, and not after the last."""
+    path = saved(tmp_path, outer(600, steps=14))
+
+    def worked(refusal: str) -> float:
+        began = time.thread_time()
+        with pytest.raises(BadInput, match=refusal):
+            load_policy(path)
+        return time.thread_time() - began
+
+    whole = worked("golden actions are off")
+    monkeypatch.setattr(policy_checks, "PATIENCE", 0.01)
+    assert worked("no answer within 0.01 s; give a smaller one") < whole / 2
+
+
+def test_constant_layers_do_not_run_while_a_network_is_loaded(monkeypatch):
+    """Folded, they would run where nothing gives them up."""
+    options = onnxruntime.SessionOptions()
+    monkeypatch.setattr(onnxruntime, "SessionOptions", lambda: options)
+    load_policy(PATH)
+    off = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+    assert options.graph_optimization_level == off
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_decisions_are_those_of_an_optimised_network_to_the_last_bit(name):
+    policy = load_policy(POLICIES[name])
+    usual = onnxruntime.InferenceSession(str(POLICIES[name]), providers=["CPUExecutionProvider"])
+    wide = len(policy.contract.observation)
+    seen = np.random.default_rng(0).normal(size=(64, wide)).astype(np.float32)
+    for batch in (seen, seen[:1], np.array(policy.contract.golden[0], np.float32)):
+        wanted = usual.run(None, {"observation": batch})[0]
+        assert np.array_equal(decide(policy, batch), wanted)
 
 
 @pytest.mark.parametrize(
@@ -119,11 +168,82 @@ def test_a_network_that_takes_too_long_is_given_up(tmp_path, monkeypatch):
         ({"golden": [[], []]}, "its golden pairs are not 24 observations and 6 actions each"),
         ({"golden": [[[0.0] * 24] * 2, [[0.0] * 6]]}, "its golden pairs are not"),
         ({"golden": [[[0.0] * 23], [[0.0] * 6]]}, "its golden pairs are not"),
+        ({"golden": [[["a"] * 24], [["b"] * 6]]}, "its golden pairs are not"),
+        ({"golden": [["a" * 24], ["b" * 6]]}, "its golden pairs are not"),
+        ({"golden": [[[[1.0], [2.0, 3.0]] * 12], [[0.0] * 6]]}, "its golden pairs are not"),
+        ({"golden": [[{str(k): 0 for k in range(24)}], [[0.0] * 6]]}, "its golden pairs are not"),
+        ({"golden": [[[BIG] * 24], [[0.0] * 6]]}, "its golden pairs are not"),
+        ({"golden": [[[0.0] * 24] * 200, [[0.0] * 6] * 200]}, "its golden pairs are not"),
+        ({"band": [0, BIG]}, "a field of its contract is not what it should be"),
+        ({"actions": {**ACTIONS, "floor": BIG}}, "floor = 1000.*; give at most 25 Hz"),
+        ({"description": "x"}, "not what it should be .*description is a str"),
+        ({"description": [1]}, "not what it should be .*description is a list"),
+        ({"training": "long"}, "not what it should be .*training is a str"),
+        ({"fish": 3}, "not what it should be .*fish is a int"),
     ],
 )
 def test_contracts_that_were_signed_anew_are_refused(tmp_path, fields, refusal):
     with pytest.raises(BadInput, match=refusal):
         load_policy(altered(tmp_path, **fields))
+
+
+@pytest.mark.parametrize(
+    ("fields", "refusal"),
+    [
+        ({"tau": 1e-9}, "tau = 1e-09 s; give 0.001 s or more"),
+        ({"ceiling": 1e300}, r"ceiling = 1e\+300 Hz; give at most 25 Hz"),
+        ({"high": float("inf")}, "high = inf; give at most 100"),
+        ({"first": float("nan")}, "first = nan; give at most"),
+        ({"offset": "wide"}, "a field of its contract is not what it should be"),
+        ({"binds": "nothing"}, "binds = 'nothing'; give fundamental or signal"),
+    ],
+)
+def test_actions_that_no_motor_can_follow_are_refused(tmp_path, fields, refusal):
+    with pytest.raises(BadInput, match=refusal):
+        load_policy(altered(tmp_path, actions={**ACTIONS, **fields}))
+
+
+def test_actions_beyond_the_fish_s_motor_or_band_are_refused_and_all_are_named(tmp_path):
+    wide = altered(tmp_path, actions={**ACTIONS, "low": -3.1, "high": 3.1, "ceiling": 9.0})
+    with pytest.raises(BadInput, match=r"motor allows -1.39626 to .* reaches 9 Hz and .* 4 Hz"):
+        check_named(str(wide), "pulley-fish")
+    with pytest.raises(BadInput, match=r"is not the pool's: .* head, .*; band is 1-4 Hz, here .*;"):
+        check_named(str(PATH), "crank-fish")
+    narrow = altered(tmp_path, actions={**ACTIONS, "low": -0.5, "high": 0.5})
+    check_named(str(narrow), "pulley-fish")
+
+
+def test_an_old_file_signed_anew_for_another_fish_is_refused(tmp_path):
+    """Without the fish inside, the shipped fish of the contract's name must match it."""
+    held = json.loads(as_text(CONTRACT))["contract"]
+    old = {k: one for k, one in held.items() if k not in ("description", "measure")}
+    contract = load_policy(carrying(tmp_path, old)).contract
+    assert carried(contract).name == "pulley-fish-pool"
+    other = {**old, "fish": "crank-fish", "fish_digest": "0", "band": [0.0, 99.0]}
+    contract = load_policy(carrying(tmp_path, other)).contract
+    with pytest.raises(BadInput, match=r"description has changed .*; band is 0-99 Hz, here"):
+        carried(contract)
+
+
+def test_a_drive_checks_a_policy_also_without_a_fish(tmp_path, monkeypatch):
+    monkeypatch.setattr(timing, "claim", lambda: [])
+    wide = altered(tmp_path, actions={**ACTIONS, "low": -3.1, "high": 3.1})
+    link.make_key(tmp_path / "key")
+    ends = ("127.0.0.1", 1), ("127.0.0.1", 2)
+    ports = Ports(str(tmp_path / "no servo"), "none", *ends)
+    config = DriveConfig(str(wide), ports, tmp_path / "key", tmp_path / "a.mcap", force_camera=True)
+    with pytest.raises(BadInput, match=r"actions reach -3.1 to 3.1 rad"):
+        drive(config, lambda text: None)
+
+
+@pytest.mark.parametrize("text", ["[" * 200_000, '{"contract": {"training": ' + '{"a":' * 400])
+def test_a_contract_that_is_nested_without_end_is_refused(tmp_path, text):
+    closed = text + "1" + "}" * (text.count("{") - 1) + ', "digests": {}}'
+    model = onnx.load(str(PATH))
+    model.metadata_props[0].value = closed if text.startswith("{") else text
+    onnx.save(model, str(tmp_path / "p.onnx"))
+    with pytest.raises(BadInput, match="its contract cannot be read"):
+        load_policy(tmp_path / "p.onnx")
 
 
 def test_digests_that_are_a_list_are_refused(tmp_path):

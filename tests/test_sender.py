@@ -122,6 +122,8 @@ def test_an_order_is_given_up_after_three_seconds(bench):
         (Order.ARM, State.DISARMED, "no pose for 400 ms", "ARM refused: no pose for 400 ms", True),
         (Order.ARM, State.STOP, "servo at 80 deg C", "ARM refused: servo at 80 deg C; disarm first",
          True),
+        (Order.ARM, State.TEST, "sign test: the tail beats", "ARM done: test", False),
+        (Order.SWIM, State.TEST, "sign test: the tail beats", "SWIM done: test", False),
         (Order.SWIM, State.RUN, "swimming", "SWIM done: run", False),
         (Order.SWIM, State.HOLD, "no target", "SWIM refused: no target", True),
         (Order.DISARM, State.DISARMED, "not armed yet", "DISARM done: disarmed", False),

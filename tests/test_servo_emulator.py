@@ -96,6 +96,24 @@ def test_no_packet_ends_it_and_every_register_stays_allowed(body, instruction):
             assert servo.get(address, register.allowed[0] < 0) in register.allowed
 
 
+@settings(max_examples=300, deadline=None)
+@given(
+    st.sampled_from([1, 0xFE]) | st.integers(0, 255),
+    st.integers(0, 12) | st.integers(0, 0xFFFF),
+    st.binary(max_size=30),
+    st.binary(max_size=12),
+)
+def test_no_bytes_with_a_checksum_that_holds_end_it(ident, length, content, after):
+    """Also of a packet whose length is too short for an instruction, or is another one's."""
+    said = b"\xff\xff\xfd\x00" + struct.pack("<BH", ident, length) + content[: max(length - 2, 0)]
+    servo = Dynamixel()
+    servo.answer(said + checksum(said) + after)
+    servo.advance(0.01)
+    turning(servo, 0.02)
+    servo.stream.clear()
+    assert asked(servo, 0x01, b"", servo.get(7))[0] >= 0 or servo.now < servo.quiet_until
+
+
 # ---- modes --------------------------------------------------------------------------------------
 
 

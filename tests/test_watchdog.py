@@ -12,6 +12,8 @@ import pytest
 
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
+from psutil import Process
+
 from lines import PATIENT, XW430, Bench, servo_bench
 from support import complaint, tailbeat_process
 from tailbeat.files import BadInput
@@ -79,6 +81,19 @@ def test_a_loop_that_is_stopped_while_it_holds_torque_is_ended_and_the_torque_go
     assert loop.returncode == -signal.SIGKILL
 
 
+def test_a_loop_that_dies_beside_a_watchdog_that_hangs_leaves_it_to_the_spare(bench, loop):
+    """Killed before the loop could notice, within its 0.4 s."""
+    first, spare = sorted(Process(loop.pid).children(), key=lambda one: "spare" in one.cmdline())
+    assert "spare" in spare.cmdline()
+    first.suspend()
+    time.sleep(0.1)
+    loop.kill()
+    try:
+        assert off_within(bench, 5.0) < 1.5
+    finally:
+        first.kill()
+
+
 def test_half_a_packet_of_the_dead_is_written_over(bench):
     bench.armed()
     whole = encode(Packet(1, WRITE, bytes.fromhex("740000080000")))
@@ -125,17 +140,22 @@ def test_a_watchdog_that_is_gone_is_noticed(bench):
         assert not watcher.beat(False)
 
 
-def test_a_watchdog_that_hangs_is_noticed_within_half_a_second_and_the_drive_still_ends(bench):
+@pytest.mark.parametrize("which", ["the first", "the spare"])
+def test_a_watchdog_that_hangs_is_noticed_within_half_a_second_and_the_drive_still_ends(
+    bench, which
+):
     with watchdog.guard(bench.path) as watcher:
+        one = watcher if which == "the first" else watcher.spare
+        assert one is not None
         for _ in range(50):
             assert watcher.beat(True)
             time.sleep(0.02)
-        os.kill(watcher.process.pid, signal.SIGSTOP)
+        os.kill(one.process.pid, signal.SIGSTOP)
         stopped = time.monotonic()
         while watcher.beat(True) and time.monotonic() - stopped < 5:
             time.sleep(0.02)
         assert time.monotonic() - stopped < 0.5
-        os.kill(watcher.process.pid, signal.SIGCONT)
+        os.kill(one.process.pid, signal.SIGCONT)
         time.sleep(0.1)
         watcher.beat(True)
         time.sleep(0.02)

@@ -93,6 +93,16 @@ def test_the_doctor_compares_the_mounting_with_gravity():
             assert found["IMU mounting"].verdict == verdict, found["IMU mounting"]
 
 
+def test_a_drive_refuses_an_imu_that_the_doctor_calls_bad():
+    sensor = Bno055(up=direction("-z"))
+    with served(serve_bno055, sensor) as (path, _):
+        imu = imus.connect(path, Mounting(), PATIENT)
+        with pytest.raises(BadInput, match="IMU mounting is -z is up by gravity, z by the fish's"):
+            session._prepare(imu, path, mounted("z"))
+        session._prepare(imu, path, mounted("-z"))
+        imu.close()
+
+
 # ---- the loop -----------------------------------------------------------------------------------
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
 
 LINGER = 10.0  # s that a process may take to end
+GIT = 0.5  # s that git may take to answer
 OWNER, NEW = ".owner", 60.0  # lock in a temporary folder, and the age [s] from which it is tried
 # One fish needs one thread.
 ALONE = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "TAILBEAT_THREADS": "1"}
@@ -52,6 +53,19 @@ def start_verb(words: Sequence[str], **more: Any) -> "subprocess.Popen[str]":
     more["env"] = {**os.environ, **ALONE, **more.get("env", {})}
     words = ["-m", "tailbeat", *words]
     return start(words, text=True, preexec_fn=end_with_parent, **more)
+
+
+def git_describe() -> str:
+    """What `git describe` says of this package's checkout, with -dirty where files were changed."""
+    package = Path(__file__).parent
+    if not (package.parents[1] / ".git").exists():
+        return "not a checkout"
+    asked = ["git", "-C", str(package), "describe", "--tags", "--always", "--dirty"]
+    try:
+        done = subprocess.run(asked, capture_output=True, text=True, check=True, timeout=GIT)
+    except (OSError, subprocess.SubprocessError):
+        return "unknown: git did not answer"
+    return done.stdout.strip()
 
 
 def fork_server(preload: Sequence[str]) -> "ForkServerContext":

@@ -64,10 +64,10 @@ def log_page() -> str:
         " control. A number that is not finite is left out of its row."
     )
     notes = (
-        f"The file's metadata `{log.NOTES}` name the policy and the fish. At the end of a swim they"
-        " hold the loop's punctuality too. `tailbeat export` makes a recording of the columns "
-        + ", ".join(map(code, log.COLUMNS))
-        + "."
+        f"The file's metadata `{log.NOTES}` name date, policy and fish with their digests, and the"
+        " versions. The camera's calibration is the station's, and unknown to the robot. At the end"
+        " of a swim they hold the loop's punctuality too. `tailbeat export` makes a recording of"
+        " the columns " + ", ".join(map(code, log.COLUMNS)) + ", with the metadata."
     )
     rows = [
         [code(name), kind["type"], kind["description"]]

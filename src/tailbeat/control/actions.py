@@ -123,6 +123,9 @@ class Turning:
 
 
 ActionSpace = Generator | Direct | Filtered | Turning
+HALF = (0.5 / PERIOD, " Hz")  # of the control's rate: above it no action is a frequency
+MOST = {"ceiling": HALF, "floor": HALF, "tau": (10.0, " s")}  # with their units
+WIDEST, QUICKEST = (100.0, ""), 1e-3  # of all other numbers; s, of a time constant
 RANGE = math.radians(80)  # the paper's servo turns so far to either side
 
 
@@ -157,14 +160,20 @@ def size(space: ActionSpace) -> int:
 
 def check_space(space: ActionSpace) -> None:
     """Raises BadInput for limits that contradict each other or are out of range."""
+    for name, value in vars(space).items():
+        most, unit = MOST.get(name, WIDEST)
+        if name not in ("kind", "binds") and not -most <= value <= most:  # also of a NaN
+            raise BadInput(f"actions: {name} = {value!r:.40}{unit}; give at most {most:g}{unit}.")
     if not space.low < space.high:
         raise BadInput(
             f"actions: range {space.low:g} to {space.high:g} rad; give a low below the high."
         )
-    if not isinstance(space, Direct) and not space.tau > 0:
-        raise BadInput(f"actions: tau = {space.tau:g} s; give a time above 0.")
+    if not isinstance(space, Direct) and space.tau < QUICKEST:
+        raise BadInput(f"actions: tau = {space.tau:g} s; give {QUICKEST:g} s or more.")
     if isinstance(space, Turning) and not 0 <= space.depth < 1:
         raise BadInput(f"actions: depth = {space.depth:g}; give 0 or more, and less than 1.")
+    if isinstance(space, Generator) and space.binds not in ("fundamental", "signal"):
+        raise BadInput(f"actions: binds = {space.binds!r:.40}; give fundamental or signal.")
     if isinstance(space, Generator | Turning):
         if not space.ceiling > 0:
             raise BadInput(f"actions: ceiling = {space.ceiling:g} Hz; give a frequency above 0.")

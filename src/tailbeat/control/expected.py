@@ -6,7 +6,7 @@ file beside the contract. Needs only numpy.
 
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,19 @@ from tailbeat.files import BadInput
 
 Array = NDArray[np.float64]
 KEY = "tailbeat-expected"  # of the file's metadata
+# What a file may say, lowest and highest: far beyond each fish so far, but no monitor is ever off.
+BOUNDS = {
+    "turning": (0.0, 1.0), "drifting": (0.0, 1.0), "progress_low": (0.0, 0.1),
+    "stroke_low": (-2.0, 1.0), "stroke_high": (1.0, 5.0),
+    "recoil_low": (-2.0, 1.0), "recoil_high": (1.0, 5.0),
+    "least_angle": (0.0, 0.5), "least_rate": (0.0, 5.0), "seconds": (0.0, 1e9),
+    "kp": (1e-9, 1e6), "kv": (0.0, 1e4), "force_limit": (1e-9, 1e4), "friction": (0.0, 1e3),
+    "inertia": (1e-12, 1e3), "damping": (0.0, 1e4), "stiffness": (0.0, 1e6),
+}  # fmt: skip
+WEIGHT = 1e4  # 1/s, the largest weight of a recoil
+UNREADABLE = (
+    AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError,
+)  # fmt: skip
 SUBSTEPS = 10  # of a control period, 2 ms each
 SMOOTH = 0.02  # rad/s over which dry friction changes sign
 
@@ -144,7 +157,7 @@ def read(path: Path, text: str | None) -> Expected | None:
         recoil = tuple(map(float, content.pop("recoil")))
         found = Expected(shaft=shaft, limits=limits, recoil=recoil, **content)
         _check(found)
-    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+    except UNREADABLE as error:
         raise BadInput(
             f"{path}: what it says of its swims cannot be read ({error}); write it again with"
             f" `tailbeat policy expect`."
@@ -152,13 +165,36 @@ def read(path: Path, text: str | None) -> Expected | None:
     return found
 
 
+def bounded(found: Expected) -> Expected:
+    """The same with limits and least rms that a file may have."""
+    limits = {name: clipped(name, value) for name, value in asdict(found.limits).items()}
+    return replace(
+        found,
+        limits=Limits(**limits),
+        least_angle=clipped("least_angle", found.least_angle),
+        least_rate=clipped("least_rate", found.least_rate),
+    )
+
+
+def clipped(name: str, value: float) -> float:
+    """A number of this name, or the nearest that a file may have."""
+    low, high = BOUNDS[name]
+    return min(max(value, low), high)
+
+
 def _check(found: Expected) -> None:
     """Raises ValueError for numbers that no swim gives."""
-    numbers: list[Any] = [*asdict(found.shaft).values(), *asdict(found.limits).values()]
-    numbers += [*found.recoil, found.least_angle, found.least_rate, found.seconds]
-    if not all(isinstance(one, float | int) and math.isfinite(one) for one in numbers):
-        raise ValueError("a number is missing or not finite")
-    if not 2 <= len(found.recoil) <= 100 or found.shaft.inertia <= 0:
-        raise ValueError("its recoil or its shaft is not one of a fish")
-    if not 0 <= found.shaft.delay <= PERIOD * SUBSTEPS:
-        raise ValueError(f"a delay of {found.shaft.delay:g} s")
+    numbers: dict[str, Any] = {**asdict(found.shaft), **asdict(found.limits)}
+    numbers |= {name: getattr(found, name) for name in ("least_angle", "least_rate", "seconds")}
+    delay = numbers.pop("delay")
+    if not all(isinstance(one, float | int) for one in [*numbers.values(), delay]):
+        raise ValueError("a number is missing")
+    for name, value in numbers.items():
+        low, high = BOUNDS[name]
+        if not low <= value <= high:
+            raise ValueError(f"{name} is {value!r:.40}, allowed is {low:g} to {high:g}")
+    sane = all(abs(weight) <= WEIGHT for weight in found.recoil)
+    if not 2 <= len(found.recoil) <= 100 or not sane:
+        raise ValueError("its recoil is not one of a fish")
+    if not 0 <= delay <= PERIOD * SUBSTEPS:
+        raise ValueError(f"a delay of {delay:g} s")

@@ -140,14 +140,14 @@ def load_policy(name_or_path: str | Path) -> Policy:
     field's digest, the observation table, and the golden pairs. Raises BadInput that names what is
     wrong."""
     path = policy_path(name_or_path)
-    check_network(path)
-    options = onnxruntime.SessionOptions()
+    network, options = check_network(path), onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # errors are reported below
+    # An optimised network runs its constant layers while it is loaded, where no time ends. A
+    # decision takes 19.6 us instead of 18.7, and is the same to the last bit.
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     try:
-        session = onnxruntime.InferenceSession(
-            str(path), options, providers=["CPUExecutionProvider"]
-        )
+        session = onnxruntime.InferenceSession(network, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime raises a dozen kinds of its own
         raise BadInput(f"{path}: not a readable ONNX file; export the policy again.") from error
     metadata = session.get_modelmeta().custom_metadata_map
@@ -170,7 +170,8 @@ def _contract(path: Path, text: str) -> Contract:
         version = content["version"]
         if not isinstance(digests, dict):
             raise TypeError("digests are not a table")
-    except (ValueError, KeyError, TypeError) as error:
+        checks.check_depth(content)
+    except (KeyError, RecursionError, TypeError, ValueError) as error:
         raise BadInput(f"{path}: its contract cannot be read; export the policy again.") from error
     if version not in VERSIONS:
         raise BadInput(
@@ -190,7 +191,9 @@ def _contract(path: Path, text: str) -> Contract:
     try:
         contract = _built(content)
         check_space(contract.actions)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except BadInput as error:
+        raise BadInput(f"{path}: {error} Export the policy again.") from None
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise BadInput(
             f"{path}: a field of its contract is not what it should be ({error!r}); export it"
             f" again."
@@ -204,6 +207,7 @@ def _contract(path: Path, text: str) -> Contract:
 
 
 def _built(content: dict[str, Any]) -> Contract:
+    checks.check_kinds(content)
     content["observation"] = tuple(Entry(**entry) for entry in content["observation"])
     content["actions"] = SPACES[content["actions"]["kind"]](**content["actions"])
     low, high = map(float, content["band"])
@@ -226,6 +230,13 @@ def check_fits(
 ) -> None:
     """Raises BadInput if a policy was trained for another fish, another description of it
     (`digest`), another band [Hz] or another control period [s]. It names each difference."""
+    refuse(unfit(contract, fish, digest, band, period))
+
+
+def unfit(
+    contract: Contract, fish: str, digest: str, band: tuple[float, float], period: float
+) -> list[str]:
+    """The differences for which `check_fits` refuses a policy."""
     wrong = []
     if contract.fish != fish:
         wrong.append(f"fish is {contract.fish}, here {fish}")
@@ -235,6 +246,11 @@ def check_fits(
         wrong.append(f"band is {_range(contract.band)} Hz, here {_range(band)} Hz")
     if contract.period != period:
         wrong.append(f"period is {1e3 * contract.period:g} ms, here {1e3 * period:g} ms")
+    return wrong
+
+
+def refuse(wrong: list[str]) -> None:
+    """Raises BadInput if there are differences between a policy and its fish."""
     if wrong:
         raise BadInput(
             f"policy: {'; '.join(wrong)}. Train one for this fish, or pass the fish it was trained"

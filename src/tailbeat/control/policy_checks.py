@@ -2,7 +2,7 @@
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,37 @@ from tailbeat.control.actions import PERIOD, ActionSpace, size
 from tailbeat.control.camera_yaw import SOURCES
 from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.motion import MotionFilter
+from tailbeat.control.network_file import ROWS
 from tailbeat.control.observation import Entry
 from tailbeat.files import BadInput
 
 Single = NDArray[np.float32]
 Pairs = tuple[Sequence[list[float]], ...]
+LARGEST = 1e6  # of the numbers in golden pairs
+DEPTH = 30  # tables inside tables of a contract; a fish has nine
+KINDS = {"fish": str, "fish_digest": str, "training": dict, "description": dict | None}
 CLOSE = 1e-5  # golden actions agree to this on any machine; 1e-6 was measured here
 PATIENCE = 5.0  # s for the first answers of a network
+
+
+def check_kinds(content: Mapping[str, object]) -> None:
+    """Raises TypeError for a text or a table of a contract that is something else."""
+    for name, kind in KINDS.items():
+        if not isinstance(content.get(name), kind):
+            raise TypeError(f"{name} is a {type(content.get(name)).__name__}")
+
+
+def check_depth(content: Any) -> None:
+    """Raises ValueError for a contract whose tables are nested without end."""
+    if _deeper(content, DEPTH):
+        raise ValueError(f"it is nested more than {DEPTH} times")
+
+
+def _deeper(value: Any, depth: int) -> bool:
+    if not isinstance(value, dict | list):
+        return False
+    inside = value.values() if isinstance(value, dict) else value
+    return depth == 0 or any(_deeper(one, depth - 1) for one in inside)
 
 
 def measure_from(path: Path, held: Any) -> Measure:
@@ -56,12 +80,22 @@ def check_pairs(
 ) -> None:
     """Refuse golden pairs that are not as many observations as actions, of the right sizes."""
     rows = (len(observation), size(space))
-    paired = len(golden) == 2 and len(golden[0]) == len(golden[1]) > 0
-    if not paired or any({len(row) for row in golden[i]} != {rows[i]} for i in (0, 1)):
+    if not _paired(golden, rows):
         raise BadInput(
-            f"{path}: its golden pairs are not {rows[0]} observations and {rows[1]} actions each;"
-            f" export the policy again."
+            f"{path}: its golden pairs are not {rows[0]} observations and {rows[1]} actions each,"
+            f" {ROWS} at most; export the policy again."
         )
+
+
+def _paired(golden: Pairs, wide: tuple[int, int]) -> bool:
+    """Whether both sides are as many rows of finite numbers, as wide as this."""
+    try:
+        sides = [np.array(side, dtype=float) for side in golden]
+    except (OverflowError, TypeError, ValueError):
+        return False
+    count = len(golden[0]) if golden else 0
+    fits = [one.shape for one in sides] == [(count, one) for one in wide]
+    return fits and 0 < count <= ROWS and all((np.abs(one) < LARGEST).all() for one in sides)
 
 
 def check_source(path: Path, yaw_rate: object) -> None:
@@ -115,6 +149,10 @@ def check_golden(
         raise BadInput(f"{path}: the network does not take {wide} observations; export it again.")
     try:
         answer = _timed(session, seen)
+    except TimeoutError:
+        raise BadInput(
+            f"{path}: the network gave no answer within {PATIENCE:g} s; give a smaller one."
+        ) from None
     except Exception as error:  # onnxruntime raises a dozen kinds of its own
         raise BadInput(
             f"{path}: the network does not run on observations of single precision; export it"
@@ -134,12 +172,22 @@ def check_golden(
 
 
 def _timed(session: onnxruntime.InferenceSession, seen: Single) -> Single:
-    """The network's answer, given up after `PATIENCE`."""
-    options = onnxruntime.RunOptions()
-    timer = threading.Timer(PATIENCE, lambda: setattr(options, "terminate", True))
+    """The network's answer. Raises TimeoutError after `PATIENCE`, once the layer that runs then has
+    ended."""
+    options, late = onnxruntime.RunOptions(), threading.Event()
+
+    def give_up() -> None:
+        late.set()
+        options.terminate = True
+
+    timer = threading.Timer(PATIENCE, give_up)
     timer.start()
     try:
         answer: Single = session.run(None, {"observation": seen}, options)[0]
+    except Exception as error:
+        if late.is_set():
+            raise TimeoutError from error
+        raise
     finally:
         timer.cancel()
     return answer

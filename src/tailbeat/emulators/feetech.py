@@ -19,6 +19,7 @@ COUNT, STEPS, MIDDLE = 2 * math.pi / 4096, 4096, 2048
 PING, READ, WRITE, REG_WRITE, ACTION, RESET, REBOOT = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x08
 SYNC_READ, SYNC_WRITE = 0x82, 0x83
 ALL = 0xFE  # the broadcast id
+MOST = 250  # bytes of an answer: its length is one byte
 SPEEDS = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 FINE, ZERO_IS_FASTEST, TURNS, REVERSED = 4, 8, 16, 128  # bits of the phase
 VOLTAGE, OVERHEATED, OVERCURRENT, OVERLOAD = 0, 2, 3, 5  # bits of the status
@@ -165,12 +166,11 @@ class Feetech:
         own, level = self.get(5), self.get(8)  # its answer to a new id is still the old one's
         if instruction == PING:
             return status(own, self.get(65))
-        if instruction == SYNC_READ:
+        if instruction in (READ, SYNC_READ):
             first = len(body) > 2 and body[2] == own  # alone on its line, it waits for no other
-            return status(own, self.get(65), self.table.read(*body[:2])) if first else b""
-        if instruction == READ:
-            whole = len(body) == 2 and ident != ALL
-            return status(own, self.get(65), self.table.read(*body)) if whole else b""
+            asked = first if instruction == SYNC_READ else len(body) == 2 and ident != ALL
+            fits = asked and body[1] <= MOST
+            return status(own, self.get(65), self.table.read(*body[:2])) if fits else b""
         known = self._command(instruction, body)
         return status(own, self.get(65)) if known and level and ident != ALL else b""
 

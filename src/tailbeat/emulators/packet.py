@@ -5,6 +5,8 @@ Written independently of the driver's, so that one cannot hide the other's error
 
 import struct
 
+SHORTEST = 10  # bytes of a packet: header, id, length, instruction, checksum
+
 
 def checksum(data: bytes) -> bytes:
     """CRC-16 of protocol 2.0, bit by bit."""
@@ -44,12 +46,12 @@ def _stuffed(ident: int, content: bytes) -> bytes:
 
 def take(stream: bytearray) -> tuple[int, int, bytes] | None:
     """The next complete instruction (id, instruction, parameters); garbage before it is dropped."""
-    while len(stream) >= 10:
+    while len(stream) >= SHORTEST:
         if stream[:4] != b"\xff\xff\xfd\x00":
             del stream[0]
             continue
         end = 7 + struct.unpack_from("<H", stream, 5)[0]
-        if end > 300:
+        if not SHORTEST <= end <= 300:
             del stream[0]
             continue
         if len(stream) < end:

@@ -66,9 +66,9 @@ def _stop_watchdog(own: Any) -> None:
 
 
 def _stop_both(own: Any) -> None:
-    """The watchdog hangs; a second later the loop is killed too."""
+    """The watchdog hangs; before the loop can notice it, it is killed too."""
     _stop_watchdog(own)
-    threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGKILL)).start()
+    threading.Timer(0.1, lambda: os.kill(os.getpid(), signal.SIGKILL)).start()
 
 
 LOOP_FAULTS: dict[str, Callable[[Any], None]] = {

@@ -63,7 +63,8 @@ def fish_of(content: Mapping[str, Any]) -> Fish:
     try:
         return Fish.model_validate(content)
     except ValidationError as error:
-        raise BadInput(f"fish {content.get('name')}: {_sentence(error)}") from None
+        named = content.get("name") if isinstance(content, Mapping) else "that is no table"
+        raise BadInput(f"fish {named}: {_sentence(error)}") from None
 
 
 def _sentence(error: ValidationError) -> str:

@@ -25,8 +25,8 @@ STATUSES = 50  # five seconds of statuses
 OUTCOMES = 16  # of orders that are kept
 # States in which the robot is when it has followed an order.
 FOLLOWED = {
-    Order.ARM: (State.ARMED, State.RUN),
-    Order.SWIM: (State.RUN,),
+    Order.ARM: (State.ARMED, State.TEST, State.RUN),
+    Order.SWIM: (State.TEST, State.RUN),
     Order.DISARM: (State.DISARMED,),
     Order.STOP: (State.STOP, State.DISARMED),
 }

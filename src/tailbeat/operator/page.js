@@ -13,10 +13,12 @@ const ICONS = {
   none: "M4 10h4v4H4zM10 10h4v4h-4zM16 10h4v4h-4z",
   disarmed: "M12 3a9 9 0 1 0 0 18 9 9 0 0 0 0-18zm0 3a6 6 0 1 1 0 12 6 6 0 0 1 0-12z",
   armed: "M12 3a9 9 0 1 0 0 18 9 9 0 0 0 0-18zm0 3a6 6 0 0 1 0 12z",
+  test: "M4 12l2-2 3 3 9-9 2 2L9 17z",
   run: "M6 3l15 9-15 9z",
   hold: "M5 3h5v18H5zM14 3h5v18h-5z",
   stop: "M7.5 2h9L22 7.5v9L16.5 22h-9L2 16.5v-9z",
 };
+const TORQUE = ["armed", "test", "run", "hold"]; // states with torque
 const byId = (id) => document.getElementById(id);
 const body = document.body;
 let socket = null, now = null, heard = 0, may = false, stopping = 0, pictures = false;
@@ -39,7 +41,7 @@ function stop() {
 }
 
 // An order to stop that the fish has not followed is sent again.
-const moving = () => ["armed", "run", "hold"].includes(now?.status?.state);
+const moving = () => TORQUE.includes(now?.status?.state);
 setInterval(() => {
   if (performance.now() > stopping || !moving()) return;
   if (socket?.readyState === WebSocket.OPEN) socket.send('{"do": "stop"}');
@@ -174,7 +176,7 @@ function state() {
   const may_ = (order, ...states) => { byId(order).disabled = !may || !states.includes(status?.state); };
   may_("arm", "disarmed", "hold");
   may_("swim", "armed");
-  may_("disarm", "armed", "run", "hold", "stop");
+  may_("disarm", ...TORQUE, "stop");
   byId("tag").disabled = !may || !now?.operator;
   byId("where").textContent = where();
 }
@@ -187,10 +189,16 @@ function where() {
   return at ? `target ${now.operator ? "by hand" : "by its tag"} ${at}` : "no target seen: drag it to a place in the pool";
 }
 
+// What follows where no new pose comes, and at which age [s] of the last: HOLD while the fish moves.
+function ends(status) {
+  if (!TORQUE.includes(status?.state)) return undefined;
+  return ["test", "run"].includes(status.state) ? ["HOLD", status.pose_hold] : ["STOP", status.pose_stop];
+}
+
 const poseAge = (status) => (status.pose_age ?? Infinity) + Math.max(status.age - SLACK, 0);
 
 function countdown(status) {
-  const limit = { run: ["HOLD", status?.pose_hold], armed: ["STOP", status?.pose_stop], hold: ["STOP", status?.pose_stop] }[status?.state];
+  const limit = ends(status);
   const left = limit ? limit[1] - poseAge(status) : Infinity;
   byId("countdown").hidden = !(left < 0.6 * limit?.[1]);
   if (limit) byId("countdown").textContent = `no new pose: ${limit[0]} in ${Math.max(left, 0).toFixed(1)} s`;
@@ -207,11 +215,11 @@ const degrees = (value) => (!known(value) ? "–" : `${(value * 180 / Math.PI).t
 // Name, text, part of a bar that is full (or nothing), whether to warn.
 function readings(status, limits) {
   const age = poseAge(status), hold = status.pose_hold;
-  const limit = { run: ` · HOLD at ${ms(hold, 0)}`, armed: ` · STOP at ${ms(status.pose_stop, 0)}`, hold: ` · STOP at ${ms(status.pose_stop, 0)}` };
+  const [what, when] = ends(status) ?? [];
   const lost = Math.max(status.loss ?? 0, now.loss_back ?? 0);
   const volts = status.voltage, [low, high] = [limits.voltage_low, limits.voltage_high];
   return [
-    ["Pose age", ms(age, 0) + (limit[status.state] ?? ""), age / hold, age > 0.5 * hold],
+    ["Pose age", ms(age, 0) + (what ? ` · ${what} at ${ms(when, 0)}` : ""), age / hold, age > 0.5 * hold],
     ["Poses lost, status lost", replay ? "–" : `${percent(status.loss)}, ${percent(now.loss_back)}`, lost, lost > 0.3],
     ["Loop late, longest", ms(status.late), status.late / 0.02, status.late > 0.005],
     ["Loop busy, longest", ms(status.busy), status.busy / 0.02, status.busy > 0.015],

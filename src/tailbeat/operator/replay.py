@@ -19,7 +19,8 @@ from tailbeat.link.status import State
 from tailbeat.operator.snapshot import Change, body
 from tailbeat.operator.target_motion import SPAN as RECENT
 from tailbeat.operator.target_motion import Velocity, velocity
-from tailbeat.robot.log import NUMBERS, is_whole, read_rows
+from tailbeat.robot.log import is_whole, read_rows
+from tailbeat.robot.log_rows import NUMBERS
 from tailbeat.robot.safety import SafetyLimits, limits_for
 
 NEEDED = ("time_s", "state", "reason")  # of every row

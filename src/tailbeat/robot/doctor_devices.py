@@ -7,6 +7,7 @@ import math
 import os
 import statistics
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from tailbeat.files import BadInput
@@ -28,6 +29,8 @@ NO_WATCHDOG = (
 )
 FIRMWARE = 42  # older firmware of the X series was not checked
 READS = 50
+FEW, ROUNDS = 10, 3  # readings before a drive, and how often they are taken if they are bad: a
+# computer that was busy for a moment is no slow bus
 MENDED = {"servo torque", "servo limits"}  # by arming
 BY_ARMING = "nothing: arming sets it to 0, position"
 
@@ -105,15 +108,36 @@ def check_servo(servo: Servo, hardware: Hardware) -> list[Finding]:
 
 def check_before_driving(path: str, servo: Servo, hardware: Hardware) -> None:
     """Raises BadInput for what makes a drive wrong or dangerous and arming does not mend: a servo
-    that turns the other way, reports an error, has a bad supply, or does not shut down under
-    overload."""
+    that turns the other way, reports an error, has a bad supply, does not shut down under overload,
+    or takes too long for a reading."""
     usual, servo.deadline = servo.deadline, max(servo.deadline, PATIENCE)  # nothing moves yet
     try:
         found = [*_condition(servo, hardware), *_settings(servo, hardware)]
+        found += _settled(lambda: [_reading_time(servo, FEW)])
     except ServoFault as fault:
         raise BadInput(f"{path}: {fault}; run `tailbeat doctor`.") from None
     finally:
         servo.deadline = usual
+    _refuse(path, found)
+
+
+def check_imu_before_driving(path: str, imu: YawSensor, hardware: Hardware) -> None:
+    """Raises BadInput for an IMU with an error or another mode, one whose gravity contradicts the
+    fish's file, and one that gives too few readings."""
+    _refuse(path, _settled(lambda: check_imu(imu, hardware, FEW)))
+
+
+def _settled(check: Callable[[], list[Finding]]) -> list[Finding]:
+    """What a check finds; found bad, it is repeated, because the computer may have been busy."""
+    for _ in range(ROUNDS):
+        found = check()
+        if all(one.verdict != BAD for one in found):
+            break
+    return found
+
+
+def _refuse(path: str, found: list[Finding]) -> None:
+    """Raises BadInput that names all that is bad and that arming does not mend."""
     bad = [one for one in found if one.verdict == BAD and one.name not in MENDED]
     if bad:
         told = "; ".join(f"{one.name} is {one.found}: {one.do}" for one in bad)
@@ -193,10 +217,10 @@ def _gain(servo: Servo, hardware: Hardware) -> Finding:
     return finding("servo position gain", str(gain), warn=gain != hardware.gain, do=do)
 
 
-def _reading_time(servo: Servo) -> Finding:
+def _reading_time(servo: Servo, reads: int = READS) -> Finding:
     """Check the time of a reading: it must leave room in the 20 ms of a period."""
     took = []
-    for _ in range(READS):
+    for _ in range(reads):
         began = time.monotonic()
         servo.read()
         took.append(1e3 * (time.monotonic() - began))
@@ -219,13 +243,13 @@ def find_imu(
     return found, finding("IMU answers", found.name)
 
 
-def check_imu(imu: YawSensor, hardware: Hardware) -> list[Finding]:
+def check_imu(imu: YawSensor, hardware: Hardware, reads: int = READS) -> list[Finding]:
     """Check its own errors, its mode, its mounting, its readings, and its noise at rest."""
     try:
         own = _own_state(imu) if isinstance(imu, Imu) else []
         up = imu.up()
         rates = []
-        for _ in range(READS):
+        for _ in range(reads):
             rates.append(imu.read())
             time.sleep(0.01)  # it measures a hundred times a second
     except ImuFault as fault:
@@ -237,7 +261,7 @@ def check_imu(imu: YawSensor, hardware: Hardware) -> list[Finding]:
     return [
         *own,
         _mounting(imu, up, hardware),
-        finding("IMU readings", f"{len(came)} of {READS}", bad=len(came) < READS / 2),
+        finding("IMU readings", f"{len(came)} of {reads}", bad=len(came) < reads / 2),
         finding("IMU at rest", said, warn=not (mean < 0.1 and still < 0.1)),
     ]
 

@@ -107,7 +107,6 @@ class Servo:
     def _set_fastest(self) -> None:
         """Let goals be reached as fast as the servo can: speed 0 means that, or standstill."""
         phase = self.get(PHASE)
-        self.speed_unit = COUNT * (1 if phase & FINE else COARSE)
         most = self.get(FASTEST) * (COARSE if phase & FINE else 1)
         if phase & ZERO_IS_FASTEST or most:
             self.set(SPEED, 0 if phase & ZERO_IS_FASTEST else most)
@@ -202,7 +201,9 @@ class Servo:
     def set(self, register: tuple[int, int], value: int) -> None:
         """Write a register (address, bytes). An answer says only that it came. Raises
         ServoFault."""
-        address, size = register
+        (address, size), most = register, (1 << 8 * register[1]) - 1
+        if not 0 <= value <= most:
+            raise ServoFault("refused", f"register {address} takes 0 to {most}, not {value}")
         self._ask(WRITE, bytes([address]) + value.to_bytes(size, "little"), 0, tries=1)
 
     def reopen(self) -> None:

@@ -5,12 +5,15 @@ never waits, and a process that is killed loses only the last chunk. With a full
 disk, rows are dropped and counted; the loop decides what follows.
 """
 
+import contextlib
 import json
 import math
 import queue
 import threading
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,70 +23,28 @@ from mcap.writer import CompressionType, Writer
 
 from tailbeat import __version__
 from tailbeat.files import BadInput, refuse_existing
-from tailbeat.robot.log_salvage import whole_messages
+from tailbeat.robot.log_rows import TOPIC, read_row, schema
+from tailbeat.robot.log_salvage import (
+    MAGIC,
+    Gap,
+    Part,
+    gaps,
+    in_turn,
+    missing,
+    promise,
+    split,
+    whole_messages,
+)
 
 CHUNK = 4096  # bytes, about 0.14 s of rows: the most that is lost
 WAITING = 500  # rows, ten seconds
+BEHIND = 25  # rows, half a second: with more, the writer hangs or is too slow
+PATIENCE = 10.0  # s for the queued rows to be written at the end
 RECORD = 1 << 24  # bytes: a longer record is damage
-MAGIC = b"\x89MCAP0\r\n"  # begins and ends an MCAP file
-TOPIC, NOTES = "/swim", "tailbeat"
+NOTES = "tailbeat"
 SECOND = 1_000_000_000
-# Fields of a row. A number that is not finite is left out of its row.
-NUMBERS = {
-    "time_s": "when the period was due, monotonic clock [s]",
-    "command_rad": "setpoint that the servo was sent last [rad]",
-    "setpoint_rad": "setpoint of the policy, before limits; while it swims [rad]",
-    "motor_angle_rad": "shaft angle that the servo measured [rad]",
-    "motor_velocity_rad_s": "shaft speed that the servo measured [rad/s]",
-    "yaw_rate_rad_s": "yaw rate of IMU or camera, counter-clockwise positive [rad/s]",
-    "x_m": "newest accepted pose: x in the pool [m]",
-    "y_m": "newest accepted pose: y in the pool [m]",
-    "yaw_rad": "newest accepted pose: heading, counter-clockwise from x [rad]",
-    "pose_age_s": "time since the newest pose was captured [s]",
-    "clock_doubt_s": "largest error of the clock offset [s]",
-    "temperature_deg_c": "servo temperature [deg C]",
-    "voltage_v": "supply at the servo, median of half a second [V]",
-    "current_a": "mean servo current [A]",
-    "band_share": "fraction of the tail's power below the band's upper edge",
-    "below_band_share": "fraction of the tail's power below the band's lower edge",
-    "late_s": "how late the period began [s]",
-    "busy_s": "time from the start of the period to its row [s]",
-    "compute_s": "processor time of the loop's thread in the period [s]",
-    "missed": "periods missed within the last second",
-    "spikes": "yaw rates rejected since the start",
-    "pose_jumps": "implausible poses in a row",
-    "signal_turning": "the camera's turning minus the IMU's, over 2 s [rad/s]",
-    "signal_drifting": "the same over 2.5 s, minus the time before [rad/s]",
-    "signal_stroke": "motor angle over the one that its setpoints lead to",
-    "signal_recoil": "yaw rate over the one that the motor angle leads to",
-    "signal_progress": "speed over the rms of the motor velocity [m]",
-    "signal_same": "equal poses in a row",
-    "signal_wander": "path of the target within 1 s, without its displacement [m]",
-}
-ARRAYS = {
-    "observation": "24 inputs of the policy, scaled; empty while it does not swim",
-    "action": "outputs of the policy; empty while it does not swim",
-    "decided_on": "three newest frames, newest first, each x, y, yaw, target x, target y, age"
-    " [m, m, rad, m, m, s]; empty while the policy does not swim",
-}
-TEXTS = {
-    "state": "disarmed, armed, test, run, hold or stop",
-    "reason": "why it is in this state, as the operator reads it",
-    "cause": "the reason's name",
-}
 # Columns of a recording that identification reads; see `log_export`.
 COLUMNS = ("command_rad", "motor_angle_rad", "yaw_rate_rad_s", "x_m", "y_m", "yaw_rad")
-
-
-def schema() -> dict[str, Any]:
-    """JSON schema of a row, as Foxglove reads it: one type for each field, and no `null` (its
-    parser refuses a list of types, and with it the whole topic)."""
-    number, text = {"type": "number"}, {"type": "string"}
-    listed = {"type": "array", "items": number}
-    kinds = ((NUMBERS, number), (ARRAYS, listed), (TEXTS, text))
-    fields = {n: {**kind, "description": d} for names, kind in kinds for n, d in names.items()}
-    base = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "tailbeat.Row"}
-    return {**base, "type": "object", "properties": fields, "additionalProperties": False}
 
 
 @dataclass(eq=False)
@@ -108,15 +69,27 @@ class Log:
 
     @property
     def healthy(self) -> bool:
-        """Whether every row so far is written, or will be."""
-        alive = self.thread is not None and self.thread.is_alive()
-        return alive and not self.failed and not self.dropped
+        """Whether every row so far is written, or will be within half a second."""
+        on_time = self.alive and self.waiting.qsize() <= BEHIND
+        return on_time and not self.failed and not self.dropped
+
+    @property
+    def alive(self) -> bool:
+        """Whether the writer's thread runs."""
+        return self.thread is not None and self.thread.is_alive()
 
     def close(self) -> None:
-        """Write the queued rows, `last_notes` and the end of the file."""
-        self.waiting.put(None)
+        """Write the queued rows, `last_notes` and the end of the file; `failed` says if the writer
+        does not get there."""
+        end = time.monotonic() + (PATIENCE if self.alive else 0.0)
+        try:
+            self.waiting.put(None, timeout=max(end - time.monotonic(), 0.0))
+        except queue.Full:
+            self.dropped += self.waiting.qsize()
         if self.thread is not None:
-            self.thread.join(10)
+            self.thread.join(max(end - time.monotonic(), 0.0))
+        if self.alive:
+            self.failed = self.failed or f"its writer did not end within {PATIENCE:g} s"
         self.file.close()
 
 
@@ -174,23 +147,26 @@ def _plain(value: Any) -> Any:
 # ---- reading ------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Gap:
-    """Rows that are missing: from `at` [s] after the first row, `seconds` long."""
-
-    at: float
-    seconds: float
-
-
 @dataclass(frozen=True, eq=False)
 class Swim:
-    """The rows of a log. `damaged`: its bytes are not what was written, and `gaps` say where rows
-    are missing. `whole`: it has its end mark; the log of a process that was killed has none."""
+    """The rows of a log, in the file's order.
+
+    `damaged`: its bytes are not what was written; `gaps` say where rows are missing. `whole`: it
+    has its end; the log of a process that was killed has none. `lost`: how many of the rows that
+    its end counts are missing; None where no end counts them. `logs`: how many are in the file, one
+    after the other, of which `left_out` are not read, because their times overlap with the longest.
+    `twice`: rows whose time is there already; `sorted`: whether time rises.
+    """
 
     rows: list[dict[str, Any]]
     damaged: bool
     whole: bool
     gaps: tuple[Gap, ...] = ()
+    lost: int | None = None
+    logs: int = 1
+    left_out: int = 0
+    twice: int = 0
+    sorted: bool = True
 
 
 def read_log(path: Path) -> Swim:
@@ -198,13 +174,35 @@ def read_log(path: Path) -> Swim:
     None. Raises BadInput."""
     if not path.is_file():
         raise BadInput(f"{path}: no such file; give a log, .mcap.")
+    data = path.read_bytes()
     texts, well = _texts(path)
-    absent = dict.fromkeys(NUMBERS)
-    rows = [{**absent, **_row(path, text)} for text in texts]
+    parts = split(data)
+    read = [texts] if well and len(parts) == 1 else [[*whole_messages(one)] for one in parts]
+    number = count()
+    found = [
+        Part([read_row(path, next(number), text) for text in texts], promise(one))
+        for one, texts in zip(parts, read, strict=True)
+    ]
+    kept = in_turn([one for one in found if one.rows])
+    rows = [row for one in kept for row in one.rows]
     if not rows:
         raise BadInput(f"{path}: no row of a swim in this file; give a log of `tailbeat drive`.")
-    whole, gaps = is_whole(path), () if well else _gaps(rows)
-    return Swim(rows, bool(gaps) or (whole and not well), whole, gaps)
+    where, lost = gaps(kept), missing(kept)
+    whole = is_whole(path) or kept[-1].promise is not None
+    well = well and all(one.promise for one in found)
+    times = [row["time_s"] for row in rows if row["time_s"] is not None]
+    twice, rises = len(times) - len(set(times)), all(a <= b for a, b in pairwise(times))
+    return Swim(
+        rows,
+        damaged=bool(where or lost or twice) or not rises or (whole and not well),
+        whole=whole,
+        gaps=where,
+        lost=lost,
+        logs=len(found),
+        left_out=sum(bool(one.rows) for one in found) - len(kept),
+        twice=twice,
+        sorted=rises,
+    )
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
@@ -213,37 +211,23 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
 
 
 def _texts(path: Path) -> tuple[list[bytes], bool]:
-    """The messages, and whether all is well; else those of the whole chunks."""
+    """The messages of the first log of a file, and whether all is well; without them if not."""
     try:
         with path.open("rb") as file:
             reader = NonSeekingReader(file, validate_crcs=True, record_size_limit=RECORD)
             messages = reader.iter_messages(log_time_order=False)
             return [one.data for _, channel, one in messages if channel.topic == TOPIC], True
     except Exception:  # damaged bytes make a reader raise whatever they like
-        return list(whole_messages(path)), False
+        return [], False
 
 
-def _gaps(rows: list[dict[str, Any]]) -> tuple[Gap, ...]:
-    """Where rows of a damaged log are missing."""
-    time = np.array([row["time_s"] for row in rows if row["time_s"] is not None])
-    away = np.diff(time)
-    usual = float(np.median(away)) if away.size else 0.0
-    return tuple(
-        Gap(float(time[k] - time[0]), float(away[k] - usual))
-        for k in np.flatnonzero(away > 1.5 * usual)
-    )
-
-
-def _row(path: Path, text: bytes) -> dict[str, Any]:
-    try:
-        row = json.loads(text)
-    except ValueError:
-        row = None
-    if not isinstance(row, dict):
-        raise BadInput(
-            f"{path}: a message of {TOPIC} is not a JSON object; give a log of tailbeat."
-        )
-    return row
+def read_notes(path: Path) -> dict[str, str]:
+    """What the head of a log tells, as far as it is whole: date, policy, versions."""
+    found: dict[str, str] = {}
+    with contextlib.suppress(Exception), path.open("rb") as file:  # as in `_texts`
+        for one in NonSeekingReader(file, record_size_limit=RECORD).iter_metadata():
+            found |= one.metadata if one.name == NOTES else {}
+    return found
 
 
 def is_whole(path: Path) -> bool:

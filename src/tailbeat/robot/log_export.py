@@ -10,9 +10,11 @@ import numpy as np
 
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.recording import Recording, write_recording
-from tailbeat.robot.log import COLUMNS, Swim, read_log, read_rows
+from tailbeat.robot.log import COLUMNS, Swim, read_log, read_notes, read_rows
+from tailbeat.robot.log_rows import NOTED
 
 GAPS = 5  # of which a sentence tells the times
+LONGEST = 300  # letters of a note
 
 
 def as_recording(path: Path) -> Recording:
@@ -22,12 +24,21 @@ def as_recording(path: Path) -> Recording:
 
 
 def _recording(path: Path, rows: list[dict[str, Any]]) -> Recording:
-    whole = [row for row in rows if all(row.get(c) is not None for c in COLUMNS)]
+    """The complete rows in the order of their times, each time once."""
+    needed = ("time_s", *COLUMNS)
+    whole = {row["time_s"]: row for row in rows if all(row.get(c) is not None for c in needed)}
     if len(whole) < 2:
         raise BadInput(f"{path}: {len(whole)} complete rows; a recording needs at least 2.")
-    time = np.array([row["time_s"] for row in whole])
-    columns = {name: np.array([row[name] for row in whole]) for name in COLUMNS}
-    return Recording(path.stem, time - time[0], columns, {"source": "tailbeat drive"})
+    time = np.array(sorted(whole), dtype=np.float64)
+    columns = {name: np.array([whole[at][name] for at in time], float) for name in COLUMNS}
+    return Recording(path.stem, time - time[0], columns, _meta(path))
+
+
+def _meta(path: Path) -> dict[str, str]:
+    """Where a recording comes from, with what its log tells of policy, fish and versions."""
+    notes = read_notes(path)
+    told = {name: " ".join(notes[name].split())[:LONGEST] for name in NOTED if name in notes}
+    return {"source": "tailbeat drive", **told}
 
 
 def export(log: Path, out: Path) -> tuple[Recording, Swim]:
@@ -40,14 +51,32 @@ def export(log: Path, out: Path) -> tuple[Recording, Swim]:
 
 
 def losses(swim: Swim) -> list[str]:
-    """What a log lacks, a sentence each."""
+    """What a log lacks and what was done about it, a sentence each."""
     said = []
     if not swim.whole:
         said.append("the log has no end: its process was killed, or the file was cut off")
     if swim.damaged:
-        lost = sum(gap.seconds for gap in swim.gaps)
-        where = ", ".join(f"{gap.at:.2f} s" for gap in swim.gaps[:GAPS])
-        more = f" and {len(swim.gaps) - GAPS} more" if len(swim.gaps) > GAPS else ""
-        at = f", after {where}{more}" if swim.gaps else ""
-        said.append(f"the file is damaged: {lost:.2f} s of rows are missing{at}")
+        said.append(f"the file is damaged: {_missing(swim)}")
+    if swim.logs > 1:
+        left = f"; {swim.left_out} not read: their times overlap" if swim.left_out else ""
+        said.append(f"the file holds {swim.logs} logs, one after the other{left}")
+    if swim.twice:
+        said.append(f"{swim.twice} rows have the time of another and are left out")
+    if not swim.sorted:
+        said.append("its rows are not in the order of their times and were sorted")
     return said
+
+
+def _missing(swim: Swim) -> str:
+    """How many seconds and rows are missing, and where."""
+    doubt = "; its end, which counts the rows, is damaged too" if swim.lost is None else ""
+    if not swim.gaps and not swim.lost:
+        return f"no row is missing{doubt and ' between the first and the last'}{doubt}"
+    lost = sum(gap.seconds for gap in swim.gaps)
+    rows = f" ({swim.lost} of {swim.lost + len(swim.rows) - swim.twice} rows)" if swim.lost else ""
+    places = [
+        "before the first row" if one.at < 0 else f"after {one.at:.2f} s" for one in swim.gaps
+    ]
+    more = f" and {len(places) - GAPS} more" if len(places) > GAPS else ""
+    at = f", {', '.join(places[:GAPS])}{more}" if places else ""
+    return f"{lost:.2f} s of rows are missing{at}{rows}{doubt if swim.whole else ''}"

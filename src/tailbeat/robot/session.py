@@ -20,11 +20,16 @@ from tailbeat.fish.store import hardware_of, load_fish
 from tailbeat.link import datagrams as link
 from tailbeat.link.reasons import Reason
 from tailbeat.link.status import State
+from tailbeat.processes import git_describe
 from tailbeat.robot import imus, safety, servo, systemd, timing, watchdog
 from tailbeat.robot import log as log_file
 from tailbeat.robot.devices import Devices
-from tailbeat.robot.doctor_devices import NO_WATCHDOG, check_before_driving
-from tailbeat.robot.fits import NONE, carried, check_driven, check_yaw_rate
+from tailbeat.robot.doctor_devices import (
+    NO_WATCHDOG,
+    check_before_driving,
+    check_imu_before_driving,
+)
+from tailbeat.robot.fits import NONE, carried, check_driven, check_swims, check_yaw_rate
 from tailbeat.robot.imu import PATIENCE, ImuFault, mounting_of
 from tailbeat.robot.imus import YawSensor
 from tailbeat.robot.loop import Loop
@@ -80,7 +85,7 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
     loaded, secret = load_policy(config.policy), link.read_key(config.key)
     check_driven(loaded.contract)
     check_yaw_rate(loaded.contract, config.ports.imu, config.force_camera)
-    hardware = _hardware(config, loaded.contract)
+    hardware = _hardware(config, loaded)
     if hardware.family == "feetech-sts":
         say(f"        {hardware.model}: {NO_WATCHDOG}")
     refuse_existing(config.log)
@@ -98,23 +103,30 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
             own.logging = lambda: written.healthy
             _guarded(own, config, hardware, say, each)
             written.last_notes["pace"] = json.dumps(own.pace.report())
+        if written.failed or written.dropped:
+            say(f"log: {written.dropped} rows are lost; {written.failed or 'its writer was late'}")
         return _result(own, config)
 
 
-def _hardware(config: DriveConfig, contract: Contract) -> Hardware:
-    """The servo of the fish that drives."""
-    return hardware_of(load_fish(config.fish) if config.fish else carried(contract))
+def _hardware(config: DriveConfig, policy: Policy) -> Hardware:
+    """The servo of the fish that drives. Raises BadInput if the policy does not fit that fish."""
+    fish = load_fish(config.fish) if config.fish else carried(policy.contract)
+    check_swims(policy, None, fish)
+    return hardware_of(fish)
 
 
 def notes(policy: str, contract: Contract) -> dict[str, str]:
-    """What the head of a log tells of a drive: its date, what swam, and with which versions."""
+    """What the head of a log tells of a drive: its date, what swam, and with which versions. The
+    camera's calibration is the station's; the link does not carry it."""
     return {
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "policy": policy,
         "policy_sha256": hashlib.sha256(policy_path(policy).read_bytes()).hexdigest(),
         "contract": contract.fish,
         "fish_digest": contract.fish_digest,
+        "calibration": "unknown to the robot: the station has it",
         "tailbeat": __version__,
+        "git": git_describe(),
         "onnxruntime": version("onnxruntime"),
         "python": platform.python_version(),
     }
@@ -158,7 +170,7 @@ def _open_devices(config: DriveConfig, key: bytes, hardware: Hardware) -> Iterat
         check_before_driving(ports.servo, motor, hardware)
         if ports.imu != NONE:
             gyro = imus.connect(ports.imu, mounting_of(hardware))
-            _prepare(gyro, ports.imu)
+            _prepare(gyro, ports.imu, hardware)
         receiver = link.Receiver(key)  # the station sends the pool's size
         with link.bind(*ports.listen) as heard:
             yield Devices(motor, gyro, receiver, heard, ports.station)
@@ -193,11 +205,12 @@ def _result(own: Loop, config: DriveConfig) -> DriveResult:
     )
 
 
-def _prepare(gyro: YawSensor, path: str) -> None:
-    """Set the IMU up, with a longer deadline. Raises BadInput."""
+def _prepare(gyro: YawSensor, path: str, hardware: Hardware) -> None:
+    """Set the IMU up and check it, with a longer deadline. Raises BadInput."""
     gyro.deadline, usual = PATIENCE, gyro.deadline
     try:
         gyro.prepare()
+        check_imu_before_driving(path, gyro, hardware)
     except ImuFault as fault:
         raise BadInput(f"{path}: {fault}; run `tailbeat doctor`.") from None
     gyro.deadline = usual

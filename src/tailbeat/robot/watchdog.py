@@ -1,10 +1,12 @@
-"""The watchdog: a process that turns torque off when the loop fails.
+"""The watchdog: a process that turns torque off when the loop fails, and a spare one.
 
 The loop writes a byte into a pipe every period, and the watchdog answers it. The watchdog turns
 torque off if the pipe closes without a farewell byte, or if no byte comes for a second while torque
-is on. The loop stops if no answer comes for 0.4 s. It ignores what ends
-the loop (Ctrl-C, SIGTERM) and needs neither network nor policy. If both processes die,
-`ExecStopPost` of the systemd unit does the same.
+is on. The loop stops if no answer comes for 0.4 s. It ignores what ends the loop (Ctrl-C, SIGTERM)
+and needs neither network nor policy.
+
+The spare does the same half a second later: a loop may die before it notices that its watchdog
+hangs. If all three processes die, `ExecStopPost` of the systemd unit does the same.
 """
 
 import contextlib
@@ -34,6 +36,7 @@ TRYING = 10.0  # s that it tries to turn torque off: a cable may be plugged in a
 LAST_ID, FASTEST = 252, 4_500_000  # of a servo, and its baud rate (e-manual, X series, 7 and 8)
 START = 30.0  # s for the watchdog to start
 DEAF = 0.4  # s without an answer: the watchdog hangs
+SPARE, LATER = "spare", 0.5  # s after which the spare acts: the first is done in 0.1 s, or hangs
 
 
 # ---- the loop's end -----------------------------------------------------------------------------
@@ -42,14 +45,20 @@ DEAF = 0.4  # s without an answer: the watchdog hangs
 @dataclass(eq=False)
 class Watchdog:
     """A running watchdog. Call `beat` every period, and `farewell` once torque is off. `answered`
-    [s] is when its last answer was read, `asked` [s] when it was asked last."""
+    [s] is when its last answer was read, `asked` [s] when it was asked last. `spare`: another that
+    acts later."""
 
     process: subprocess.Popen[bytes]
     answered: float = field(default_factory=time.monotonic)
     asked: float = math.inf
+    spare: "Watchdog | None" = None
 
     def beat(self, torque: bool) -> bool:
-        """Tell the watchdog that the loop runs; returns whether it still answers."""
+        """Tell watchdog and spare that the loop runs; returns whether both still answer."""
+        spared = self.spare is None or self.spare.beat(torque)
+        return self._beat(torque) and spared
+
+    def _beat(self, torque: bool) -> bool:
         now = time.monotonic()
         if self._hears() or now - self.asked > DEAF / 2:  # else the loop itself was late
             self.answered = now
@@ -65,8 +74,10 @@ class Watchdog:
             return False
 
     def farewell(self) -> None:
-        """Tell the watchdog that torque is off and it may end."""
+        """Tell watchdog and spare that torque is off and they may end."""
         self._say(FAREWELL)
+        if self.spare is not None:
+            self.spare.farewell()
 
     def _say(self, byte: bytes) -> bool:
         assert self.process.stdin is not None
@@ -83,30 +94,51 @@ class Watchdog:
 def guard(
     path: str, ident: int = 1, baud: int = 1_000_000, families: Sequence[Family] = FAMILIES
 ) -> Iterator[Watchdog]:
-    """Start a watchdog for the servo on a port, before anything moves. It speaks to a servo of the
-    `families`. Raises BadInput."""
+    """Start a watchdog and its spare for the servo on a port, before anything moves. They speak to
+    a servo of the `families`. Raises BadInput."""
     words = ["-m", "tailbeat.robot.watchdog", path, str(ident), str(baud), *families]
-    process = start(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert process.stdin is not None and process.stdout is not None
-    ready, _, _ = select.select([process.stdout], [], [], START)
-    if not ready or process.stdout.readline() != b"ready\n":
-        process.kill()
-        process.wait()
+    made = [
+        start([*words, *more], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        for more in ([], [SPARE])
+    ]
+    if not all(map(_is_ready, made)):
+        for process in made:
+            process.kill()
+            process.wait()
         raise BadInput(
             "the watchdog process did not start, so the robot will not arm; torque would stay on"
             " if the loop failed. Start the drive again."
         )
+    try:
+        yield Watchdog(made[0], spare=Watchdog(made[1]))
+    finally:
+        _part(made)
+
+
+def _is_ready(process: subprocess.Popen[bytes]) -> bool:
+    """Wait until a watchdog says that it watches; then its pipes no longer block."""
+    assert process.stdin is not None and process.stdout is not None
+    ready, _, _ = select.select([process.stdout], [], [], START)
+    if not ready or process.stdout.readline() != b"ready\n":
+        return False
     for pipe in (process.stdin, process.stdout):
         os.set_blocking(pipe.fileno(), False)
-    try:
-        yield Watchdog(process)
-    finally:
+    return True
+
+
+def _part(made: Sequence[subprocess.Popen[bytes]]) -> None:
+    """Close the pipes, and wait until the watchdogs have done what they must."""
+    for process in made:
+        assert process.stdin is not None
         process.stdin.close()
+    end = time.monotonic() + TRYING + LATER + 1
+    for process in made:
         try:
-            process.wait(TRYING + 1)
+            process.wait(max(end - time.monotonic(), 0.0))
         except subprocess.TimeoutExpired:
             process.kill()  # it hangs, and torque is off
             process.wait()
+        assert process.stdout is not None
         process.stdout.close()
 
 
@@ -189,9 +221,9 @@ def _once(path: str, ident: int, baud: int, families: Sequence[Family]) -> None:
 
 
 def main() -> None:
-    """`python -m tailbeat.robot.watchdog PORT ID BAUD [FAMILY ...] [now]`: watch standard input,
-    then turn torque off; with `now` at once. Without a family it tries all. Exit code 1 if torque
-    may still be on."""
+    """`python -m tailbeat.robot.watchdog PORT ID BAUD [FAMILY ...] [now | spare]`: watch standard
+    input, then turn torque off; with `now` at once, with `spare` half a second later. Without a
+    family it tries all. Exit code 1 if torque may still be on."""
     path, ident, baud = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
     families = [one for one in FAMILIES if one in sys.argv[4:]] or FAMILIES
     if "now" not in sys.argv[4:]:
@@ -203,8 +235,11 @@ def main() -> None:
         os.set_blocking(1, False)
         if not watch(sys.stdin.fileno(), parent):
             return
+    if spare := SPARE in sys.argv[4:]:
+        time.sleep(LATER)
     said = try_torque_off(path, ident, baud, families=families)
-    print(f"tailbeat: {said or 'the loop failed; torque is off'}", file=sys.stderr, flush=True)
+    if said or not spare:  # the first has said it
+        print(f"tailbeat: {said or 'the loop failed; torque is off'}", file=sys.stderr, flush=True)
     sys.exit(1 if said else 0)
 
 

@@ -36,7 +36,7 @@ RIDGE = 1e-4  # of the mean power of an angle
 LOOK = 10  # periods between two windows
 FARTHER = 0.25  # of its distance from the median, by which a bound lies beyond the extreme
 NEEDED = ("turning", "stroke", "recoil", "progress")  # a short tour has no drift
-UNKNOWN = 100.0  # a bound that nothing breaks
+UNKNOWN = expected.BOUNDS["drifting"][1]  # rad/s, which no drift of a camera reaches
 RARE = 0.001  # of the windows, whose gains do not set a bound
 LEAST = 0.5  # of the median rms of a prediction, below which no gain is taken
 _advance = njit(cache=True)(expected.advance)
@@ -59,7 +59,8 @@ def expect(
     windows = rows(draft, swum)
     least = least_rms(draft, windows)
     draft = Expected(shaft, draft.recoil, unbounded, *least, draft.seconds)
-    return Expected(shaft, draft.recoil, limits(statistics(draft, windows)), *least, draft.seconds)
+    found = limits(statistics(draft, windows))
+    return expected.bounded(Expected(shaft, draft.recoil, found, *least, draft.seconds))
 
 
 def of_file(
@@ -82,6 +83,7 @@ def write(path: Path, found: Expected) -> None:
     model = onnx.load(str(path))
     held = {one.key: one.value for one in model.metadata_props}
     text = expected.as_text(found)
+    expected.read(path, text)  # refuse before the file changes
     onnx.helper.set_model_props(model, {**held, expected.KEY: text})
     with new_file(path, overwrite=True) as beside:
         onnx.save(model, str(beside))
