@@ -117,7 +117,7 @@ def test_a_crank_is_trained_and_tried_as_it_is_described(tmp_path):
 def test_a_small_fish_goes_the_whole_way(tmp_path):
     """From new-fish to targets with four swims, short searches and a few seconds of
     training: that a fish learns from this is not asked (`test_train.py` does)."""
-    done = tailbeat("zoo", "--out", tmp_path / "zoo", "--only", 2, "--quick", "--targets", 8)
+    done = tailbeat("zoo", "--out", tmp_path / "zoo", "--only", 2, "--quick", "--targets", 2)
     held = json.loads((tmp_path / "zoo" / "zoo.json").read_text())["fish"][0]
     codes = {name: step["code"] for name, step in held["steps"].items()}
     assert set(codes) == set(STEPS) and done.returncode in (0, 1), done.stdout

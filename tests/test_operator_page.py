@@ -35,7 +35,7 @@ from tailbeat.operator.client import (
     is_local,
     open_client,
 )
-from tailbeat.operator.snapshot import body, snapshot
+from tailbeat.operator.snapshot import snapshot
 
 pytestmark = pytest.mark.realtime
 
@@ -397,11 +397,3 @@ def test_where_a_console_cannot_be_is_one_sentence_and_an_open_one_is_warned_of(
     assert not is_local("192.168.4.1") and is_local("127.0.0.1")
     monkeypatch.setattr("tailbeat.operator.client.is_local", lambda host: False)
     assert "open to this network" in announce(lab.client)[1]
-
-
-def test_the_fish_is_drawn_where_its_tag_is_and_bends_to_the_motor_s_side():
-    straight, left = body(FISH, (1.0, 0.5, 0.0), 0.0), body(FISH, (1.0, 0.5, 0.0), 0.5)
-    nose, fin = straight[0], straight[-1]
-    tag = FISH.tracked[0]
-    assert nose[0] == pytest.approx(1.0 - tag + 0.12) and nose[1] == pytest.approx(0.5)
-    assert fin[0] < nose[0] - 0.4 and left[-1][1] > fin[1] + 0.02

@@ -20,12 +20,16 @@ from operator_lab import ROOM, SOON
 from support import command, until
 from tailbeat.cli import station, swim
 from tailbeat.files import BadInput
+from tailbeat.fish.store import load_fish
 from tailbeat.link import datagrams as link
 from tailbeat.link.reasons import Reason
 from tailbeat.link.status import Numbers, State, Status
 from tailbeat.operator.client import open_page
+from tailbeat.operator.snapshot import body
 
 pytestmark = pytest.mark.realtime
+
+PULLEY = load_fish("pulley-fish")
 
 
 def joined(page: str) -> ws.ClientConnection:
@@ -127,3 +131,11 @@ def test_what_a_console_cannot_have_is_one_sentence(tmp_path: Path):
         station.station("127.0.0.1:1", tmp_path, "127.0.0.1:2", camera="/dev/video0")
     with pytest.raises(BadInput, match="give host:port"):
         open_page("8080")
+
+
+def test_the_fish_is_drawn_where_its_tag_is_and_bends_to_the_motor_s_side():
+    straight, left = body(PULLEY, (1.0, 0.5, 0.0), 0.0), body(PULLEY, (1.0, 0.5, 0.0), 0.5)
+    nose, fin = straight[0], straight[-1]
+    tag = PULLEY.tracked[0]
+    assert nose[0] == pytest.approx(1.0 - tag + 0.12) and nose[1] == pytest.approx(0.5)
+    assert fin[0] < nose[0] - 0.4 and left[-1][1] > fin[1] + 0.02
