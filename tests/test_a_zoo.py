@@ -85,7 +85,9 @@ def test_a_decided_number_counts_as_held_only_inside_its_interval(tmp_path):
 
 
 def test_an_interrupted_recording_begins_anew_and_a_finished_step_is_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(zoo_run, "QUICK", {"servo": ("servo-steps",), "fluid": ("fluid-02",)})
+    monkeypatch.setattr(
+        zoo_run, "_record", lambda lab, out, _: [["record", "tail", "--fish", lab, "--out", out]]
+    )
     animal, config = animals(0)[0], ZooConfig(tmp_path, quick=True)
     said: list[str] = []
     folder = tmp_path / f"{animal.name}-quick"

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.realtime
 
 
 def test_rows_of_the_loop_alone_and_beside_busy_programs():
-    rows = punctuality.punctuality_bench(minutes=0.04)
+    rows = punctuality.punctuality_bench(minutes=0.02)
     assert [row.busy for row in rows] == [0, os.cpu_count()]
     for row in rows:
         assert 0 < row.late_p50_ms <= row.late_p99_ms <= row.late_p999_ms <= row.late_max_ms
