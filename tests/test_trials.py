@@ -1,17 +1,12 @@
-"""Trials in the pool: what is drawn, what is measured, what survives a stop, what is refused."""
+"""Trials in the pool: what is drawn, what is swum, and what is measured."""
 
-import json
-import re
-import shutil
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tailbeat.cli.evaluate import _share, _walls
-from tailbeat.control.actions import PERIOD, Generator
+from tailbeat.control.actions import PERIOD
 from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.policy import load_policy
 from tailbeat.env import randomize
@@ -19,10 +14,8 @@ from tailbeat.env.sensors import quiet
 from tailbeat.env.task import Scene
 from tailbeat.evaluate import (
     compare,
-    comparison,
     disturb,
     evaluation,
-    out_of_distribution,
     rates,
     reach,
     scenes,
@@ -30,17 +23,15 @@ from tailbeat.evaluate import (
     store,
     track,
 )  # fmt: skip
-from tailbeat.evaluate.compare import ComparisonConfig
-from tailbeat.evaluate.evaluation import Evaluation, EvaluationConfig
+from tailbeat.evaluate.evaluation import EvaluationConfig
 from tailbeat.evaluate.runs import Runs, surge
 from tailbeat.evaluate.trial import Condition, Pool, swim, swim_all
-from tailbeat.files import BadInput, plain, write_json
+from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.link.places import POOL
 from tailbeat.operator import paths
 from tailbeat.pool.water import Water
-from tailbeat.report.page import of_folder
 
 FISH, TWIN = load_fish("pulley-fish"), load_fish("pulley-fish-pool")
 POLICY = "pulley-fish-pool-generator"
@@ -318,180 +309,3 @@ def test_a_gait_swum_in_the_twin_is_replayed_at_its_own_speed():
     )
     swum = swim(beat, condition, [1, 2])
     assert compare.replayed(swum, TWIN) == pytest.approx(compare.path_speed(swum.pose), rel=0.02)
-
-
-# ---- the verbs ----------------------------------------------------------------------------------
-
-
-def tried(fish: str, water: str, tasks: tuple[str, ...], episodes: int, out: Path) -> Evaluation:
-    """An evaluation of the shipped policy."""
-    config = EvaluationConfig(fish, None, water, tasks, episodes)
-    return evaluation.evaluate(load_policy(POLICY), config, out, lambda *_: None)
-
-
-@pytest.fixture(scope="module")
-def evaluated(tmp_path_factory) -> tuple[Path, Evaluation]:
-    """A small evaluation of the shipped policy, with its page, which says that it was cut short."""
-    out = tmp_path_factory.mktemp("trial") / "shipped"
-    swum = tried("pulley-fish", "full", ("reach", "spectrum"), 6, out)
-    found = replace(swum, cut_short=("reach open",))
-    write_json(out / "evaluation.json", found, overwrite=True)
-    of_folder(out, "pulley-fish", data=found)
-    return out, found
-
-
-def cells_of(page: str) -> list[list[str]]:
-    """The rows of a page's tables."""
-    rows = re.findall(r"<tr>(.*?)</tr>", page, re.S)
-    return [re.findall(r"<t[hd]>(.*?)</t[hd]>", row) for row in rows]
-
-
-def test_an_evaluation_leaves_numbers_figures_and_one_page(evaluated):
-    out, found = evaluated
-    open_water = found.reach["reach open"]
-    assert open_water.swims == 6 and open_water.near >= 4 / 6
-    assert {row.runs for row in found.spectrum} >= {"identification", "reach open"}
-    assert store.kept_fish(out) == TWIN
-    page = (out / "report.html").read_text()
-    assert "band 1 to 4 Hz" in page and "data:image/svg+xml;base64," in page
-    assert 'src="' not in page.replace('src="data:', "")  # needs no other file
-    for name in ("reach-sectors", "reach-open-map", "reach-open-paths", "power"):
-        assert (out / "figures" / f"{name}.svg").stat().st_size > 5000
-        assert (out / "figures" / f"{name}.png").stat().st_size > 5000
-
-
-def test_the_page_shows_what_its_json_holds(evaluated):
-    """Read back from both files: success rates of every condition, power, and the paper's rows."""
-    out, found = evaluated
-    held = json.loads((out / "report.json").read_text())
-    assert held == json.loads((out / "evaluation.json").read_text()) == plain(found)
-    assert held["run"]["seed"] == 0 and held["run"] == json.loads((out / "run.json").read_text())
-    rows = cells_of((out / "report.html").read_text())
-    for row in held["reach"].values():
-        shown = [
-            f"{100 * row[key]:.1f} ({100 * low:.1f} … {100 * high:.1f})"
-            for key in ("arrived", "near")
-            for low, high in (row[f"{key}_interval"],)
-        ]
-        assert any(cells[:3] == ["6", *shown] for cells in rows), shown
-    for row in held["spectrum"]:
-        below = f"{row['share_below']:.3g}" if row["share_below"] is not None else "-"
-        assert [row["runs"], row["gait"], str(row["pieces"]), below] in [c[:4] for c in rows]
-    paper = {cells[0]: cells[1:] for cells in rows if len(cells) == 3}
-    open_water = held["reach"]["reach open"]["trained_range"]
-    static = paper["static targets within 5 cm"]
-    assert static[0] == "11 of 22 (50 %)" and static[1].startswith(
-        f"{100 * open_water['arrived']:.1f} ("
-    )
-    known = next(row for row in held["spectrum"] if row["runs"] == "identification")
-    name = "velocity power below the band&#39;s upper edge: identification runs"
-    assert paper[name] == ["92 %", f"{100 * known['share_below']:.0f} %"]
-
-
-def test_runs_of_an_earlier_version_are_read_and_gone_on_with(evaluated, tmp_path):
-    """They had `plan.json` with `arms`, and called `beyond` what is out of distribution."""
-    out, found = evaluated
-    old, name = tmp_path / "old", out_of_distribution.AS_TRAINED
-    shutil.copytree(out, old)
-    run = json.loads((old / "run.json").read_text())
-    run["arms"] = {
-        one.replace("out of distribution: ", "beyond "): n
-        for one, n in run.pop("conditions").items()
-    }
-    assert "beyond as trained" in run["arms"]
-    (old / "plan.json").write_text(json.dumps(run))
-    (old / "run.json").unlink()
-    shutil.copy(old / "runs" / "reach-open.000.npz", old / "runs" / "beyond-as-trained.000.npz")
-    read = evaluation.read(old)
-    assert read.run == found.run and read.reach == found.reach
-    assert [row.condition for row in read.out_of_distribution] == [name]
-    assert tried("pulley-fish", "full", ("reach",), 6, old).reach == found.reach
-    (old / "plan.json").write_text(json.dumps(run | {"seed": "first"}))
-    with pytest.raises(BadInput, match=r"plan.json: seed: Input should be a valid integer"):
-        evaluation.read(old)
-
-
-def test_a_page_of_runs_cut_short_says_so(evaluated, tmp_path):
-    out, _ = evaluated
-    copy = tmp_path / "copy"
-    shutil.copytree(out, copy)
-    assert evaluation.read(copy).cut_short == ()
-    run = json.loads((copy / "run.json").read_text())
-    run["conditions"]["reach open"] = 500
-    (copy / "run.json").write_text(json.dumps(run))
-    assert evaluation.read(copy).cut_short == ("reach open",)
-    assert "Incomplete, read as far as they go: reach open." in (out / "report.html").read_text()
-
-
-@pytest.mark.long
-def test_a_comparison_pairs_every_policy_with_its_twin_and_is_shared_between_processes(tmp_path):
-    config = ComparisonConfig((POLICY,), targets=2)
-    for share in ((0, 2), (1, 2)):
-        found = compare.compare(config, tmp_path / "c", lambda *_: None, share)
-    conditions = [row.condition for row in found.rows]
-    assert sorted(conditions) == sorted(
-        [
-            "twin",
-            "full",
-            "no lag",
-            "no stall",
-            "no added inertia",
-            "no delay",
-            "ideal servo",
-            "ensemble",
-        ]
-    )
-    full = next(row for row in found.rows if row.condition == "full")
-    assert full.speed and full.speed > 0.05 and full.speed_in_twin and full.speed_in_twin > 0.05
-    assert full.actuator_watts and full.actuator_watts > 0
-    parts = [full.share_below_floor, full.share_inside, full.share_above]
-    assert sum(part or 0.0 for part in parts) == pytest.approx(1.0)
-    assert full.near_gap and full.near_gap.interval[0] <= full.near_gap.difference
-    path, _ = of_folder(tmp_path / "c", "pulley-fish")
-    kind = next(row for row in found.kinds if row.condition == "full")
-    assert ["generator", "identified", "full", "1"] in [c[:4] for c in cells_of(path.read_text())]
-    assert f"<td>{kind.speed:.3g}</td>" in path.read_text()
-    assert json.loads((tmp_path / "c" / "report.json").read_text()) == plain(found)
-
-
-def test_cells_of_an_earlier_version_are_read(tmp_path):
-    """They said `arm`, and lacked three of the fractions of power."""
-    config = ComparisonConfig((POLICY,), targets=2)
-    found = compare.compare(config, tmp_path, lambda *_: None, (0, 8))
-    (path,) = (tmp_path / "cells").iterdir()
-    held = json.loads(path.read_text())
-    held["arm"] = held.pop("condition")
-    for name in ("share_below_floor", "share_inside", "share_above"):
-        del held[name]
-    path.write_text(json.dumps(held))
-    row, same = comparison.read(tmp_path).rows[0], found.rows[0]
-    assert row == replace(same, share_below_floor=None, share_inside=None, share_above=None)
-
-
-def test_what_does_not_fit_is_refused(evaluated, tmp_path):
-    out, _ = evaluated
-    with pytest.raises(BadInput, match="fish is not the pool's"):
-        tried("crank-fish", "full", ("reach",), 6, tmp_path / "a")
-    with pytest.raises(BadInput, match="episodes was 6, now 7"):
-        tried("pulley-fish", "full", ("reach",), 7, out)
-    with pytest.raises(BadInput, match="--pool 'sea': allowed are ensemble"):
-        tried("pulley-fish", "sea", ("reach",), 6, tmp_path / "a")
-    with pytest.raises(BadInput, match="--tasks dive: allowed are reach"):
-        tried("pulley-fish", "full", ("dive",), 6, tmp_path / "a")
-    with pytest.raises(BadInput, match="beyond is now called out-of-distribution"):
-        tried("pulley-fish", "full", ("beyond",), 6, tmp_path / "a")
-    for size, complaint in (
-        ("1x0.7", "no free target"),
-        ("3x2", "the eight needs"),
-        ("a", "--walls"),
-    ):
-        with pytest.raises(BadInput, match=complaint):
-            config = EvaluationConfig(pool="full", episodes=4, walls=_walls(size))
-            where = evaluation.pool_of(load_policy(POLICY), config)
-            evaluation.conditions_of(where, ["reach", "track"])
-    with pytest.raises(BadInput, match="folder is empty or missing"):
-        of_folder(tmp_path / "nothing", "pulley-fish")
-    with pytest.raises(BadInput, match="--share '3/2'"):
-        _share("3/2")
-    assert not (tmp_path / "a").exists()
-    assert isinstance(SPACE, Generator)
