@@ -11,11 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tailbeat.cli.progress import counting
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.policy import load_policy
 from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
-from tailbeat.evaluate.following import FollowConfig, Followed, live, result, track
+from tailbeat.evaluate.following import FollowConfig, Followed, direct, live, result, track
+from tailbeat.evaluate.path_start import TEST_SWIM, behind
+from tailbeat.evaluate.store import read_record
 from tailbeat.files import BadInput
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import SECOND, Frame, Order, Receiver
@@ -27,10 +30,12 @@ from tailbeat.operator.follow import Follow, FollowRecord, Hold
 from tailbeat.operator.leader import Leader, chosen_leader
 from tailbeat.operator.target_motion import Trace, velocity
 from tailbeat.operator.target_path import EIGHT, PathAsked, target_path
+from tailbeat.report import following as page
 
 KEY, RUN, POOL = bytes(range(32)), 77, (5.5, 2.7)
 POLICY = load_policy("pulley-fish-pool-generator")
-CIRCLE = target_path(PathAsked("circle", speed=0.2, seconds=8.0))
+ASKED = PathAsked("circle", speed=0.2, seconds=8.0)
+CIRCLE = target_path(ASKED)
 
 
 # ---- what the station sends ---------------------------------------------------------------------
@@ -247,3 +252,21 @@ def test_where_the_fish_was_not_seen_no_place_is_guessed():
     hidden = np.isnan(whole.tag[:, 0])
     assert 1.5 < PERIOD * hidden.sum() < 1.75 and abs(whole.after[hidden][0] - 10.0) < 0.05
     assert result(swim).median_distance == pytest.approx(0.3, abs=0.01)
+
+
+# ---- in process ---------------------------------------------------------------------------------
+
+
+def test_a_swim_in_process_has_the_path_and_the_files_of_one_in_real_time(tmp_path):
+    """The shipped follower, 7 s in the plant; `test_follow_policy` asks how well it follows."""
+    swum = direct(FollowConfig("pulley-fish-pool-follow", replace(ASKED, seconds=7.0)), counting)
+    whole = track(swum.path, swum.record)
+    assert whole.target == pytest.approx(swum.path.along(whole.after), abs=1e-6)
+    x, y, _ = behind(swum.path, PAPER)
+    nearer = np.hypot(*(swum.path.places[0] - (x, y))) - TEST_SWIM
+    assert whole.distance[0] == pytest.approx(nearer, abs=0.01) and nearer > 0.3
+    done = page.write(swum, tmp_path, counting, 0.5)
+    assert done.log is None and done.result.kept and done.result.finished
+    for name in ("summary.json", "path.json", "report.html", "figures/path.svg"):
+        assert (tmp_path / name).stat().st_size > 1000
+    assert read_record(FollowRecord, tmp_path / "path.json").seen == swum.record.seen
