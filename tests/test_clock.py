@@ -3,6 +3,7 @@
 import math
 import sys
 import time
+from functools import partial
 
 import pytest
 
@@ -53,6 +54,10 @@ def test_an_echo_is_kept_for_twenty_seconds():
     assert len(clock.echoes) == 2  # the first is gone
 
 
+def waited_for(end: float) -> bool:
+    return time.monotonic() > end
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel's stamps are Linux's")
 def test_an_echo_that_waits_for_the_loop_does_not_shift_the_clock():
     """The fish reads its socket every 20 ms, so the station's clock seemed 10 ms behind."""
@@ -63,7 +68,7 @@ def test_an_echo_that_waits_for_the_loop_does_not_shift_the_clock():
         question = link.ask_datagram(KEY, to.nonce, number, time.monotonic_ns())
         ours.sendto(question, theirs.getsockname())
         station.work(asked)
-        until(lambda then=asked: time.monotonic() > then + 0.05)
+        until(partial(waited_for, asked + 0.05))
         for data, waited in arrived(ours):
             to.take(data, time.monotonic_ns(), waited)
     ours.close()

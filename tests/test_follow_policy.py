@@ -136,6 +136,7 @@ def test_a_training_to_follow_writes_such_a_policy(tmp_path):
     train(run)
     made = load_policy(tmp_path / "run" / "policy.onnx").contract
     assert (made.version, made.motion) == (2, run.settings(0).motion)
+    assert made.training["target_speed"] == run.settings(0).task.target_speed > 0
     again = train(replace(run, hours=1e-4), resume=True)
     assert again.control_steps > 0
 

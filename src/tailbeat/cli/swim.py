@@ -171,7 +171,7 @@ def _follow(config: "FollowConfig", direct: bool, out: Path, json: Path | None) 
     from tailbeat.report import following as report
 
     if direct:
-        swum = swims.direct(config, progress.counting)
+        swum = swims.direct(config, progress.counting, output.say)
     else:
         need_robot()
         need_camera()

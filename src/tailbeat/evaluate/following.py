@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.measure import Measure
 from tailbeat.control.policy import Policy, decide, load_policy
+from tailbeat.env.curriculum import trained_speed
 from tailbeat.env.task import Scene
 from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
 from tailbeat.evaluate.path_start import behind, tested
@@ -22,7 +23,7 @@ from tailbeat.evaluate.trial import Pool, swim
 from tailbeat.files import BadInput
 from tailbeat.link.places import POOL
 from tailbeat.operator.follow import FollowRecord, Hold
-from tailbeat.operator.target_path import EIGHT, PathAsked, TargetPath, target_path
+from tailbeat.operator.target_path import EIGHT, SLACK, PathAsked, TargetPath, target_path
 from tailbeat.pool.plant import Surroundings
 
 Array = NDArray[np.float64]
@@ -117,7 +118,7 @@ class FollowResult:
 def live(config: FollowConfig, out: Path, say: Say) -> Followed:
     """Swim in real time after the target, through camera, network, servo and IMU. Everything that
     was asked for is checked before anything starts. Raises BadInput."""
-    loaded, where, path = _entered(config)
+    loaded, where, path = _entered(config, say)
     from tailbeat.emulators.live import Chain, follow  # needs OpenCV
 
     log, seen = log_in(out), out / "path.json"
@@ -132,15 +133,15 @@ def live(config: FollowConfig, out: Path, say: Say) -> Followed:
     return Followed(path, record, log, config, loaded, where)
 
 
-def direct(config: FollowConfig, counting: Counting) -> Followed:
+def direct(config: FollowConfig, counting: Counting, say: Say) -> Followed:
     """Swim after the target in the pool's plant, in process and faster than real time. Raises
     BadInput.
 
     The fish starts at rest where the sign test of a swim in real time is assumed to end.
     """
-    loaded, where, path = _entered(config)
+    loaded, where, path = _entered(config, say)
     start, steps = tested(path, where.fish, where.measure), round(path.seconds / PERIOD)
-    target = path.along(PERIOD * np.arange(steps + 1))
+    target = path.along(np.asarray(PERIOD * np.arange(steps + 1), dtype=np.float64))
     scene = Scene(start, np.zeros((1, 3)), target[None], np.array([math.inf]))
     given = {"around": (Surroundings(walls=POOL),), "seconds": path.seconds / where.measure.time}
     asked = where.condition("path", scene, stop=False, **given)
@@ -162,14 +163,25 @@ def _seen(runs: Runs) -> FollowRecord:
     return FollowRecord(0.0, not runs.lost[0], (), tuple(map(tuple, rows)))
 
 
-def _entered(config: FollowConfig) -> tuple[Policy, Pool, TargetPath]:
-    """Check the configuration; returns the policy, the pool and the path. Raises BadInput."""
+def _entered(config: FollowConfig, say: Say) -> tuple[Policy, Pool, TargetPath]:
+    """Check the configuration and say what the policy was not trained for; returns the policy, the
+    pool and the path. Raises BadInput."""
     loaded = load_policy(config.policy)
     measure = loaded.contract.measure
     path = target_path(config.asked, POOL, measure)
     _check_time(path, measure)
     given = EvaluationConfig(config.fish, config.twin, "full", episodes=2, seed=config.seed)
-    return loaded, pool_of(loaded, given), path
+    pool, trained = pool_of(loaded, given), trained_speed(loaded.contract)
+    if path.fastest > SLACK * trained:
+        say(
+            f"--path {path.name}: the target moves at up to {path.fastest:.2f} m/s; {config.policy}"
+            f" was trained with {_targets(trained)}, so it may fall behind."
+        )
+    return loaded, pool, path
+
+
+def _targets(speed: float) -> str:
+    return f"at most {speed:.2g} m/s" if speed else "targets that stay"
 
 
 def _check_time(path: TargetPath, measure: Measure) -> None:

@@ -112,8 +112,10 @@ def _motion(followed: Followed, span: Span, rate: float) -> Motion:
     if followed.log is not None:
         return of_log(followed.log, followed.pool.fish, span, rate)
     assert runs is not None
-    shown = (runs.shape[0], runs.pose[0], runs.target[0])
-    return of_steps(*(one.astype(np.float64) for one in shown), span, rate)
+    shape, pose, target = (
+        one[0].astype(np.float64) for one in (runs.shape, runs.pose, runs.target)
+    )
+    return of_steps(shape, pose, target, span, rate)
 
 
 @styled
