@@ -13,11 +13,10 @@ import numpy as np
 from tailbeat.control import motion
 from tailbeat.control.actions import ActionSpace
 from tailbeat.control.measure import PAPER, Measure
-from tailbeat.control.motion import MotionFilter
 from tailbeat.control.policy import Contract
 from tailbeat.env import randomize
 from tailbeat.env.randomize import Randomisation
-from tailbeat.env.sensors import SensorModel
+from tailbeat.env.sensors import SensorModel, motion_filter
 from tailbeat.env.task import Settings, Task, sized
 
 CONE = np.radians(30)  # half angle of the "narrow forward cone" (chosen)
@@ -82,7 +81,7 @@ def settings_of(
         sensors=scaled(SensorModel(), stage.noise),
         physics=randomize.sized(scaled(Randomisation(), stage.physics), measure),
         measure=measure,
-        motion=motion.sized(MotionFilter(), measure) if task.follow else None,
+        motion=motion.sized(motion_filter(), measure) if task.follow else None,
     )
 
 
