@@ -40,6 +40,7 @@ from tailbeat.operator.leader import Leader, chosen_leader
 from tailbeat.operator.target_motion import Trace, velocity
 from tailbeat.operator.target_path import EIGHT, PathAsked, target_path
 from tailbeat.report import following as page
+from tailbeat.report.film_frames import Shot
 
 KEY, RUN, POOL = bytes(range(32)), 77, (5.5, 2.7)
 POLICY = load_policy("pulley-fish-pool-generator")
@@ -266,8 +267,15 @@ def test_where_the_fish_was_not_seen_no_place_is_guessed():
 # ---- in process ---------------------------------------------------------------------------------
 
 
-def test_a_swim_in_process_has_the_path_and_the_files_of_one_in_real_time(tmp_path):
+def test_a_swim_in_process_has_the_path_and_the_files_of_one_in_real_time(tmp_path, monkeypatch):
     """The shipped follower, 7 s in the plant; `test_follow_policy` asks how well it follows."""
+    filmed: list[Shot] = []
+
+    def not_rendered(shot: Shot, path: Path, _: object) -> None:
+        filmed.append(shot)
+        path.touch()
+
+    monkeypatch.setattr(page.film, "write", not_rendered)
     said: list[str] = []
     asked = FollowConfig("pulley-fish-pool-follow", replace(ASKED, seconds=7.0))
     swum = direct(asked, counting, said.append)
@@ -279,6 +287,9 @@ def test_a_swim_in_process_has_the_path_and_the_files_of_one_in_real_time(tmp_pa
     assert whole.distance[0] == pytest.approx(nearer, abs=0.01) and nearer > 0.3
     done = page.write(swum, tmp_path, counting, 0.5)
     assert done.log is None and done.result.kept and done.result.finished
+    (shot,) = filmed
+    assert shot.motion.tag[0] == pytest.approx(swum.record.seen[0][1:4], abs=1e-6)
+    assert shot.motion.frames == round(0.5 * shot.motion.rate)
     for name in ("summary.json", "path.json", "report.html", "figures/path.svg"):
         assert (tmp_path / name).stat().st_size > 1000
     assert read_record(FollowRecord, tmp_path / "path.json").seen == swum.record.seen
