@@ -12,10 +12,9 @@ import torch
 from stable_baselines3.common.buffers import NStepReplayBuffer
 
 from tailbeat.control.measure import Measure
-from tailbeat.control.motion import MotionFilter
 from tailbeat.control.observation import TABLE
 from tailbeat.env import randomize
-from tailbeat.env.sensors import quiet
+from tailbeat.env.sensors import motion_filter, quiet
 from tailbeat.env.task import Settings, Task
 from tailbeat.env.vector_env import FishVecEnv
 from tailbeat.env.world import World
@@ -43,7 +42,7 @@ def fill(**moving: Any) -> tuple[RelabelBuffer, Any]:
     """A buffer of short episodes, some of which arrive, and the target of every transition; those
     of `moving` targets go on after that."""
     task = Task(seconds=2.0, nearest=0.1, farthest=0.6, arrival=0.08, **moving)
-    settings = Settings(task=task, motion=MotionFilter() if moving else None)
+    settings = Settings(task=task, motion=motion_filter() if moving else None)
     env = FishVecEnv(FISH, 8, settings, seed=0, reward_scale=0.01)
     spaces = env.observation_space, env.action_space
     buffer = RelabelBuffer(

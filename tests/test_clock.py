@@ -1,11 +1,19 @@
-"""The clocks' offset from single echoes, and the share of datagrams lost."""
+"""The clocks' offset from single echoes and over sockets, and the share of datagrams lost."""
 
 import math
+import sys
+import time
+from functools import partial
 
 import pytest
 
+from support import until
+from tailbeat.link import datagrams as link
+from tailbeat.link.arrival import arrived
 from tailbeat.link.clock import SECOND, Clock, Loss
+from tailbeat.link.sender import Sender
 
+KEY = bytes(range(32))
 WAY, WORK = 1000, 500  # ns that an echo takes one way, and between being heard and sent back
 
 
@@ -44,6 +52,29 @@ def test_an_echo_is_kept_for_twenty_seconds():
     assert len(clock.echoes) == 2
     echo(clock, 21 * SECOND + 1, ahead=0)
     assert len(clock.echoes) == 2  # the first is gone
+
+
+def waited_for(end: float) -> bool:
+    return time.monotonic() > end
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's stamps are Linux's")
+def test_an_echo_that_waits_for_the_loop_does_not_shift_the_clock():
+    """The fish reads its socket every 20 ms, so the station's clock seemed 10 ms behind."""
+    to, ours, theirs = link.Receiver(KEY), *(link.bind("127.0.0.1", 0) for _ in range(2))
+    station = Sender(KEY, theirs, ours.getsockname())
+    for number in range(1, 4):
+        asked = time.monotonic()
+        question = link.ask_datagram(KEY, to.nonce, number, time.monotonic_ns())
+        ours.sendto(question, theirs.getsockname())
+        station.work(asked)
+        until(partial(waited_for, asked + 0.05))
+        for data, waited in arrived(ours):
+            to.take(data, time.monotonic_ns(), waited)
+    ours.close()
+    theirs.close()
+    offset, doubt = to.clock.offset(time.monotonic_ns()) or (SECOND, SECOND)
+    assert abs(offset) < 0.005 * SECOND and doubt < 0.005 * SECOND
 
 
 def test_the_share_lost_is_of_the_last_three_hundred_that_came():

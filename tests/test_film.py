@@ -132,7 +132,7 @@ def turning(frames: int = 4) -> Motion:
         [np.linspace(0.5, 0.6, frames), np.full(frames, -0.4), np.full(frames, 0.7)]
     )
     rows = np.zeros((frames, 4 + len(FISH.tail.links)))
-    rows[:, :3] = motions._root(FISH, tag)
+    rows[:, :3] = motions.root(FISH, tag)
     return Motion(RATE, rows, tag, np.full((frames, 2), np.nan))
 
 

@@ -11,11 +11,23 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tailbeat.cli.progress import counting
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.policy import load_policy
+from tailbeat.env.curriculum import MOVING, trained_speed
 from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
-from tailbeat.evaluate.following import FollowConfig, Followed, live, result, track
+from tailbeat.evaluate.following import (
+    FollowConfig,
+    Followed,
+    _entered,
+    direct,
+    live,
+    result,
+    track,
+)
+from tailbeat.evaluate.path_start import TEST_SWIM, behind
+from tailbeat.evaluate.store import read_record
 from tailbeat.files import BadInput
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import SECOND, Frame, Order, Receiver
@@ -27,10 +39,13 @@ from tailbeat.operator.follow import Follow, FollowRecord, Hold
 from tailbeat.operator.leader import Leader, chosen_leader
 from tailbeat.operator.target_motion import Trace, velocity
 from tailbeat.operator.target_path import EIGHT, PathAsked, target_path
+from tailbeat.report import following as page
+from tailbeat.report.film_frames import Shot
 
 KEY, RUN, POOL = bytes(range(32)), 77, (5.5, 2.7)
 POLICY = load_policy("pulley-fish-pool-generator")
-CIRCLE = target_path(PathAsked("circle", speed=0.2, seconds=8.0))
+ASKED = PathAsked("circle", speed=0.2, seconds=8.0)
+CIRCLE = target_path(ASKED)
 
 
 # ---- what the station sends ---------------------------------------------------------------------
@@ -247,3 +262,56 @@ def test_where_the_fish_was_not_seen_no_place_is_guessed():
     hidden = np.isnan(whole.tag[:, 0])
     assert 1.5 < PERIOD * hidden.sum() < 1.75 and abs(whole.after[hidden][0] - 10.0) < 0.05
     assert result(swim).median_distance == pytest.approx(0.3, abs=0.01)
+
+
+# ---- in process ---------------------------------------------------------------------------------
+
+
+def test_a_swim_in_process_has_the_path_and_the_files_of_one_in_real_time(tmp_path, monkeypatch):
+    """The shipped follower, 7 s in the plant; `test_follow_policy` asks how well it follows."""
+    filmed: list[Shot] = []
+
+    def not_rendered(shot: Shot, path: Path, _: object) -> None:
+        filmed.append(shot)
+        path.touch()
+
+    monkeypatch.setattr(page.film, "write", not_rendered)
+    said: list[str] = []
+    asked = FollowConfig("pulley-fish-pool-follow", replace(ASKED, seconds=7.0))
+    swum = direct(asked, counting, said.append)
+    assert said == []  # 0.2 m/s: it was trained for that
+    whole = track(swum.path, swum.record)
+    assert whole.target == pytest.approx(swum.path.along(whole.after), abs=1e-6)
+    x, y, _ = behind(swum.path, PAPER)
+    nearer = np.hypot(*(swum.path.places[0] - (x, y))) - TEST_SWIM
+    assert whole.distance[0] == pytest.approx(nearer, abs=0.01) and nearer > 0.3
+    done = page.write(swum, tmp_path, counting, 0.5)
+    assert done.log is None and done.result.kept and done.result.finished
+    (shot,) = filmed
+    assert shot.motion.tag[0] == pytest.approx(swum.record.seen[0][1:4], abs=1e-6)
+    assert shot.motion.frames == round(0.5 * shot.motion.rate)
+    for name in ("summary.json", "path.json", "report.html", "figures/path.svg"):
+        assert (tmp_path / name).stat().st_size > 1000
+    assert read_record(FollowRecord, tmp_path / "path.json").seen == swum.record.seen
+
+
+def test_a_target_faster_than_those_of_the_training_is_said_and_one_faster_than_the_fish_refused():
+    def said(policy: str, speed: float) -> list[str]:
+        heard: list[str] = []
+        _entered(FollowConfig(policy, PathAsked("circle", speed=speed)), heard.append)
+        return heard
+
+    assert said("pulley-fish-pool-follow", 0.25) == []
+    (line,) = said("pulley-fish-pool-follow", 0.3)
+    assert "moves at up to 0.30 m/s" in line and "was trained with at most 0.25 m/s" in line
+    (line,) = said("pulley-fish-pool-generator", 0.1)
+    assert "was trained with targets that stay" in line
+    with pytest.raises(BadInput, match=r"--speed 0\.5: allowed are speeds above 0 and up to 0\.45"):
+        said("pulley-fish-pool-follow", 0.5)
+
+
+def test_the_contract_s_own_speed_counts_before_that_of_the_task():
+    contract = load_policy("pulley-fish-pool-follow").contract
+    assert trained_speed(contract) == MOVING.target_speed  # it was exported without the number
+    told = replace(contract, training={**contract.training, "target_speed": 0.1})
+    assert trained_speed(told) == 0.1

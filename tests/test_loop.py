@@ -162,6 +162,9 @@ def test_poses_are_the_plant_s_and_their_age_is_right_on_another_s_clock(swimmin
     row = swimming.rows[-1]
     assert row["x_m"] == pytest.approx(swimming.rig.shaft.pose[0], abs=0.1)
     assert 0.02 < np.median([r["pose_age_s"] for r in swimming.rows[-20:]]) < 0.3
+    ahead = swimming.rig.station.clock() - time.monotonic_ns()
+    offset, doubt = swimming.loop.devices.receiver.clock.offset(time.monotonic_ns()) or (0, 0)
+    assert abs(offset - ahead) < doubt < 0.006 * link.SECOND  # it was half of the loop's period
 
 
 def test_what_was_logged_gives_the_same_decisions_again(swimming):

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 from tailbeat.control import motion
-from tailbeat.control.motion import MotionFilter
 from tailbeat.control.observation import FOLLOWING, TABLE, Samples, observe
+from tailbeat.control.policy import load_policy
 from tailbeat.env import randomize, target_paths
-from tailbeat.env.sensors import SensorModel
+from tailbeat.env.curriculum import FOLLOWING as FOLLOWING_STAGES
+from tailbeat.env.curriculum import MOVING as MOVING_TASK
+from tailbeat.env.curriculum import settings_of
+from tailbeat.env.sensors import SensorModel, motion_filter
 from tailbeat.env.task import Scene, Settings, Task
 from tailbeat.env.vector_env import FishVecEnv
 from tailbeat.env.world import World, seeds_from
@@ -18,7 +21,7 @@ from tailbeat.fish.store import load_fish
 from tailbeat.train.replay import Paths, RelabelBuffer, _complex
 
 FISH = load_fish("pulley-fish-pool")
-CONSTANTS = MotionFilter()
+CONSTANTS = motion_filter()
 FOLLOWED = Task(seconds=4.0, nearest=0.3, farthest=1.0, follow=True, target_speed=0.18)
 MOVING = Settings(task=FOLLOWED, motion=CONSTANTS)
 
@@ -29,6 +32,15 @@ def frames(place: Any, target: Any, staleness: Any, yaw: float = 0.0) -> Any:
     found[..., :2], found[..., 2] = np.asarray(place)[:, None], yaw
     found[..., 3:5], found[..., 5] = np.asarray(target)[:, None], np.asarray(staleness)[:, None]
     return found
+
+
+def test_the_filter_s_noise_is_the_camera_s():
+    """In training, and so in the shipped contract."""
+    rough = replace(SensorModel(), position_noise=0.02)
+    assert motion_filter(rough) == replace(CONSTANTS, noise=0.02)
+    asked = settings_of(FOLLOWING_STAGES[0], task=MOVING_TASK)  # its own sensors are exact
+    assert asked.motion == load_policy("pulley-fish-pool-follow").contract.motion == CONSTANTS
+    assert CONSTANTS.noise == SensorModel().position_noise
 
 
 def textbook(times: Any, places: Any, density: float) -> list[Any]:

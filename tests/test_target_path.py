@@ -7,7 +7,7 @@ import pytest
 
 from support import complaint
 from tailbeat.control.measure import PAPER, SPEED, Measure
-from tailbeat.evaluate.following import behind
+from tailbeat.evaluate.path_start import behind
 from tailbeat.files import BadInput
 from tailbeat.link.places import POOL, pose
 from tailbeat.operator.paths import MARGIN
@@ -191,8 +191,8 @@ BAD_WORDS = {
     ("--path", "circle", "--laps", 400 * "9"): "--laps 99999999999999999999: give 1 or more, up",
     ("--path", "circle", "--seconds", "1e308"): "it takes 1e+308 s",
     ("--path", "circle", "--laps", "1000"): f"{LONGEST:g} s are allowed",
-    ("--path", "circle", "--direct"): "--direct: a target on a --path moves in real time",
-    ("--path", "circle", "--fish", "pulley-fish"): "--fish: a target on a --path",
+    ("--path", "circle", "--speed", "0.5", "--direct"): "--speed 0.5: allowed are speeds above 0",
+    ("--path", "circle", "--fish", "pulley-fish"): "--fish: without a policy it follows no --path",
     ("--speed", "0.1"): "--speed 0.1: it is for a target on a path; add --path",
     ("--laps", "2"): "--laps 2: it is for a target on a path",
     ("--seconds", "2"): "--seconds 2: it is for a target on a path",

@@ -93,15 +93,14 @@ def swim(
         refuse_existing(json)
     check_folder(out)
     asked = path_asked(path, speed, laps, seconds)
-    if asked is not None and (fish is not None or direct):
-        other = "--fish" if fish is not None else "--direct"
-        raise BadInput(f"{other}: a target on a --path moves in real time; leave {other} out.")
+    if asked is not None and fish is not None:
+        raise BadInput("--fish: without a policy it follows no --path; leave --fish out.")
     if fish is not None:
         _open_loop(fish, out, json)
     elif asked is not None:
         from tailbeat.evaluate.following import FollowConfig
 
-        _follow(FollowConfig(policy or FOLLOWS, asked, pool_fish, twin, seed), out, json)
+        _follow(FollowConfig(policy or FOLLOWS, asked, pool_fish, twin, seed), direct, out, json)
     elif headless or direct or not sys.stdout.isatty():
         swum = (_direct if direct else _live)(
             (policy or SHIPPED, pool_fish, twin, targets, seed), out
@@ -166,14 +165,18 @@ def _tour(swum: "Swum", out: Path, json: Path | None) -> None:
         raise typer.Exit(1)
 
 
-def _follow(config: "FollowConfig", out: Path, json: Path | None) -> None:
+def _follow(config: "FollowConfig", direct: bool, out: Path, json: Path | None) -> None:
     """Swim after a target by the clock and report; exit code 1 if it was not kept."""
-    need_robot()
-    need_camera()
     from tailbeat.evaluate import following as swims
     from tailbeat.report import following as report
 
-    done = report.write(swims.live(config, out, output.say), out, progress.counting)
+    if direct:
+        swum = swims.direct(config, progress.counting, output.say)
+    else:
+        need_robot()
+        need_camera()
+        swum = swims.live(config, out, output.say)
+    done = report.write(swum, out, progress.counting)
     output.tables({f"{done.fish} after a moving target, {done.policy}": [report.row(done.result)]})
     for fault in done.result.faults:
         output.say(fault)

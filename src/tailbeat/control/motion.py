@@ -28,8 +28,8 @@ OBSERVED = 4
 class MotionFilter:
     """Constants of the filters. They are in the policy's contract."""
 
-    noise: float = 0.003
-    """Error of a position in a frame, per axis [m rms]: the camera's (`SensorModel`)."""
+    noise: float
+    """Error of a position in a frame, per axis [m rms]: the camera's (`env.sensors`)."""
     fish: float = 0.1
     """Spectral density of the fish's acceleration [m2/s3] (chosen): it smooths over 0.1 s."""
     target: float = 0.01

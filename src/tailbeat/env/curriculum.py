@@ -13,10 +13,10 @@ import numpy as np
 from tailbeat.control import motion
 from tailbeat.control.actions import ActionSpace
 from tailbeat.control.measure import PAPER, Measure
-from tailbeat.control.motion import MotionFilter
+from tailbeat.control.policy import Contract
 from tailbeat.env import randomize
 from tailbeat.env.randomize import Randomisation
-from tailbeat.env.sensors import SensorModel
+from tailbeat.env.sensors import SensorModel, motion_filter
 from tailbeat.env.task import Settings, Task, sized
 
 CONE = np.radians(30)  # half angle of the "narrow forward cone" (chosen)
@@ -81,8 +81,17 @@ def settings_of(
         sensors=scaled(SensorModel(), stage.noise),
         physics=randomize.sized(scaled(Randomisation(), stage.physics), measure),
         measure=measure,
-        motion=motion.sized(MotionFilter(), measure) if task.follow else None,
+        motion=motion.sized(motion_filter(), measure) if task.follow else None,
     )
+
+
+def trained_speed(contract: Contract) -> float:
+    """Speed [m/s] of the fastest targets that a policy was trained with; 0 if they stayed. A policy
+    that follows, of before this number was in its contract, was trained with `MOVING`."""
+    held = contract.training.get("target_speed")
+    if isinstance(held, int | float):
+        return float(held)
+    return 0.0 if contract.motion is None else sized(MOVING, contract.measure).target_speed
 
 
 def scaled(figures: Figures, share: float) -> Figures:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tailbeat.control import camera_yaw
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.motion import MotionFilter
 
 Array = NDArray[np.float64]
 KEPT = 16  # frames kept until they arrive: a quarter of a second at 60 fps
@@ -52,6 +53,11 @@ def quiet() -> SensorModel:
     """Sensors without noise, latency, drops or counts: the first stage of training."""
     names = [name for name in SensorModel.__annotations__ if name != "frame_rate"]
     return replace(SensorModel(), **dict.fromkeys(names, 0.0))
+
+
+def motion_filter(model: SensorModel | None = None) -> MotionFilter:
+    """The filter of velocities for a camera's noise, by default that of `SensorModel`."""
+    return MotionFilter(noise=(model or SensorModel()).position_noise)
 
 
 class SensorState(NamedTuple):

@@ -81,7 +81,7 @@ class World:
         self.commands = np.zeros((self.count, COMMANDS, 2))
         self.every = np.arange(self.count)
         self.frames = np.zeros((self.count, 3, 6))
-        self.motion = motion.begin(motion.MotionFilter(), self.frames)
+        self.motion = motion.begin(sensors.motion_filter(), self.frames)
         self.walls = np.array(settings.task.walls or (np.inf, np.inf)) / 2
 
     def reseed(self, seeds: list[int]) -> None:

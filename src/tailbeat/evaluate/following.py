@@ -1,5 +1,7 @@
-"""A swim in real time after a target that moves by the clock, and what came of it."""
+"""A swim after a target that moves by the clock, in real time or in process, and what came of
+it."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -7,23 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.actions import PERIOD
-from tailbeat.control.measure import LENGTH, Measure
-from tailbeat.control.policy import Policy, load_policy
+from tailbeat.control.measure import Measure
+from tailbeat.control.policy import Policy, decide, load_policy
+from tailbeat.env.curriculum import trained_speed
+from tailbeat.env.task import Scene
 from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
-from tailbeat.evaluate.scenes import BEHIND
+from tailbeat.evaluate.path_start import behind, tested
+from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.store import read_record
-from tailbeat.evaluate.swim import Say, log_in
+from tailbeat.evaluate.swim import Counting, Say, log_in
 from tailbeat.evaluate.track import KEPT, LONG, SETTLING, passes
-from tailbeat.evaluate.trial import Pool
+from tailbeat.evaluate.trial import Pool, swim
 from tailbeat.files import BadInput
 from tailbeat.link.places import POOL
 from tailbeat.operator.follow import FollowRecord, Hold
-from tailbeat.operator.target_path import EIGHT, PathAsked, TargetPath, target_path
+from tailbeat.operator.target_path import EIGHT, SLACK, PathAsked, TargetPath, target_path
+from tailbeat.pool.plant import Surroundings
 
 Array = NDArray[np.float64]
-TEST_SWIM = 0.5  # m that the paper's fish moves before the swim, in the sign test and coasting
-CLEAR = 0.1  # m of the paper's fish: a turned start is so far from the walls (chosen)
-TURNS = np.radians([0, *(side * turn for turn in range(5, 181, 5) for side in (1, -1))]).tolist()
 GAP = 0.3  # s without a pose over which none is guessed
 COUNTED = 1.0  # s of a swim that must count (chosen)
 DENSE = 0.01  # m between points of a path to which a distance is measured
@@ -43,15 +46,16 @@ class FollowConfig:
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """What a swim after a target was: the path, the station's record, the fish's log, and who swam
-    where."""
+    """What a swim after a target was: the path, the record of who was where, and who swam in which
+    pool; of a swim in real time the fish's `log`, of one in process its `runs`."""
 
     path: TargetPath
     record: FollowRecord
-    log: Path
+    log: Path | None
     config: FollowConfig
     policy: Policy
     pool: Pool
+    runs: Runs | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,17 +118,12 @@ class FollowResult:
 def live(config: FollowConfig, out: Path, say: Say) -> Followed:
     """Swim in real time after the target, through camera, network, servo and IMU. Everything that
     was asked for is checked before anything starts. Raises BadInput."""
-    loaded = load_policy(config.policy)
-    measure = loaded.contract.measure
-    path = target_path(config.asked, POOL, measure)
-    _check_time(path, measure)
-    given = EvaluationConfig(config.fish, config.twin, "full", episodes=2, seed=config.seed)
-    where = pool_of(loaded, given)
+    loaded, where, path = _entered(config, say)
     from tailbeat.emulators.live import Chain, follow  # needs OpenCV
 
     log, seen = log_in(out), out / "path.json"
     seen.unlink(missing_ok=True)
-    x, y, yaw = behind(path, measure)
+    x, y, yaw = behind(path, where.measure)
     start = f"{x:.3f},{y:.3f},{np.degrees(yaw):.1f}"
     chain = Chain(config.policy, config.fish, config.seed, "127.0.0.1:0", out, start)
     follow(chain, config.asked, say)
@@ -134,41 +133,55 @@ def live(config: FollowConfig, out: Path, say: Say) -> Followed:
     return Followed(path, record, log, config, loaded, where)
 
 
-def behind(
-    path: TargetPath, measure: Measure, pool: tuple[float, float] = POOL
-) -> tuple[float, float, float]:
-    """Where the tag starts: x, y [m] and yaw [rad], behind the path's first place and looking at
-    it.
+def direct(config: FollowConfig, counting: Counting, say: Say) -> Followed:
+    """Swim after the target in the pool's plant, in process and faster than real time. Raises
+    BadInput.
 
-    The sign test before the swim brings the fish nearer. Its tail stays inside the pool: where
-    there is no room on the tangent, the start is turned about the first place, as little as can be.
-    Raises BadInput for a fish that is too long.
+    The fish starts at rest where the sign test of a swim in real time is assumed to end.
     """
-    place, tail = path.places[0], LENGTH * measure.size  # m behind the tag, at most
-    inside = np.array(pool) - 2 * CLEAR * measure.size  # a turned tail beats along a wall
-    rooms = {
-        turn: _room(place, path.heading + turn, inside if turn else np.array(pool)) - tail
-        for turn in TURNS
-    }
-    enough = [turn for turn, room in rooms.items() if room >= TEST_SWIM * measure.size]
-    turn = enough[0] if enough else max(rooms, key=lambda one: rooms[one])
-    if rooms[turn] < 0:
-        raise BadInput(
-            f"--path {path.name}: a fish of {tail:.2g} m has no room behind the path's first point"
-            f" in a pool of {pool[0]:g} x {pool[1]:g} m; let the path begin elsewhere."
+    loaded, where, path = _entered(config, say)
+    start, steps = tested(path, where.fish, where.measure), round(path.seconds / PERIOD)
+    target = path.along(np.asarray(PERIOD * np.arange(steps + 1), dtype=np.float64))
+    scene = Scene(start, np.zeros((1, 3)), target[None], np.array([math.inf]))
+    given = {"around": (Surroundings(walls=POOL),), "seconds": path.seconds / where.measure.time}
+    asked = where.condition("path", scene, stop=False, **given)
+    with counting() as progress:
+        done = iter(range(1, steps + 1))
+
+        def choose(seen: NDArray[np.float32]) -> NDArray[np.float32]:
+            progress("steps", next(done), steps)
+            return decide(loaded, seen)
+
+        runs = swim(choose, asked, [config.seed])
+    return Followed(path, _seen(runs), None, config, loaded, where, runs)
+
+
+def _seen(runs: Runs) -> FollowRecord:
+    """The record of a swim in process, one row for each control step."""
+    time = PERIOD * np.arange(runs.pose.shape[1])
+    rows = np.column_stack([time, runs.pose[0], runs.target[0]]).tolist()
+    return FollowRecord(0.0, not runs.lost[0], (), tuple(map(tuple, rows)))
+
+
+def _entered(config: FollowConfig, say: Say) -> tuple[Policy, Pool, TargetPath]:
+    """Check the configuration and say what the policy was not trained for; returns the policy, the
+    pool and the path. Raises BadInput."""
+    loaded = load_policy(config.policy)
+    measure = loaded.contract.measure
+    path = target_path(config.asked, POOL, measure)
+    _check_time(path, measure)
+    given = EvaluationConfig(config.fish, config.twin, "full", episodes=2, seed=config.seed)
+    pool, trained = pool_of(loaded, given), trained_speed(loaded.contract)
+    if path.fastest > SLACK * trained:
+        say(
+            f"--path {path.name}: the target moves at up to {path.fastest:.2f} m/s; {config.policy}"
+            f" was trained with {_targets(trained)}, so it may fall behind."
         )
-    yaw = path.heading + turn
-    away = min(BEHIND * measure.reach + TEST_SWIM * measure.size, rooms[turn])
-    x, y = (place - away * np.array([np.cos(yaw), np.sin(yaw)])).tolist()
-    return x, y, yaw
+    return loaded, pool, path
 
 
-def _room(place: Array, yaw: float, pool: Array) -> float:
-    """Distance from a place to the wall behind a fish with this yaw [m]."""
-    ahead = np.array([np.cos(yaw), np.sin(yaw)])
-    back = np.abs(ahead) > 1e-9
-    walls = -np.sign(ahead) * pool / 2
-    return float(np.min((place - walls)[back] / ahead[back]))
+def _targets(speed: float) -> str:
+    return f"at most {speed:.2g} m/s" if speed else "targets that stay"
 
 
 def _check_time(path: TargetPath, measure: Measure) -> None:
@@ -208,8 +221,8 @@ def result(followed: Followed) -> FollowResult:
     away = whole.distance[settled]
     if not np.isfinite(away).any():
         raise BadInput(
-            f"{followed.log}: the fish was not seen after the first {SETTLING * m.time:.3g} s,"
-            f" which do not count; let the target move for longer."
+            f"{followed.log or '--direct'}: the fish was not seen after the first"
+            f" {SETTLING * m.time:.3g} s, which do not count; let the target move for longer."
         )
     passed, slowly, of = crossings(path, whole, m)
     return FollowResult(

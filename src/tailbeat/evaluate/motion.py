@@ -97,13 +97,21 @@ class Span:
 def of_tour(tour: "Tour", span: Span, rate: float, arrival: float = ARRIVAL) -> Motion:
     """A tour's motion; its shape is simulated or estimated. Targets are reached within `arrival`
     [m]."""
-    whole = PERIOD * (len(tour.goal) - 1)
+    return of_steps(tour.shape, tour.pose, tour.targets[tour.goal], span, rate, arrival)
+
+
+def of_steps(
+    shape: Array, pose: Array, target: Array, span: Span, rate: float, arrival: float = ARRIVAL
+) -> Motion:
+    """The motion of a simulated swim at its control steps: generalised coordinates (k, nv), the
+    tag's pose (k, 3) and the target (k, 2)."""
+    whole = PERIOD * (len(shape) - 1)
     first = min(span.start or 0.0, whole)
     wanted = _frames(first, min(first + span.seconds, whole), rate)
-    at = np.asarray(PERIOD * np.arange(len(tour.goal)), dtype=np.float64)
-    held = np.minimum((wanted / PERIOD).astype(int), len(tour.goal) - 1)
-    qpos, tag = _resampled(at, tour.shape, wanted), _resampled(at, tour.pose, wanted)
-    return Motion(rate, qpos, tag, tour.targets[tour.goal[held]], arrival)
+    at = np.asarray(PERIOD * np.arange(len(shape)), dtype=np.float64)
+    held = np.minimum((wanted / PERIOD).astype(int), len(shape) - 1)
+    qpos, tag = _resampled(at, shape, wanted), _resampled(at, pose, wanted)
+    return Motion(rate, qpos, tag, target[held], arrival)
 
 
 def of_log(log: Path, fish: Fish, span: Span, rate: float) -> Motion:
@@ -117,7 +125,7 @@ def of_log(log: Path, fish: Fish, span: Span, rate: float) -> Motion:
     wanted = _frames(first, last, rate)
     tag = _smoothed(at, seen, wanted)
     tail = _tail(log, fish, rows, wanted)
-    qpos, arrival = np.column_stack([_root(fish, tag), tail]), arrival_of(length_of(fish))
+    qpos, arrival = np.column_stack([root(fish, tag), tail]), arrival_of(length_of(fish))
     return Motion(rate, qpos, tag, _targets(rows, wanted), arrival)
 
 
@@ -204,7 +212,7 @@ def _smoothed(at: Array, seen: Array, wanted: Array) -> Array:
     return np.column_stack([np.interp(wanted, grid, column) for column in smooth.T])
 
 
-def _root(fish: Fish, tag: Array) -> Array:
+def root(fish: Fish, tag: Array) -> Array:
     """Pose of the fish frame (k, 3) from the tag's."""
     ahead, left = fish.tracked[:2]
     c, s = np.cos(tag[:, 2]), np.sin(tag[:, 2])

@@ -21,6 +21,7 @@ from enum import IntEnum
 from pathlib import Path
 
 from tailbeat.files import BadInput, write_secret
+from tailbeat.link.arrival import stamp
 from tailbeat.link.clock import DRIFT, SECOND, Clock, Loss
 from tailbeat.link.places import POOL, is_pool
 
@@ -181,8 +182,9 @@ class Receiver:
     told: int = -1  # sequence of the last echo
     ordered: dict[int, int] = field(default_factory=dict)
 
-    def take(self, data: bytes, now: int) -> None:
-        """Handle one datagram, received at `now` [ns]. Never raises, whatever it contains."""
+    def take(self, data: bytes, now: int, waited: int = 0) -> None:
+        """Handle one datagram at `now` [ns], which arrived `waited` [ns] before. Never raises,
+        whatever it contains."""
         kind = data[:4]
         if kind not in (POSES, TELL, ORDER) or len(data) != LENGTHS[kind]:
             self.rejected["not ours"] += 1
@@ -197,7 +199,7 @@ class Receiver:
             elif run in self.followed:
                 self.rejected["old"] += 1
             elif kind == TELL:
-                self._echo(data, run, sequence, now)
+                self._echo(data, run, sequence, now - waited)
             else:
                 self._poses(data, run, sequence)
 
@@ -294,6 +296,7 @@ def bind(host: str, port: int) -> socket.socket:
         raise BadInput(f"link address {host!r}: this means all networks; give the address of one.")
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     made.setblocking(False)
+    stamp(made)
     try:
         made.bind((host, port))
     except OSError as error:

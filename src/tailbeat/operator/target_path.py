@@ -65,6 +65,16 @@ class TargetPath:
         return float(np.hypot(*np.diff(self.places, axis=0).T).sum()) / self.lap
 
     @property
+    def speeds(self) -> Array:
+        """Speed from each place to the next (k - 1,) [m/s]."""
+        return np.asarray(np.hypot(*np.diff(self.places, axis=0).T) / np.diff(self.time))
+
+    @property
+    def fastest(self) -> float:
+        """Largest of the speeds [m/s]."""
+        return float(self.speeds.max())
+
+    @property
     def heading(self) -> float:
         """Direction in which the target begins to move [rad]."""
         away = self.places - self.places[0]
@@ -192,7 +202,7 @@ def _check_places(
 
 def _check_speed(path: TargetPath, found: FilePath | None, most: float) -> None:
     """Check that the target is never faster than the fish. Raises BadInput."""
-    speeds = np.hypot(*np.diff(path.places, axis=0).T) / np.diff(path.time)
+    speeds = path.speeds
     k = int(np.argmax(speeds))
     if speeds[k] <= most * SLACK:
         return

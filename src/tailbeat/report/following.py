@@ -5,13 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from tailbeat.evaluate import following
 from tailbeat.evaluate.following import Followed, FollowResult, Track
-from tailbeat.evaluate.motion import Span, of_log
+from tailbeat.evaluate.motion import Motion, Span, of_log, of_steps
 from tailbeat.evaluate.provenance import Provenance, provenance
 from tailbeat.evaluate.swim import Counting
 from tailbeat.evaluate.track import SETTLING
@@ -30,13 +31,13 @@ FILM_SECONDS = 20.0  # from a second before the fish swims
 
 @dataclass(frozen=True)
 class FollowReport:
-    """Summary of a swim after a target: policy, fish, seed, log, the result, and the provenance of
-    policy and numbers."""
+    """Summary of a swim after a target: policy, fish, seed, log (None for a swim in process), the
+    result, and the provenance of policy and numbers."""
 
     policy: str
     fish: str
     seed: int
-    log: str
+    log: str | None
     result: FollowResult
     training: Mapping[str, object]
     provenance: Provenance
@@ -49,6 +50,8 @@ def write(
     film can be rendered, the page says why. Raises BadInput."""
     data = summary(followed)
     write_json(out / "summary.json", data, overwrite=True)
+    if followed.runs is not None:  # else the station has written it
+        write_json(out / "path.json", followed.record, overwrite=True)
     whole = following.track(followed.path, followed.record)
     drawn = html.figure(picture(followed, whole), out, "path")
     with counting() as progress:
@@ -67,7 +70,7 @@ def summary(followed: Followed) -> FollowReport:
         policy=followed.config.policy,
         fish=followed.pool.fish.name,
         seed=followed.config.seed,
-        log=str(followed.log),
+        log=None if followed.log is None else str(followed.log),
         result=following.result(followed),
         training=followed.policy.contract.training,
         provenance=provenance(),
@@ -96,13 +99,23 @@ def row(done: FollowResult) -> dict[str, Any]:
 def _film(followed: Followed, path: Path, seconds: float, progress: Progress) -> Block:
     """The film of the swim's first seconds, or a warning why there is none."""
     path.unlink(missing_ok=True)  # the film of an earlier swim
-    fish = followed.pool.fish
     try:
-        motion = of_log(followed.log, fish, Span(seconds), film.rate_of(path))
-        film.write(Shot(fish, motion, "side"), path, progress)
+        motion = _motion(followed, Span(seconds), film.rate_of(path))
+        film.write(Shot(followed.pool.fish, motion, "side"), path, progress)
     except BadInput as error:
         return Block("warning", f"There is no film: {error}")
     return html.film(path)
+
+
+def _motion(followed: Followed, span: Span, rate: float) -> Motion:
+    runs = followed.runs
+    if followed.log is not None:
+        return of_log(followed.log, followed.pool.fish, span, rate)
+    assert runs is not None
+    shape, pose, target = (
+        one[0].astype(np.float64) for one in (runs.shape, runs.pose, runs.target)
+    )
+    return of_steps(shape, pose, target, span, rate)
 
 
 @styled

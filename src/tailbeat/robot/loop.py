@@ -18,7 +18,7 @@ import numpy as np
 from tailbeat.control import runner
 from tailbeat.control.band import Monitor
 from tailbeat.control.policy import Policy
-from tailbeat.link import datagrams as link
+from tailbeat.link.arrival import arrived
 from tailbeat.link.clock import SECOND
 from tailbeat.link.datagrams import Order
 from tailbeat.link.status import State
@@ -122,8 +122,8 @@ class Loop:
     def _listen(self, now: float) -> None:
         """Handle the datagrams of this period, and ask for the station's clock when it is due."""
         receiver = self.devices.receiver
-        for data, _ in link.drain(self.devices.socket):
-            receiver.take(data, time.monotonic_ns())
+        for data, waited in arrived(self.devices.socket):
+            receiver.take(data, time.monotonic_ns(), waited)
         self.poses.update(self.limits)
         for order in receiver.take_orders():
             self._obey(order, now)

@@ -196,6 +196,7 @@ class TrainingCallback(BaseCallback):
             "updates": self.model._n_updates,
             "control_steps": self.progress.control_steps,
             "hours": round(self.progress.seconds / 3600, 3),
+            "target_speed": self.run.settings(self.progress.stage).task.target_speed,
             "rounded": isinstance(self.model, QuickSAC) and self.model.rounded,
         }
         export(self.model, self.run, self.seen, training, self.run.out / "policy.onnx")
