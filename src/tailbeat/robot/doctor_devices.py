@@ -12,6 +12,7 @@ from pathlib import Path
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Hardware
 from tailbeat.robot import dynamixel, feetech, imus
+from tailbeat.robot import dynamixel_tables as at
 from tailbeat.robot import servo as servos
 from tailbeat.robot.findings import BAD, Finding, finding
 from tailbeat.robot.imu import ACCGYRO, MODE, STATUS, Imu, ImuFault, mounting_of
@@ -19,7 +20,7 @@ from tailbeat.robot.imus import YawSensor
 from tailbeat.robot.safety import limits_for
 from tailbeat.robot.servo import Servo, ServoFault
 from tailbeat.robot.servo_state import PATIENCE
-from tailbeat.robot.settings import BAUD_RATE
+from tailbeat.robot.settings import BAUD_RATE, held
 
 REVERSED, GOAL_TURNS_ON, OVERLOAD = 0b1, 0b1000, 0b100000  # bits of drive mode and shutdown
 NO_WATCHDOG = (
@@ -142,22 +143,25 @@ def _firmware(servo: Servo, hardware: Hardware) -> Finding:
     if hardware.family == "feetech-sts":
         version = f"{servo.get(feetech.MAJOR)}.{servo.get(feetech.MINOR)}"
         return finding("servo firmware", version)
-    number = servo.get((6, 1))
-    return finding("servo firmware", str(number), warn=number < FIRMWARE)
+    number = servo.get(at.FIRMWARE)
+    old = hardware.family == "dynamixel-x" and number < FIRMWARE
+    return finding("servo firmware", str(number), warn=old)
 
 
 def _settings(servo: Servo, hardware: Hardware) -> list[Finding]:
     """Check the EEPROM. Arming sets mode, return delay and limits; `tailbeat prepare` sets the
     other registers too."""
-    return _of_feetech(servo) if hardware.family == "feetech-sts" else _of_dynamixel(servo)
+    if hardware.family == "feetech-sts":
+        return _of_feetech(servo)
+    return _of_dynamixel(servo, at.table_of(hardware.number).centre)
 
 
-def _of_dynamixel(servo: Servo) -> list[Finding]:
-    mode, delay = servo.get(dynamixel.OPERATING_MODE), servo.get(dynamixel.RETURN_DELAY)
-    low, high = servo.get(dynamixel.LOWEST), servo.get(dynamixel.HIGHEST)
-    drive, homing = servo.get(dynamixel.DRIVE_MODE), servo.get(dynamixel.HOMING)
-    shutdown = servo.get(dynamixel.SHUTDOWN)
-    outside, turned = not low < dynamixel.CENTRE < high, bool(drive & (REVERSED | GOAL_TURNS_ON))
+def _of_dynamixel(servo: Servo, centre: int) -> list[Finding]:
+    mode, delay = servo.get(at.OPERATING_MODE), servo.get(at.RETURN_DELAY)
+    low, high = held(servo, at.LOWEST), held(servo, at.HIGHEST)
+    drive, homing = servo.get(at.DRIVE_MODE), held(servo, at.HOMING)
+    shutdown = servo.get(at.SHUTDOWN)
+    outside, turned = not low < centre < high, bool(drive & (REVERSED | GOAL_TURNS_ON))
     return [
         finding("servo mode", str(mode), warn=mode != dynamixel.POSITION_MODE),
         finding("servo return delay", f"{2 * delay} us", warn=delay > 5),
@@ -187,7 +191,8 @@ def _of_feetech(servo: Servo) -> list[Finding]:
 def _gain(servo: Servo, hardware: Hardware) -> Finding:
     """Check the gain of its position loop: with another, it is not the servo that was identified.
     The driver does not set it."""
-    register = feetech.GAIN if hardware.family == "feetech-sts" else dynamixel.GAIN
+    feetechs = hardware.family == "feetech-sts"
+    register = feetech.GAIN if feetechs else at.table_of(hardware.number).gain
     gain = servo.get(register)
     do = f"write {hardware.gain} to register {register[0]}, or identify the servo again with {gain}"
     return finding("servo position gain", str(gain), warn=gain != hardware.gain, do=do)

@@ -14,16 +14,19 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Hardware
 from tailbeat.fish.store import hardware_of
 from tailbeat.robot import dynamixel, feetech, feetech_packet, packet
+from tailbeat.robot.dynamixel_tables import table_of
 from tailbeat.robot.models import check_model
 from tailbeat.robot.servo import Servo, ServoFault, on_port
-from tailbeat.robot.settings import BAUD_RATE, IDENT, Setting, settings
+from tailbeat.robot.settings import BAUD_RATE, IDENT, Setting, held, settings
 from tailbeat.robot.wire import GONE, open_port, replies
 
 EVERYONE = 0xFE  # the broadcast id of both families
-LISTEN = {"dynamixel-x": 0.8, "feetech-sts": 0.1}  # s: a Dynamixel waits 3 ms for each lower id
+LISTEN = {
+    "dynamixel-x": 0.8,
+    "dynamixel-p": 0.8,
+    "feetech-sts": 0.1,
+}  # s: a Dynamixel waits 3 ms for each lower id
 PATIENT = 0.25  # s for a reply
-LEVELS = {"dynamixel-x": dynamixel.RETURN_LEVEL, "feetech-sts": feetech.LEVEL}
-ALL = {"dynamixel-x": dynamixel.ANSWERS_ALL, "feetech-sts": feetech.ANSWERS_ALL}
 
 
 @dataclass(frozen=True)
@@ -160,8 +163,8 @@ def _settings(servo: Servo, fish: Fish) -> tuple[Setting, ...]:
     except ServoFault as fault:
         if fault.kind != "silent" or hardware.family == "feetech-sts":
             raise BadInput(f"{servo.port.port}: {fault}; check its cable.") from None
-    level = Setting("status return level", LEVELS[hardware.family], 0, ALL[hardware.family])
-    return (level,)
+    level = table_of(hardware.number).return_level
+    return (Setting("status return level", level, 0, dynamixel.ANSWERS_ALL),)
 
 
 # ---- write it -----------------------------------------------------------------------------------
@@ -207,18 +210,18 @@ def _written(servo: Servo, setting: Setting) -> Change:
     if setting.name == "baud rate":
         rate, servo.port.baudrate = servo.port.baudrate, BAUD_RATE
         return _read_back(servo, setting, said, lambda: setattr(servo.port, "baudrate", rate))
-    return Change(setting, servo.get(setting.register), said)
+    return Change(setting, held(servo, setting.register), said)
 
 
 def _read_back(servo: Servo, setting: Setting, said: str, go_back: Callable[[], None]) -> Change:
     """Read a setting under the servo's new id or rate, or under the old one if it kept that."""
     try:
-        return Change(setting, servo.get(setting.register), said)
+        return Change(setting, held(servo, setting.register), said)
     except ServoFault as fault:
         if fault.kind != "silent":
             raise
     go_back()
-    return Change(setting, servo.get(setting.register), said)
+    return Change(setting, held(servo, setting.register), said)
 
 
 def _send(servo: Servo, register: tuple[int, int], value: int) -> str:
