@@ -251,7 +251,7 @@ def imu_of(fish: Fish, kind: str) -> Bno055 | Bno085:
 def _servo_of(fish: Fish, shaft: PlantShaft) -> Dynamixel | Feetech:
     """The fish's servo, as its hardware says."""
     hardware = hardware_of(fish)
-    family = Feetech if hardware.family == "feetech-sts" else Dynamixel
+    family = Feetech if hardware.family.startswith("feetech") else Dynamixel
     return family(shaft=shaft, hardware=hardware)
 
 

@@ -25,6 +25,7 @@ MAKERS: dict[Family, str] = {
     "dynamixel-x": "ROBOTIS",
     "dynamixel-p": "ROBOTIS",
     "feetech-sts": "Feetech",
+    "feetech-scs": "Feetech",
 }
 
 

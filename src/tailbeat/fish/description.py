@@ -13,7 +13,8 @@ from tailbeat.fish import bodies as b
 from tailbeat.fish import units as u
 from tailbeat.fish.bodies import Body, Link, Model, Part
 
-Family = Literal["dynamixel-x", "dynamixel-p", "feetech-sts"]  # of a servo: which table it has
+# Of a servo: which driver and which table speak to it.
+Family = Literal["dynamixel-x", "dynamixel-p", "feetech-sts", "feetech-scs"]
 PERIOD = 0.02  # s, of the robot's loop
 COEFFICIENTS = ("blunt", "slender", "angular", "kutta", "magnus")  # the engine's order
 
@@ -120,7 +121,8 @@ class Hardware(Model):
     family: Family = "dynamixel-x"
     """Which driver speaks to it. `dynamixel-x`: ROBOTIS Protocol 2.0 with the addresses of the X
     series (without the XL-320) and the MX-28 (2.0). `dynamixel-p`: those of the P series (PM42,
-    PM54, PH42, PH54). `feetech-sts`: Feetech's STS servos, which have no bus watchdog."""
+    PM54, PH42, PH54). `feetech-sts`, `feetech-scs`: Feetech's STS and SCS servos, which have no bus
+    watchdog."""
     make: str
     """Maker."""
     model: str

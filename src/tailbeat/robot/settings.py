@@ -8,14 +8,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from tailbeat.fish.description import Hardware
-from tailbeat.robot import dynamixel, feetech
+from tailbeat.robot import dynamixel, feetech, feetech_tables
 from tailbeat.robot import dynamixel_tables as at
 from tailbeat.robot.dynamixel_tables import Register, table_of
 from tailbeat.robot.servo import Servo
 
 IDENT, BAUD_RATE = 1, 1_000_000  # at which every verb looks for the servo
 OWN_ERRORS = 0b110100  # overheat, electrical shock, overload: turn torque off, as from the factory
-STS_ERRORS = 0b101100  # overheat, overcurrent, overload
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ def settings(
     """Every such register of a servo, in the order in which they are written: id and baud rate
     last. `ends` are the lowest and highest motor angle [rad]; None leaves the servo's own limits.
     Raises ServoFault."""
-    family = _of_feetech if hardware.family == "feetech-sts" else _of_dynamixel
+    family = _of_feetech if hardware.family.startswith("feetech") else _of_dynamixel
     found = []
     for name, register, wanted in family(servo, hardware, ends):
         found.append(Setting(name, register, held(servo, register), wanted))
@@ -73,17 +72,19 @@ def _of_dynamixel(
 def _of_feetech(
     servo: Servo, hardware: Hardware, ends: tuple[float, float] | None
 ) -> Iterator[tuple[str, Register, int]]:
-    """The offset (31) is left: calibrating the middle writes it, and so it holds the straight
-    tail."""
-    yield "response level", feetech.LEVEL, feetech.ANSWERS_ALL
-    yield "return delay", feetech.RETURN_DELAY, 0
-    yield "phase", feetech.PHASE, servo.get(feetech.PHASE) & ~feetech.TURNS
-    yield "operating mode", feetech.MODE, feetech.POSITION_MODE
-    yield from _limits(ends, feetech.CENTRE, feetech.COUNT, (feetech.LOWEST, feetech.HIGHEST))
-    yield "unloading condition", feetech.UNLOADING, servo.get(feetech.UNLOADING) | STS_ERRORS
-    yield "acceleration", feetech.ACCELERATION, 0
-    yield "id", feetech.ID, IDENT
-    yield "baud rate", feetech.BAUD, feetech.BAUDS[BAUD_RATE]
+    """The offset (31) of an STS is left: calibrating the middle writes it, and so it holds the
+    straight tail."""
+    own, table = feetech_tables, feetech_tables.table_of(hardware.family)
+    yield "response level", own.LEVEL, feetech.ANSWERS_ALL
+    if table.modes:
+        yield "return delay", own.RETURN_DELAY, 0
+        yield "phase", own.PHASE, servo.get(own.PHASE) & ~own.TURNS
+        yield "operating mode", own.MODE, feetech.POSITION_MODE
+    yield from _limits(ends, table.centre, table.count, (own.LOWEST, own.HIGHEST))
+    yield "unloading condition", own.UNLOADING, servo.get(own.UNLOADING) | table.errors
+    yield "acceleration" if table.modes else "goal time", table.plain, 0
+    yield "id", own.ID, IDENT
+    yield "baud rate", own.BAUD, own.BAUDS[BAUD_RATE]
 
 
 def _limits(
