@@ -2,7 +2,8 @@
 
 Addresses and units: `feetech_tables`. Three things differ from a Dynamixel. A status reports
 conditions of the servo, and never that a command was refused: what matters is read back. The EEPROM
-is saved only while its lock is open. **There is no bus watchdog**: a servo that hears nothing more keeps its last goal and its torque.
+is saved only while its lock is open. **There is no bus watchdog**: a servo that hears nothing more
+keeps its last goal and its torque.
 """
 
 import contextlib
