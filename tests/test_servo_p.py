@@ -120,7 +120,7 @@ def test_the_maker_s_library_completes_a_session(monkeypatch):
         assert bench.device.shaft.angle == pytest.approx(50_000 / 526_374 * math.tau, abs=1e-3)
         assert read("Present Input Voltage") == 240 and read("Present Temperature") == 30
         assert packets.read1ByteTxRx(port, 1, 64)[2] == ACCESS  # where an X servo has its torque
-        assert write("Torque Enable", 0) == 0 and not bench.on
+        assert write("Torque Enable", 0) == 0 and bench.device.get(64) == 0
         port.closePort()
 
 
