@@ -80,7 +80,7 @@ class Bench:
 
 @contextmanager
 def servo_bench(hardware: Hardware = XW430) -> Iterator[Bench]:
-    family = Feetech if hardware.family == "feetech-sts" else Dynamixel
+    family = Feetech if hardware.family.startswith("feetech") else Dynamixel
     device = family(hardware=hardware)
     with served(serve, device) as (path, pull):
         yield Bench(device, path, pull)

@@ -24,7 +24,7 @@ from tailbeat.link import datagrams as link
 from tailbeat.link.status import State
 from tailbeat.operator.client import OperatorClient, open_client, turn
 from tailbeat.robot.devices import Devices
-from tailbeat.robot.dynamixel import BUS_WATCHDOG
+from tailbeat.robot.dynamixel_tables import X
 from tailbeat.robot.imu import connect as connect_imu
 from tailbeat.robot.loop import Loop
 from tailbeat.robot.safety import SafetyLimits
@@ -132,7 +132,7 @@ def open_lab() -> Iterator[Lab]:
     def armed(watchdog: float = 0.1) -> float:
         """Without the servo's own watchdog: a thread may be late by more than it can wait."""
         held = arming()
-        servo.set(BUS_WATCHDOG, 0)
+        servo.set(X.bus_watchdog, 0)
         return held
 
     servo.arm = armed  # type: ignore[method-assign]

@@ -16,8 +16,7 @@ from support import until
 from tailbeat.emulators import feetech_packet as emulated
 from tailbeat.emulators.feetech import OVERHEATED, OVERLOAD
 from tailbeat.files import BadInput
-from tailbeat.robot import feetech as driver
-from tailbeat.robot.feetech import COUNT
+from tailbeat.robot import feetech_tables as driver
 from tailbeat.robot.feetech_packet import (
     PING,
     READ,
@@ -28,6 +27,7 @@ from tailbeat.robot.feetech_packet import (
     signed,
     with_sign,
 )
+from tailbeat.robot.feetech_tables import STS
 from tailbeat.robot.servo import Servo, ServoFault, connect
 from tailbeat.robot.watchdog import try_torque_off
 
@@ -108,16 +108,16 @@ def servo(bench) -> Iterator[Servo]:
 @pytest.mark.realtime
 def test_the_shaft_follows_and_is_read_in_si_units(bench, servo):
     servo.prepare(-1.4, 1.4)
-    assert servo.arm() == pytest.approx(0.0, abs=COUNT)
+    assert servo.arm() == pytest.approx(0.0, abs=STS.count)
     sent = servo.write(0.5)
-    assert sent == pytest.approx(0.5, abs=COUNT / 2)
-    until(lambda: abs(servo.read().angle - sent) < 2 * COUNT)
+    assert sent == pytest.approx(0.5, abs=STS.count / 2)
+    until(lambda: abs(servo.read().angle - sent) < 2 * STS.count)
     bench.device.faults.frozen = True
     bench.device.put(58, -300)
     bench.device.put(69, -100)
     state = servo.read()
     assert (state.voltage, state.temperature, state.alert) == (12.0, 30.0, False)
-    assert state.velocity == pytest.approx(-300 * COUNT)
+    assert state.velocity == pytest.approx(-300 * STS.count)
     assert state.current == pytest.approx(-0.65) and state.time <= time.monotonic()
     servo.torque_off()
     assert not servo.is_on() and not bench.on
@@ -129,13 +129,13 @@ def test_a_mirrored_servo_counts_the_other_way_and_speeds_have_the_phase_s_unit(
     servo = connect(bench.path, STS3215, sign=-1, deadline=PATIENT)
     servo.prepare(-1.0, 1.4)
     bench.device.shaft.angle = -0.3
-    until(lambda: servo.read().angle == pytest.approx(0.3, abs=COUNT))
+    until(lambda: servo.read().angle == pytest.approx(0.3, abs=STS.count))
     low, high = bench.device.get(9), bench.device.get(11)
-    assert (high - 2048) * COUNT == pytest.approx(1.0, abs=COUNT)
-    assert (2048 - low) * COUNT == pytest.approx(1.4, abs=COUNT)
+    assert (high - 2048) * STS.count == pytest.approx(1.0, abs=STS.count)
+    assert (2048 - low) * STS.count == pytest.approx(1.4, abs=STS.count)
     bench.device.faults.frozen = True
     bench.device.put(58, 4)
-    assert servo.read().velocity == pytest.approx(-4 * 50 * COUNT)
+    assert servo.read().velocity == pytest.approx(-4 * 50 * STS.count)
     servo.close()
 
 
@@ -169,9 +169,9 @@ def test_what_arming_sets_is_kept_without_power(bench, servo):
 def test_arming_holds_where_the_shaft_stands_and_claims_no_watchdog(bench, servo):
     bench.device.shaft.angle = 0.8
     servo.prepare(-1.4, 1.4)
-    assert servo.arm() == pytest.approx(0.8, abs=COUNT)
+    assert servo.arm() == pytest.approx(0.8, abs=STS.count)
     time.sleep(0.1)
-    assert bench.device.shaft.angle == pytest.approx(0.8, abs=2 * COUNT)
+    assert bench.device.shaft.angle == pytest.approx(0.8, abs=2 * STS.count)
     assert not servo.own_watchdog and not servo.stopped_itself()
     servo.torque_off()
     bench.device.shaft.angle = 1.5

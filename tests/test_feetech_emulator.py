@@ -19,7 +19,7 @@ from lines import STS3215, Bench, servo_bench
 from support import until
 from tailbeat.emulators.feetech import OVERHEATED, Feetech
 from tailbeat.emulators.feetech_table import REGISTERS
-from tailbeat.robot import feetech as driver
+from tailbeat.robot import feetech_tables as driver
 from tailbeat.robot.feetech_packet import (
     PING,
     READ,
@@ -238,7 +238,7 @@ def test_addresses_and_signs_are_those_of_a_client_by_other_people():
             assert theirs[address].size == register.size, address
             own = None if address in (69,) else register.sign
             assert theirs[address].sign_bit == own, address
-    ours = [driver.MODEL, driver.ID, driver.LOWEST, driver.TORQUE, driver.GOAL, driver.LOCK]
+    ours = [driver.MODEL, driver.ID, driver.LOWEST, driver.TORQUE, driver.GOAL, (55, 1)]
     assert all(theirs[address].size == size for address, size in ours)
     assert dict(rustypot.Sts3215PyController.models())["STS3215"] == 777
 

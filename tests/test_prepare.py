@@ -185,8 +185,8 @@ def test_a_servo_of_another_model_or_none_is_one_sentence(bench):
         prepare.look(bench.path, STS_FISH, baud=1_000_000)
     with pytest.raises(BadInput, match="no servo 9 of ROBOTIS answers at 57600 baud"):
         prepare.look(bench.path, FISH, ident=9, baud=57_600)
-    bench.device.put(0, 2100)
-    with pytest.raises(BadInput, match=r"P series.*tailbeat does not support it"):
+    bench.device.put(0, 4000)
+    with pytest.raises(BadInput, match=r"Y series.*tailbeat does not support it"):
         prepare.look(bench.path, FISH)
 
 

@@ -15,8 +15,7 @@ from support import until
 from tailbeat.emulators import packet as emulated_packet
 from tailbeat.emulators.servo_commands import ALERT
 from tailbeat.files import BadInput
-from tailbeat.robot import dynamixel as driver
-from tailbeat.robot.dynamixel import COUNT
+from tailbeat.robot.dynamixel_tables import X
 from tailbeat.robot.packet import (
     PING,
     READ,
@@ -146,10 +145,10 @@ def test_the_maker_s_library_pings_reads_writes_and_reboots_the_emulator(bench, 
 
 def test_the_shaft_follows_and_is_read_in_radians(bench, servo):
     servo.prepare(-1.4, 1.4)
-    assert servo.arm(watchdog=2.0) == pytest.approx(0.0, abs=COUNT)
+    assert servo.arm(watchdog=2.0) == pytest.approx(0.0, abs=X.count)
     sent = servo.write(0.5)
-    assert sent == pytest.approx(0.5, abs=COUNT / 2)
-    until(lambda: abs(servo.read().angle - sent) < 2 * COUNT)
+    assert sent == pytest.approx(0.5, abs=X.count / 2)
+    until(lambda: abs(servo.read().angle - sent) < 2 * X.count)
     state = servo.read()
     assert (state.voltage, state.temperature, state.alert) == (12.0, 30.0, False)
     assert state.time <= time.monotonic()
@@ -168,10 +167,10 @@ def test_a_mirrored_servo_counts_the_other_way(bench):
     servo = connect(bench.path, XW430, sign=-1, deadline=PATIENT)
     servo.prepare(-1.0, 1.4)
     bench.device.shaft.angle = -0.3
-    until(lambda: servo.read().angle == pytest.approx(0.3, abs=COUNT))
+    until(lambda: servo.read().angle == pytest.approx(0.3, abs=X.count))
     low, high = bench.device.get(52), bench.device.get(48)
-    assert (high - 2048) * COUNT == pytest.approx(1.0, abs=COUNT)
-    assert (2048 - low) * COUNT == pytest.approx(1.4, abs=COUNT)
+    assert (high - 2048) * X.count == pytest.approx(1.0, abs=X.count)
+    assert (2048 - low) * X.count == pytest.approx(1.4, abs=X.count)
     servo.close()
 
 
@@ -181,16 +180,16 @@ def test_a_tail_that_drifts_backwards_needs_stuffing_and_is_read_right(bench, se
     bench.device.put(126, -1)
     bench.device.put(128, -3)
     state = servo.read()
-    assert state.velocity == pytest.approx(-3 * driver.VELOCITY)
+    assert state.velocity == pytest.approx(-3 * X.velocity)
     assert state.current == pytest.approx(-XW430.current_unit)
 
 
 def test_arming_holds_where_the_shaft_stands_and_never_jumps(bench, servo):
     bench.device.shaft.angle = 0.8
     servo.prepare(-1.4, 1.4)
-    assert servo.arm(2.0) == pytest.approx(0.8, abs=COUNT)
+    assert servo.arm(2.0) == pytest.approx(0.8, abs=X.count)
     time.sleep(0.1)
-    assert bench.device.shaft.angle == pytest.approx(0.8, abs=2 * COUNT)
+    assert bench.device.shaft.angle == pytest.approx(0.8, abs=2 * X.count)
 
 
 # ---- what goes wrong ----------------------------------------------------------------------------
@@ -222,7 +221,7 @@ def test_a_late_reply_is_not_taken_for_the_next_one(bench, servo):
     bench.device.shaft.angle = -0.4
     time.sleep(0.1)
     servo.deadline = PATIENT
-    assert servo.read().angle == pytest.approx(-0.4, abs=COUNT)
+    assert servo.read().angle == pytest.approx(-0.4, abs=X.count)
 
 
 def test_the_servo_s_own_watchdog_stops_it_and_says_so_until_armed_anew(bench, servo):
@@ -287,5 +286,5 @@ def test_a_port_that_is_someone_else_s_is_refused(bench, tmp_path):
 
 
 def test_units_are_the_manual_s():
-    assert math.degrees(COUNT) == pytest.approx(0.087890625)
-    assert driver.VELOCITY == pytest.approx(0.02398, abs=1e-5)
+    assert math.degrees(X.count) == pytest.approx(0.087890625)
+    assert X.velocity == pytest.approx(0.02398, abs=1e-5)

@@ -31,7 +31,7 @@ from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water
 from tailbeat.robot.fits import check_swims
-from tailbeat.robot.signals import CHECKS, NAMES, SAME, TIMES, WALL, WANDER, Signals
+from tailbeat.robot.signals import ASIDE, CHECKS, NAMES, SAME, TIMES, WALL, WANDER, Signals
 from tailbeat.train import expect
 
 POLICY = load_policy("pulley-fish-pool-generator")
@@ -165,6 +165,46 @@ def test_no_check_is_broken_in_tours_of_the_pool(known, toured):
             own.window.add(tuple(row))
             own.look(POOL)
             assert not own.trouble and not own.warned
+
+
+def look(known: Expected, fish: np.ndarray) -> list[str]:
+    """What the monitors say in every period of a tour, but beside a wall."""
+    own = Signals(known, POLICY.contract.band, (LOW, HIGH), POLICY.contract.measure)
+    own.begin(0.0)
+    said = []
+    for row in fish:
+        own.window.add(tuple(row))
+        own.look(POOL)
+        said.append(own.trouble)
+    return said
+
+
+def test_places_mirrored_under_right_headings_are_told_within_three_seconds(known, toured):
+    """Whenever the fish swam more than 40 degrees off the mirror's axis for the last 3 s."""
+    seconds, asked, told = round(3.0 / PERIOD), 0, 0
+    for fish in toured[1]:
+        wrong = fish.copy()
+        wrong[:, at.Y] *= -1
+        said = look(known, wrong)
+        away = np.abs(np.sin(wrong[:, at.YAW])) > math.sin(math.radians(40))
+        free = (np.abs(wrong[:, at.X : at.Y + 1]) < np.array(POOL) / 2 - WALL).all(axis=1)
+        for last in range(seconds, len(fish)):
+            if (away & free)[last - seconds : last].all():
+                asked += 1
+                told += "off its heading" in said[last]
+    assert asked > 100 and told > 0.95 * asked
+
+
+def test_a_course_is_seen_from_the_heading_and_needs_speed():
+    """Two seconds to the left of a heading of 1 rad, by 0.3 rad, at 0.3 m/s."""
+    frames = np.zeros((100, len(at.COLUMNS)))
+    stamp = PERIOD * np.arange(100.0)
+    frames[:, at.STAMP], frames[:, at.YAW] = stamp, 1.0 + 0.4 * np.sin(20 * stamp)
+    frames[:, at.X], frames[:, at.Y] = 0.3 * stamp * np.cos(1.3), 0.3 * stamp * np.sin(1.3)
+    assert at.course(frames, 0.2) == pytest.approx(0.3, abs=0.02)
+    assert math.isnan(at.course(frames, 0.31)) and math.isnan(at.course(frames[:5], 0.2))
+    frames[:, at.YAW] += math.tau
+    assert at.course(frames, 0.2) == pytest.approx(0.3, abs=0.02)
 
 
 def test_a_check_must_be_broken_several_times_in_a_row(known, toured):
@@ -309,7 +349,8 @@ def test_the_page_states_the_test_s_numbers():
         f"most {held}° for {sign_test.BEND:g} s",
         f"below {sign_test.ANSWER:g}", f"below {1e3 * sign_test.SEEN:g} mm",
         f"beyond {math.degrees(sign_test.ASKEW):.0f}°", f"{SAME} in a row are exactly equal",
-        f"to and fro by {WANDER:g} m", f"Within {WALL:g} m of a wall",
+        f"to and fro by {WANDER:g} m", f"{math.degrees(ASIDE):.0f}° apart",
+        f"at {at.LEAST_SPEED:g} m/s or faster", f"Within {WALL:g} m of a wall",
     ]  # fmt: skip
     flat = " ".join(page.split())
     assert [one for one in words if one not in flat] == []

@@ -5,6 +5,7 @@ columns `COLUMNS`. `control.expected` has the models and the bounds, which come 
 simulated swims. Needs only numpy, for training and robot alike.
 """
 
+import math
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -27,6 +28,8 @@ NEWEST, LONGEST = 2.5, 20.0  # s: the camera's drift in the newest, compared wit
 EARLIER = 5.0  # s that the earlier part must last
 END = 0.2  # s over which a place is averaged at both ends of a window
 FEWEST = 10  # frames for a slope
+STRAIGHT = 1.0  # s over which a course is compared with the heading: several beats
+LEAST_SPEED = 0.15  # m/s of the paper's fish, below which its sideslip is no small angle
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,8 @@ class Signs:
     newest 2.5 s, minus its value before. `stroke`: motor angle over the modelled one. `recoil`:
     yaw rate over the one that the motor angle predicts. `progress` [m]: speed over the rms of the
     motor velocity. `same`: newest camera frames in a row with equal poses. `wander` [m]: the
-    target's path within a second, without its displacement.
+    target's path within a second, without its displacement. `course` [rad]: the direction in which
+    the tag moves, seen from its heading, positive to the left; NaN while the fish is slow.
     """
 
     turning: float = float("nan")
@@ -47,17 +51,19 @@ class Signs:
     progress: float = float("nan")
     same: float = float("nan")
     wander: float = float("nan")
+    course: float = float("nan")
 
 
 def signs(window: Array, expected: Expected) -> Signs:
-    """All statistics of a window (k, 11), oldest row first; NaN where it is too short."""
+    """All statistics of a window (k, 11) of the paper's fish or one of its measure, oldest row
+    first; NaN where it is too short."""
     if len(window) < 2 or window[-1, TIME] - window[0, TIME] < SPAN:
         return Signs()
     return Signs(**{one.name: sign(one.name, window, expected) for one in fields(Signs)})
 
 
-def sign(name: str, window: Array, expected: Expected) -> float:
-    """One statistic of a window, by its name in `Signs`."""
+def sign(name: str, window: Array, expected: Expected, least_speed: float = LEAST_SPEED) -> float:
+    """One statistic of a window, by its name in `Signs`. `least_speed` [m/s]: of a course."""
     if name == "drifting":
         return drifting(window)
     recent = since(window, SHORT if name in ("stroke", "wander") else SPAN)
@@ -70,6 +76,8 @@ def sign(name: str, window: Array, expected: Expected) -> float:
             return recoil(recent, expected)
         case "progress":
             return progress(recent, distinct(recent), expected)
+        case "course":
+            return course(distinct(since(window, STRAIGHT)), least_speed)
         case "same":
             return float(same_poses(distinct(recent)))
     return wander(distinct(recent))
@@ -124,11 +132,28 @@ def progress(window: Array, frames: Array, expected: Expected) -> float:
     beat = float(np.std(np.diff(window[:, ANGLE]) / steps))
     if np.std(window[:, ANGLE]) < expected.least_angle or len(frames) < FEWEST:
         return float("nan")
+    seconds, (x, y) = moved(frames)
+    return math.hypot(x, y) / seconds / beat if seconds > SPAN / 2 else float("nan")
+
+
+def course(frames: Array, least_speed: float) -> float:
+    """Direction [rad] in which the tag moves, minus its mean heading. A beating fish slips to the
+    side by less than a right angle, and in a picture mirrored at the x axis course and heading
+    differ by twice the heading. NaN below `least_speed` [m/s]."""
+    if len(frames) < FEWEST:
+        return float("nan")
+    seconds, (x, y) = moved(frames)
+    if seconds < STRAIGHT / 2 or math.hypot(x, y) < least_speed * seconds:
+        return float("nan")
+    return math.remainder(math.atan2(y, x) - float(frames[:, YAW].mean()), math.tau)
+
+
+def moved(frames: Array) -> tuple[float, tuple[float, float]]:
+    """Time [s] between the mean frames of both ends, and how far the tag moved between them [m]."""
     stamp = frames[:, STAMP]
     first, last = frames[stamp <= stamp[0] + END], frames[stamp >= stamp[-1] - END]
-    away = last[:, X : Y + 1].mean(axis=0) - first[:, X : Y + 1].mean(axis=0)
-    seconds = last[:, STAMP].mean() - first[:, STAMP].mean()
-    return float(np.hypot(*away) / seconds / beat) if seconds > SPAN / 2 else float("nan")
+    seconds, x, y = last[:, STAMP : Y + 1].mean(axis=0) - first[:, STAMP : Y + 1].mean(axis=0)
+    return float(seconds), (float(x), float(y))
 
 
 def same_poses(frames: Array) -> int:

@@ -18,11 +18,13 @@ class Broken:
 
 @dataclass
 class TrackerFaults:
-    """Faults of what the camera says: the picture is `mirrored`; the same pose under fresh stamps
+    """Faults of what the camera says: the picture is `mirrored`, or its places are at an x
+    [m] and its headings stay right (`mirrored_at`); the same pose under fresh stamps
     (`frozen`); the target `jumping` [m]; the camera `drifting` since a time [s] by 1 cm/s and
     0.02 rad/s."""
 
     mirrored: bool = False
+    mirrored_at: float = math.nan
     frozen: bool = False
     jumping: float = 0.0
     drifting: float = math.inf

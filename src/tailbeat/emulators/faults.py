@@ -194,6 +194,7 @@ FAULTS: dict[str, Callable[[Rig], None]] = {
     "encoder 30 %": lambda rig: setattr(rig.servo.faults, "shown", 0.3),
     "encoder 20 %": lambda rig: setattr(rig.servo.faults, "shown", 0.2),
     "picture mirrored": lambda rig: _tracker(rig, mirrored=True),
+    "places mirrored": lambda rig: _tracker(rig, mirrored_at=float(rig.shaft.pose[0])),
     "pose frozen": lambda rig: _tracker(rig, frozen=True),
     "target jumps": lambda rig: _tracker(rig, jumping=0.5),
     "camera drifts": lambda rig: _tracker(rig, drifting=time.monotonic()),

@@ -1,4 +1,4 @@
-"""An emulated Feetech STS servo: bytes, faults, a turning shaft.
+"""An emulated Feetech servo, STS or SCS: bytes, faults, a turning shaft.
 
 Its memory is `feetech_table`; packets have their own encoder and parser (`feetech_packet`). It is
 tested with the maker's SDK and with another maker's client. It holds positions only. The manual
@@ -11,17 +11,16 @@ import struct
 from dataclasses import dataclass, field
 
 from tailbeat.emulators.feetech_packet import status, take
-from tailbeat.emulators.feetech_table import Table
+from tailbeat.emulators.feetech_table import SCS, Table
 from tailbeat.emulators.servo import TICK, Faults, Profile, Shaft
 from tailbeat.fish.description import Hardware
 
-COUNT, STEPS, MIDDLE = 2 * math.pi / 4096, 4096, 2048
 PING, READ, WRITE, REG_WRITE, ACTION, RESET, REBOOT = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x08
 SYNC_READ, SYNC_WRITE = 0x82, 0x83
 ALL = 0xFE  # the broadcast id
 MOST = 250  # bytes of an answer: its length is one byte
 SPEEDS = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
-FINE, ZERO_IS_FASTEST, TURNS, REVERSED = 4, 8, 16, 128  # bits of the phase
+FINE, ZERO_IS_FASTEST, TURNS = 4, 8, 16  # bits of the phase
 VOLTAGE, OVERHEATED, OVERCURRENT, OVERLOAD = 0, 2, 3, 5  # bits of the status
 COARSE, RAMP = 50, 100  # counts/s and counts/s^2: units of speed and acceleration
 CALIBRATE = 128
@@ -44,7 +43,8 @@ class Feetech:
 
     def __post_init__(self) -> None:
         self.table = Table(self.hardware)
-        self.put = self.table.put
+        self.put, self.kind = self.table.put, self.table.kind
+        self.count = math.radians(self.kind.span) / self.kind.steps
 
     def get(self, address: int, signed: bool = False) -> int:
         """Read a register, with its sign if it has one."""
@@ -76,28 +76,37 @@ class Feetech:
             dt -= TICK
         self._check()
         if not self.faults.frozen:
-            unit = COUNT * (1 if self.get(18) & FINE else COARSE)
             self.put(56, self._counts(self.shaft.angle))
-            self.put(58, self._sign * round(self.shaft.velocity / unit))
+            self.put(58, self._sign * round(self.shaft.velocity / self._speed))
+
+    @property
+    def _speed(self) -> float:
+        """Unit of speeds [rad/s]."""
+        return self.count * (1 if self.get(18) & FINE or self.kind is SCS else COARSE)
 
     @property
     def _sign(self) -> int:
-        return -1 if self.get(18) & REVERSED else 1
+        return -1 if self.get(18) & self.kind.reversed else 1
 
     def _counts(self, angle: float) -> int:
-        """Counts of a shaft's angle [rad]: within a turn, unless it counts turns."""
-        counts = MIDDLE + self._sign * round(angle / COUNT) - self.get(31)
-        return counts if self.get(18) & TURNS else counts % STEPS
+        """Counts of a shaft's angle [rad]: within a turn, unless it counts turns; an SCS measures
+        no angle beyond its ends."""
+        counts = self.kind.middle + self._sign * round(angle / self.count) - self.get(31)
+        if self.kind is SCS:
+            return min(max(counts, 0), self.kind.steps - 1)
+        return counts if self.get(18) & TURNS else counts % self.kind.steps
 
     def _goal(self) -> float | None:
         """The angle [rad] that is asked for; None where the mode or the torque asks for none."""
         if not self.on or self.get(33) != 0:
             return None
         counts, low, high = self.get(42), self.get(9), self.get(11)
-        if low or high:  # without both it takes goals of several turns
+        if self.kind is SCS and not (low or high):
+            return None  # it turns as a motor
+        if low or high:  # without both an STS takes goals of several turns
             counts = min(max(counts, low), high)
         self.put(67, counts)
-        return self._sign * (counts - MIDDLE + self.get(31)) * COUNT
+        return self._sign * (counts - self.kind.middle + self.get(31)) * self.count
 
     def _turn(self, goal: float | None, dt: float) -> None:
         """Step the profile and the shaft."""
@@ -108,8 +117,8 @@ class Feetech:
         phase, speed, ramp = self.get(18), abs(self.get(46)), self.get(41)
         fastest = speed == 0 and bool(phase & ZERO_IS_FASTEST)
         limits = (
-            math.inf if fastest else COUNT * speed * (1 if phase & FINE else COARSE),
-            COUNT * RAMP * ramp if ramp else math.inf,
+            math.inf if fastest else speed * self._speed,
+            self.count * RAMP * ramp if ramp else math.inf,
         )
         self.shaft.advance(self.profile.advance(goal, *limits, dt), dt)
 
@@ -121,8 +130,11 @@ class Feetech:
         bits = self.latched
         bits |= (not self.get(15) <= self.get(62) <= self.get(14)) << VOLTAGE
         bits |= (self.get(63) >= self.get(13)) << OVERHEATED
-        self._strain(OVERCURRENT, abs(self.get(69)) >= self.get(28), 0.01 * self.get(38))
-        self._strain(OVERLOAD, abs(self.get(60)) >= 10 * self.get(36), 0.01 * self.get(35))
+        if self.kind.overcurrent:
+            most, patience = map(self.get, self.kind.overcurrent)
+            self._strain(OVERCURRENT, abs(self.get(69)) >= most, 0.01 * patience)
+        most, patience = map(self.get, self.kind.overload)
+        self._strain(OVERLOAD, abs(self.get(60)) >= 10 * most, 0.01 * patience)
         self._report(bits | self.latched)
 
     def _strain(self, bit: int, strained: bool, patience: float) -> None:
@@ -200,7 +212,7 @@ class Feetech:
         self.table.write(body[0], body[1:])
         if self.get(40) == CALIBRATE:
             self.put(40, before)
-            away = self._counts(self.shaft.angle) - MIDDLE + self.get(31)
+            away = self._counts(self.shaft.angle) - self.kind.middle + self.get(31)
             self.table.write(31, struct.pack("<H", away if away >= 0 else -away | 1 << 11))
 
     def _write_of_many(self, body: bytes) -> None:

@@ -158,6 +158,8 @@ class Station:
         tx, ty = (np.array([tx, ty]) + faults.jumping * self.rng.uniform(-1, 1, 2)).tolist()
         if faults.mirrored:
             pose, ty = (pose[0], -pose[1], -pose[2]), -ty
+        if np.isfinite(at := faults.mirrored_at):
+            pose, tx = (2 * at - pose[0], *pose[1:]), 2 * at - tx
         if faults.frozen:
             pose = faults.last
         faults.last = pose
@@ -251,7 +253,7 @@ def imu_of(fish: Fish, kind: str) -> Bno055 | Bno085:
 def _servo_of(fish: Fish, shaft: PlantShaft) -> Dynamixel | Feetech:
     """The fish's servo, as its hardware says."""
     hardware = hardware_of(fish)
-    family = Feetech if hardware.family == "feetech-sts" else Dynamixel
+    family = Feetech if hardware.family.startswith("feetech") else Dynamixel
     return family(shaft=shaft, hardware=hardware)
 
 

@@ -1,4 +1,4 @@
-"""An emulated X-series servo on a pseudo-terminal: bytes, faults, a turning shaft.
+"""An emulated X- or P-series servo on a pseudo-terminal: bytes, faults, a turning shaft.
 
 Its table (`servo_table`) and instructions (`servo_commands`) are from the manual, its packets have
 their own encoder and parser (`packet`). Both these and the driver's are tested with the maker's
@@ -19,10 +19,9 @@ from typing import Protocol
 from tailbeat.emulators.line import Line
 from tailbeat.emulators.packet import take
 from tailbeat.emulators.servo_commands import ALL, execute
-from tailbeat.emulators.servo_table import HOLDING, RAM, STEPS, Table
+from tailbeat.emulators.servo_table import HOLDING, RAM, Table
 from tailbeat.fish.description import Hardware
 
-UNIT_V, UNIT_A = 0.02398, 0.3745  # rad/s, rad/s^2: units of profile and present velocity
 TICK, WATCHDOG = 1e-3, 0.020  # s
 NO_LOAD = 5.55  # rad/s at 12 V
 TURN = 2 * math.pi
@@ -118,7 +117,7 @@ class Dynamixel:
 
     def __post_init__(self) -> None:
         self.table = Table(self.hardware)
-        self.get, self.put = self.table.get, self.table.put
+        self.get, self.put, self.units = self.table.get, self.table.put, self.table.units
 
     @property
     def baud(self) -> int | None:
@@ -151,7 +150,7 @@ class Dynamixel:
         self._check()
         if not self.faults.frozen:
             self.put(132, self._counts(self.faults.shown * self.shaft.angle))
-            self.put(128, self._sign * round(self.shaft.velocity / UNIT_V))
+            self.put(128, self._sign * round(self.shaft.velocity / self.units.speed))
 
     @property
     def _sign(self) -> int:
@@ -159,15 +158,16 @@ class Dynamixel:
 
     def _counts(self, angle: float) -> int:
         """Counts of a shaft's angle [rad], with drive mode and homing offset."""
-        return 2048 + self._sign * round(angle * STEPS / TURN) + self.get(20, True)
+        turned = self._sign * round(angle * self.units.steps / TURN)
+        return self.units.middle + turned + self.get(20, True)
 
     def _goal(self) -> float | None:
         """The angle [rad] that is asked for; None where the mode or the torque asks for none."""
         mode = self.get(11)
         if not self.get(64) or mode not in HOLDING:
             return None
-        counts = self.get(116, True) - 2048 - self.get(20, True)
-        return self._sign * counts * TURN / STEPS
+        counts = self.get(116, True) - self.units.middle - self.get(20, True)
+        return self._sign * counts * TURN / self.units.steps
 
     def _turn(self, goal: float | None, dt: float) -> None:
         """Step the profile and the shaft."""
@@ -177,8 +177,8 @@ class Dynamixel:
             return
         speed, ramp, timed = self.get(112), self.get(108), self.get(10) & TIMED
         limits = (
-            speed * UNIT_V if speed and not timed else math.inf,
-            ramp * UNIT_A if ramp and not timed else math.inf,
+            speed * self.units.speed if speed and not timed else math.inf,
+            ramp * self.units.acceleration if ramp and not timed else math.inf,
         )
         asked = self.profile.advance(goal, *limits, dt)
         self.put(140, self._counts(asked))

@@ -1,17 +1,19 @@
-"""The control table of an emulated X-series servo, and which writes its manual allows.
+"""The control table of an emulated Dynamixel, and which writes its manual allows.
 
 Addresses, sizes, factory values and ranges are those of the XW430-T200 (e-manual); other models
-differ in a few (`servo_models`). What the manual leaves open was not checked on a real servo.
+differ in a few (`servo_models`), and the P series in more (`servo_p`). Registers are named by the
+X series' addresses everywhere but on the wire. What the manual leaves open was not checked on a
+real servo.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from tailbeat.emulators.servo_models import MODELS, Model
+from tailbeat.emulators.servo_p import END, MODES, NUMBERS, P_MODELS, PModel, ranges, units_of
 from tailbeat.fish.description import Hardware
 
 FIRMWARE = 45
-STEPS = 4096
 RAM, GOALS = 64, range(100, 120)
 SIZE = 148  # bytes of the table; indirect addresses beyond are not emulated
 FAIL, INSTRUCTION, RANGE, LENGTH, LIMIT, ACCESS = 1, 2, 4, 5, 6, 7  # errors of a status packet
@@ -60,7 +62,8 @@ class Table:
 
     def __init__(self, hardware: Hardware | None = None) -> None:
         number = REGISTERS[0].factory if hardware is None else hardware.number
-        self.registers = _registers_of(MODELS.get(number, Model()))
+        self.units = units_of(number)
+        self.registers = _of_p(number) if number in NUMBERS else _of_x(number)
         self.own = {} if hardware is None else _own(hardware)
         self.bytes = bytearray(256)
         self.factory(0)
@@ -87,17 +90,31 @@ class Table:
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Error number and bytes of a read."""
-        if address + length > SIZE or not length:
+        first = self._named(address, length)
+        if first is None or not length:
             return ACCESS, b""
-        return 0, bytes(self.bytes[address : address + length])
+        return 0, bytes(self.bytes[first : first + length])
+
+    def _named(self, address: int, length: int) -> int | None:
+        """The X series' address of bytes on the wire; None where no register is."""
+        shift = self.units.shift
+        if not shift:
+            return address if address + length <= SIZE else None
+        if address + length <= RAM:
+            return address
+        inside = RAM + shift <= address and address + length <= END + shift
+        return address - shift if inside else None
 
     def write(self, address: int, data: bytes) -> int:
         """Write whole registers from an address on, all or none; returns the error number."""
-        parts = list(self._parts(address, data))
+        first = self._named(address, len(data))
+        if first is None:
+            return ACCESS
+        parts = list(self._parts(first, data))
         for register, value in parts:
             if error := LENGTH if value is None else self._refusal(register, value):
                 return error
-        self.bytes[address : address + len(data)] = data
+        self.bytes[first : first + len(data)] = data
         return 0
 
     def _refusal(self, address: int, data: bytes) -> int:
@@ -119,7 +136,7 @@ class Table:
     def _within_limits(self, address: int, value: int) -> bool:
         """Whether a goal lies within the limits of the EEPROM."""
         if address == 116 and self.get(11) == POSITION:
-            return self.get(52) <= value <= self.get(48)
+            return self.get(52, True) <= value <= self.get(48, True)
         return address not in GUARDED or abs(value) <= self.get(GUARDED[address])
 
     def _parts(self, address: int, data: bytes) -> Iterator[tuple[int, bytes | None]]:
@@ -133,8 +150,18 @@ class Table:
             at += size
 
 
-def _registers_of(model: Model) -> dict[int, Register]:
+def _of_p(number: int) -> dict[int, Register]:
+    """The registers of a P model."""
+    known = ranges(P_MODELS.get(number, PModel(P_MODELS[2100].steps)))
+    own = {at: _upto(size, usual, high, low) for at, (size, usual, low, high) in known.items()}
+    starts = {132: Register(4, 0), 140: Register(4, 0), 144: Register(2, 240)}
+    found = REGISTERS | own | starts | {0: Register(2, number), 11: Register(1, 3, MODES)}
+    return {at: found[at] for at in sorted(found) if at not in (60, 147)}
+
+
+def _of_x(number: int) -> dict[int, Register]:
     """The registers of a model: without current, it has no limit and no goal of it."""
+    model = MODELS.get(number, Model())
     low, high = model.volts
     own = REGISTERS | {
         11: Register(1, 3, model.modes),

@@ -71,6 +71,7 @@ CASES = (
     Case("IMU biased by 0.5 rad/s", "bench", "imu biased", "hold", "IMU and camera", 3.0),
     Case("IMU turned over on the way", "bench", "imu upside down", "hold", "IMU", 3.0),
     Case("picture mirrored on the way", "bench", "picture mirrored", "hold", ""),
+    Case("places mirrored, headings not", "bench", "places mirrored", "hold", "off its", 3.0),
     Case("policy gives NaN", "loop", "nan", "hold", "not a number"),
     Case("loop late by 25 ms in every period", "loop", "overrun", "hold", "periods missed"),
     Case("loop hangs", "loop", "hang", "gone"),

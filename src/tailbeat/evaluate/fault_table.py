@@ -61,7 +61,7 @@ def faults(
     if hardware.family != "dynamixel-x":
         raise BadInput(
             f"--fish {fish}: its servo is a {hardware.model}, and the faults are those of a"
-            f" Dynamixel; give a fish with one."
+            f" Dynamixel of the X series; give a fish with one."
         )
     check_named(policy, fish)  # before any device is started
     results: list[FaultResult] = []

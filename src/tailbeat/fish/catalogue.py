@@ -21,7 +21,12 @@ TIME_CONSTANT = 0.030  # s, armature over damping; two identified servos have 0.
 DELAY = 0.015  # s: a bus cycle and the firmware, chosen
 STALL_SHARE = 0.8  # of the stall current, at which the robot stops; chosen
 USUAL_GAIN = 800.0  # for makers whose loop is not published
-MAKERS: dict[Family, str] = {"dynamixel-x": "ROBOTIS", "feetech-sts": "Feetech"}
+MAKERS: dict[Family, str] = {
+    "dynamixel-x": "ROBOTIS",
+    "dynamixel-p": "ROBOTIS",
+    "feetech-sts": "Feetech",
+    "feetech-scs": "Feetech",
+}
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from tailbeat.fish import bodies as b
 from tailbeat.fish import units as u
 from tailbeat.fish.bodies import Body, Link, Model, Part
 
-Family = Literal["dynamixel-x", "feetech-sts"]  # of a servo: which driver speaks to it
+# Of a servo: which driver and which table speak to it.
+Family = Literal["dynamixel-x", "dynamixel-p", "feetech-sts", "feetech-scs"]
 PERIOD = 0.02  # s, of the robot's loop
 COEFFICIENTS = ("blunt", "slender", "angular", "kutta", "magnus")  # the engine's order
 
@@ -119,8 +120,9 @@ class Hardware(Model):
 
     family: Family = "dynamixel-x"
     """Which driver speaks to it. `dynamixel-x`: ROBOTIS Protocol 2.0 with the addresses of the X
-    series (without the XL-320) and the MX-28 (2.0). `feetech-sts`: Feetech's STS servos, which have
-    no bus watchdog."""
+    series (without the XL-320) and the MX-28 (2.0). `dynamixel-p`: those of the P series (PM42,
+    PM54, PH42, PH54). `feetech-sts`, `feetech-scs`: Feetech's STS and SCS servos, which have no bus
+    watchdog."""
     make: str
     """Maker."""
     model: str
@@ -132,16 +134,17 @@ class Hardware(Model):
     supply_range: u.VoltageRange
     """Lowest and highest supply, beyond which the servo reports an error."""
     current_unit: u.Current = Field(gt=0)
-    """Current of one count of register 126 (Dynamixel) or 69 (STS). For a servo that reports a load
-    instead, in thousandths of its output: a thousandth of its stall current, so that currents are
-    estimates."""
+    """Current of one count of register 126 (Dynamixel X), 574 (P) or 69 (STS). For a servo
+    that reports a load instead, in thousandths of its output: a thousandth of its stall current, so
+    that currents are estimates."""
     current_limit: u.Current = Field(gt=0)
     """Mean absolute current over a beat at which the robot stops."""
     temperature_limit: u.Temperature = Field(gt=20, le=120)
     """Temperature at which the servo shuts down. The robot holds 15 degrees below, and stops 5
     degrees below."""
     gain: int = Field(ge=0, le=16383)
-    """Position P gain with which it was identified: register 84 (Dynamixel) or 21 (STS)."""
+    """Position P gain with which it was identified: register 84 (Dynamixel X), 532 (P) or 21
+    (STS)."""
     imu_up: Literal["x", "-x", "y", "-y", "z", "-z"] = "z"
     """Axis of the IMU that points up. A BNO085 must have `z` or `-z`."""
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Hardware
-from tailbeat.robot import dynamixel, feetech, imus
+from tailbeat.robot import dynamixel, feetech, feetech_tables, imus
+from tailbeat.robot import dynamixel_tables as at
 from tailbeat.robot import servo as servos
 from tailbeat.robot.findings import BAD, Finding, finding
 from tailbeat.robot.imu import ACCGYRO, MODE, STATUS, Imu, ImuFault, mounting_of
@@ -20,7 +21,7 @@ from tailbeat.robot.imus import YawSensor
 from tailbeat.robot.safety import limits_for
 from tailbeat.robot.servo import Servo, ServoFault
 from tailbeat.robot.servo_state import PATIENCE
-from tailbeat.robot.settings import BAUD_RATE
+from tailbeat.robot.settings import BAUD_RATE, held
 
 REVERSED, GOAL_TURNS_ON, OVERLOAD = 0b1, 0b1000, 0b100000  # bits of drive mode and shutdown
 NO_WATCHDOG = (
@@ -93,7 +94,7 @@ def find_servo(
 
 
 def _bauds(hardware: Hardware) -> dict[int, int]:
-    return feetech.BAUDS if hardware.family == "feetech-sts" else dynamixel.BAUDS
+    return feetech_tables.BAUDS if hardware.family.startswith("feetech") else dynamixel.BAUDS
 
 
 def check_servo(servo: Servo, hardware: Hardware) -> list[Finding]:
@@ -163,25 +164,28 @@ def _condition(servo: Servo, hardware: Hardware) -> list[Finding]:
 
 
 def _firmware(servo: Servo, hardware: Hardware) -> Finding:
-    if hardware.family == "feetech-sts":
-        version = f"{servo.get(feetech.MAJOR)}.{servo.get(feetech.MINOR)}"
+    if hardware.family.startswith("feetech"):
+        version = f"{servo.get(feetech_tables.MAJOR)}.{servo.get(feetech_tables.MINOR)}"
         return finding("servo firmware", version)
-    number = servo.get((6, 1))
-    return finding("servo firmware", str(number), warn=number < FIRMWARE)
+    number = servo.get(at.FIRMWARE)
+    old = hardware.family == "dynamixel-x" and number < FIRMWARE
+    return finding("servo firmware", str(number), warn=old)
 
 
 def _settings(servo: Servo, hardware: Hardware) -> list[Finding]:
     """Check the EEPROM. Arming sets mode, return delay and limits; `tailbeat prepare` sets the
     other registers too."""
-    return _of_feetech(servo) if hardware.family == "feetech-sts" else _of_dynamixel(servo)
+    if hardware.family.startswith("feetech"):
+        return _of_feetech(servo, hardware)
+    return _of_dynamixel(servo, at.table_of(hardware.number).centre)
 
 
-def _of_dynamixel(servo: Servo) -> list[Finding]:
-    mode, delay = servo.get(dynamixel.OPERATING_MODE), servo.get(dynamixel.RETURN_DELAY)
-    low, high = servo.get(dynamixel.LOWEST), servo.get(dynamixel.HIGHEST)
-    drive, homing = servo.get(dynamixel.DRIVE_MODE), servo.get(dynamixel.HOMING)
-    shutdown = servo.get(dynamixel.SHUTDOWN)
-    outside, turned = not low < dynamixel.CENTRE < high, bool(drive & (REVERSED | GOAL_TURNS_ON))
+def _of_dynamixel(servo: Servo, centre: int) -> list[Finding]:
+    mode, delay = servo.get(at.OPERATING_MODE), servo.get(at.RETURN_DELAY)
+    low, high = held(servo, at.LOWEST), held(servo, at.HIGHEST)
+    drive, homing = servo.get(at.DRIVE_MODE), held(servo, at.HOMING)
+    shutdown = servo.get(at.SHUTDOWN)
+    outside, turned = not low < centre < high, bool(drive & (REVERSED | GOAL_TURNS_ON))
     return [
         finding("servo mode", str(mode), warn=mode != dynamixel.POSITION_MODE),
         finding("servo return delay", f"{2 * delay} us", warn=delay > 5),
@@ -192,26 +196,31 @@ def _of_dynamixel(servo: Servo) -> list[Finding]:
     ]
 
 
-def _of_feetech(servo: Servo) -> list[Finding]:
-    mode, phase = servo.get(feetech.MODE), servo.get(feetech.PHASE)
-    low, high = servo.get(feetech.LOWEST), servo.get(feetech.HIGHEST)
-    unloading = servo.get(feetech.UNLOADING)
-    outside = not low < feetech.CENTRE < high
-    reversed_ = bool(phase & feetech.REVERSED)
+def _of_feetech(servo: Servo, hardware: Hardware) -> list[Finding]:
+    own, table = feetech_tables, feetech_tables.table_of(hardware.family)
+    phase, unloading = servo.get(own.PHASE), servo.get(own.UNLOADING)
+    low, high = servo.get(own.LOWEST), servo.get(own.HIGHEST)
+    found = [
+        finding("servo limits", f"{low} to {high} counts", bad=not low < table.centre < high),
+        finding("servo phase", str(phase), bad=bool(phase & table.reversed)),
+        finding("servo unloading", f"{unloading:#b}", bad=not unloading & OVERLOAD),
+    ]
+    if not table.modes:
+        return found
+    mode, turns = servo.get(own.MODE), bool(phase & own.TURNS)
+    told = "counted" if turns else "within one"
     return [
         finding("servo mode", str(mode), warn=mode != feetech.POSITION_MODE, do=BY_ARMING),
-        finding("servo limits", f"{low} to {high} counts", bad=outside),
-        finding("servo turns", "counted" if phase & feetech.TURNS else "within one",
-                bad=bool(phase & feetech.TURNS)),
-        finding("servo phase", str(phase), bad=reversed_),
-        finding("servo unloading", f"{unloading:#b}", bad=not unloading & OVERLOAD),
-    ]  # fmt: skip
+        finding("servo turns", told, bad=turns),
+        *found,
+    ]
 
 
 def _gain(servo: Servo, hardware: Hardware) -> Finding:
     """Check the gain of its position loop: with another, it is not the servo that was identified.
     The driver does not set it."""
-    register = feetech.GAIN if hardware.family == "feetech-sts" else dynamixel.GAIN
+    feetechs = hardware.family.startswith("feetech")
+    register = feetech_tables.GAIN if feetechs else at.table_of(hardware.number).gain
     gain = servo.get(register)
     do = f"write {hardware.gain} to register {register[0]}, or identify the servo again with {gain}"
     return finding("servo position gain", str(gain), warn=gain != hardware.gain, do=do)

@@ -1,10 +1,9 @@
-"""Driver of ROBOTIS X-series servos on a serial port, Protocol 2.0.
+"""Driver of ROBOTIS X- and P-series servos on a serial port, Protocol 2.0.
 
 Own driver. The maker's library blocks 34 ms on a lost reply, reads that as the value 0, and writes
 without stuffing. Here a reply must come within 5 ms, a read is tried twice, a write once, and every
-error byte is checked. Addresses and units: e-manual of the XW430-T200 (not checked on a real one);
-model and unit of current: the fish's `Hardware`. The X series (without the XL-320) and the MX-28
-(2.0) share addresses.
+error byte is checked. Addresses and units: `dynamixel_tables`; model and unit of current: the
+fish's `Hardware`.
 """
 
 import contextlib
@@ -18,6 +17,17 @@ import serial
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Hardware
+from tailbeat.robot.dynamixel_tables import (
+    HIGHEST,
+    LOWEST,
+    MODEL,
+    OPERATING_MODE,
+    RETURN_DELAY,
+    Register,
+    Table,
+    X,
+    table_of,
+)
 from tailbeat.robot.models import check_model, no_answer
 from tailbeat.robot.packet import (
     ERRORS,
@@ -33,34 +43,27 @@ from tailbeat.robot.packet import (
 from tailbeat.robot.servo_state import DEADLINE, PATIENCE, ServoFault, ServoState
 from tailbeat.robot.wire import GONE, reopen, replies
 
-COUNT = 2 * math.pi / 4096  # rad
-CENTRE = 2048
-VELOCITY = 0.229 * 2 * math.pi / 60  # rad/s
 VOLTAGE = 0.1  # V
-ID, BAUD, RETURN_DELAY, DRIVE_MODE, OPERATING_MODE = (7, 1), (8, 1), (9, 1), (10, 1), (11, 1)
-HOMING, HIGHEST, LOWEST, SHUTDOWN = (20, 4), (48, 4), (52, 4), (63, 1)
-TORQUE, RETURN_LEVEL, HARDWARE_ERROR = (64, 1), (68, 1), (70, 1)
-GAIN, BUS_WATCHDOG, PROFILE_ACCELERATION = (84, 2), (98, 1), (108, 4)
-PROFILE_VELOCITY, GOAL = (112, 4), (116, 4)
-STATE_FIRST, STATE_LENGTH = 122, 25  # moving ... temperature: no gap
 POSITION_MODE = 3
 WATCHDOG_UNIT = 0.020  # s
 BAUDS = {1_000_000: 3, 57_600: 1, 115_200: 2, 2_000_000: 4, 3_000_000: 5, 4_000_000: 6, 9_600: 0}
 ANSWERS_ALL = 2  # status return level: the servo answers writes too
-HARDWARE = {0: "voltage", 2: "overheat", 3: "encoder", 4: "electrical shock", 5: "overload"}
 
 
 @dataclass(eq=False)
 class Servo:
     """An open servo; see `connect`. `silent` counts missing replies. `sign` is 1 if counts increase
     with the motor angle, else -1. Without `answers_writes` (status return level 0 or 1), torque is
-    off if the register says so, although the write is not answered."""
+    off if the register says so, although the write is not answered. `known`: its model was
+    compared with the table."""
 
     port: serial.Serial
     ident: int
     sign: int = 1
     deadline: float = DEADLINE
     current_unit: float = math.nan  # A per count, of the fish's hardware
+    table: Table = X
+    known: bool = False
     parser: Parser = field(default_factory=Parser)
     silent: int = 0
     answers_writes: bool = True
@@ -70,29 +73,37 @@ class Servo:
 
     def read(self) -> ServoState:
         """Read the servo's state in one transaction. Raises ServoFault."""
-        status = self._ask(READ, _pair(STATE_FIRST, STATE_LENGTH), STATE_LENGTH, tries=2)
-        data = status.data
+        table = self.table
+        status = self._ask(READ, _pair(*table.state), table.state[1], tries=2)
+
+        def held(register: Register) -> int:
+            first = register[0] - table.state[0]
+            return int.from_bytes(status.data[first:][: register[1]], "little", signed=True)
+
         return ServoState(
             time=time.monotonic(),
-            angle=self.sign * COUNT * (_signed(data, 132, 4) - CENTRE),
-            velocity=self.sign * VELOCITY * _signed(data, 128, 4),
-            current=self.sign * self.current_unit * _signed(data, 126, 2),
-            voltage=VOLTAGE * _signed(data, 144, 2),
-            temperature=float(data[146 - STATE_FIRST]),
+            angle=self.sign * table.count * (held(table.present_position) - table.centre),
+            velocity=self.sign * table.velocity * held(table.present_velocity),
+            current=self.sign * self.current_unit * held(table.present_current),
+            voltage=VOLTAGE * held(table.present_voltage),
+            temperature=float(held(table.temperature)),
             alert=status.alert,
         )
 
     def write(self, angle: float) -> float:
         """Send a setpoint [rad]; returns the angle sent, rounded to whole counts. Raises
         ServoFault, of kind "watchdog" if the servo had stopped itself."""
-        counts = CENTRE + self.sign * round(angle / COUNT)
+        counts = self._counts(angle)
         try:
-            self.set(GOAL, counts)
+            self.set(self.table.goal, counts)
         except ServoFault as fault:
             if fault.kind == "refused" and self.stopped_itself():
                 raise ServoFault("watchdog", "the servo's bus watchdog stopped it") from None
             raise
-        return self.sign * COUNT * (counts - CENTRE)
+        return self.sign * self.table.count * (counts - self.table.centre)
+
+    def _counts(self, angle: float) -> int:
+        return self.table.centre + self.sign * round(angle / self.table.count)
 
     # ---- arming ---------------------------------------------------------------------------------
 
@@ -104,14 +115,14 @@ class Servo:
 
     def _prepare(self, low: float, high: float) -> None:
         self.torque_off()
-        ends = sorted(CENTRE + self.sign * round(end / COUNT) for end in (low, high))
+        ends = sorted(map(self._counts, (low, high)))
         wanted = {OPERATING_MODE: POSITION_MODE, RETURN_DELAY: 0, LOWEST: ends[0], HIGHEST: ends[1]}
         for register, value in wanted.items():
             if self.get(register) != value:  # saves write cycles of the EEPROM
                 self.set(register, value)
-        for register in (PROFILE_ACCELERATION, PROFILE_VELOCITY):
+        for register in (self.table.profile_acceleration, self.table.profile_velocity):
             self.set(register, 0)
-        self.set(RETURN_LEVEL, ANSWERS_ALL)
+        self.set(self.table.return_level, ANSWERS_ALL)
 
     def arm(self, watchdog: float = 0.1) -> float:
         """Turn torque on and hold the present angle; returns that angle [rad].
@@ -121,7 +132,7 @@ class Servo:
         """
         with self._patient():
             held = self.release(watchdog)
-            self.set(TORQUE, 1)
+            self.set(self.table.torque, 1)
         return held
 
     @contextlib.contextmanager
@@ -140,34 +151,37 @@ class Servo:
         The first goal is the present angle, then the watchdog [s] is set again. Torque does not
         change. Raises ServoFault.
         """
-        self.set(BUS_WATCHDOG, 0)
+        self.set(self.table.bus_watchdog, 0)
         held = self.write(self.read().angle)
-        self.set(BUS_WATCHDOG, _periods(watchdog))
+        self.set(self.table.bus_watchdog, _periods(watchdog))
         return held
 
     def torque_off(self) -> None:
         """Turn torque off in any state, then the servo's watchdog. Raises ServoFault.
 
         The register is read back, because a late reply to an earlier write looks like the reply to
-        this one.
+        this one. A model that was not compared yet is asked for, because a servo of another series
+        may answer for a register that it does not have.
         """
-        self._send(TORQUE, 0)
+        self._send(self.table.torque, 0)
         if self.is_on():
             raise ServoFault("refused", "torque is still on after the command to turn it off")
-        self._send(BUS_WATCHDOG, 0)
+        if not self.known and table_of(self.get(MODEL)).torque != self.table.torque:
+            raise ServoFault("refused", "a servo of another series answers")
+        self._send(self.table.bus_watchdog, 0)
 
     def stopped_itself(self) -> bool:
         """Whether the servo's own watchdog stopped it; then goals are refused until `release`."""
-        return self.get(BUS_WATCHDOG) == 0xFF
+        return self.get(self.table.bus_watchdog) == 0xFF
 
     def is_on(self) -> bool:
         """Whether the servo holds torque."""
-        return bool(self.get(TORQUE))
+        return bool(self.get(self.table.torque))
 
     def hardware_errors(self) -> list[str]:
         """Names of the present hardware errors. After a shutdown, only `reboot` clears them."""
-        bits = self.get(HARDWARE_ERROR)
-        return [name for bit, name in HARDWARE.items() if bits >> bit & 1]
+        bits = self.get(self.table.hardware_error)
+        return [name for bit, name in self.table.errors.items() if bits >> bit & 1]
 
     def reboot(self) -> None:
         """Restart the servo: torque is off afterwards, and its RAM is lost."""
@@ -175,18 +189,18 @@ class Servo:
 
     # ---- registers ------------------------------------------------------------------------------
 
-    def get(self, register: tuple[int, int]) -> int:
+    def get(self, register: Register) -> int:
         """Read an unsigned register (address, bytes). Raises ServoFault."""
         status = self._ask(READ, _pair(*register), register[1], tries=2)
         return int.from_bytes(status.data, "little")
 
-    def set(self, register: tuple[int, int], value: int) -> None:
+    def set(self, register: Register, value: int) -> None:
         """Write a register (address, bytes). Raises ServoFault."""
         address, size = register
         body = address.to_bytes(2, "little") + (value % (1 << 8 * size)).to_bytes(size, "little")
         self._ask(WRITE, body, 0, tries=1)
 
-    def _send(self, register: tuple[int, int], value: int) -> None:
+    def _send(self, register: Register, value: int) -> None:
         """Write a register; of a servo that answers no writes, a missing reply is no fault."""
         try:
             self.set(register, value)
@@ -239,14 +253,16 @@ def check(servo: Servo, path: str, hardware: Hardware, baud: int) -> None:
     except ServoFault as fault:
         raise no_answer(path, servo.ident, baud, fault) from None
     check_model(path, model, hardware)
+    servo.known = True
     try:
-        level = servo.get(RETURN_LEVEL)
+        level = servo.get(servo.table.return_level)
     except ServoFault:
         level = 0
     if level < ANSWERS_ALL:
         raise BadInput(
-            f"{path}: the servo's status return level (register 68) is {level}, so it answers no"
-            f" writes and confirms no command; run `tailbeat prepare --servo {path} --fish FISH`."
+            f"{path}: the servo's status return level (register {servo.table.return_level[0]}) is"
+            f" {level}, so it answers no writes and confirms no command; run `tailbeat prepare"
+            f" --servo {path} --fish FISH`."
         )
 
 
@@ -257,8 +273,3 @@ def _periods(watchdog: float) -> int:
 
 def _pair(address: int, length: int) -> bytes:
     return address.to_bytes(2, "little") + length.to_bytes(2, "little")
-
-
-def _signed(data: bytes, address: int, size: int) -> int:
-    first = address - STATE_FIRST
-    return int.from_bytes(data[first : first + size], "little", signed=True)

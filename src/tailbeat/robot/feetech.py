@@ -1,10 +1,9 @@
-"""Driver of Feetech STS servos (STS3215, STS3250) on a serial port, FT-SCS protocol.
+"""Driver of Feetech STS and SCS servos (STS3215, SCS0009) on a serial port, FT-SCS protocol.
 
-Addresses and units: the maker's memory table of its STS servos with magnetic encoder, compared with
-its SDK (ftservo-python-sdk 2.0.1) and with rustypot 1.13.1; nothing was checked on a real servo.
-Three things differ from a Dynamixel. A status reports conditions of the servo, and never that a
-command was refused: what matters is read back. The EEPROM is saved only while its lock is open.
-**There is no bus watchdog**: a servo that hears nothing more keeps its last goal and its torque.
+Addresses and units: `feetech_tables`. Three things differ from a Dynamixel. A status reports
+conditions of the servo, and never that a command was refused: what matters is read back. The EEPROM
+is saved only while its lock is open. **There is no bus watchdog**: a servo that hears nothing more
+keeps its last goal and its torque.
 """
 
 import contextlib
@@ -29,25 +28,35 @@ from tailbeat.robot.feetech_packet import (
     signed,
     with_sign,
 )
+from tailbeat.robot.feetech_tables import (
+    COARSE,
+    FASTEST,
+    FINE,
+    GOAL,
+    HIGHEST,
+    LEVEL,
+    LOWEST,
+    MODE,
+    MODEL,
+    PHASE,
+    RETURN_DELAY,
+    SCS_FASTEST,
+    SPEED,
+    STATUS,
+    STS,
+    TORQUE,
+    ZERO_IS_FASTEST,
+    Register,
+    Table,
+)
 from tailbeat.robot.models import check_model, no_answer
 from tailbeat.robot.servo_state import DEADLINE, PATIENCE, ServoFault, ServoState
 from tailbeat.robot.wire import GONE, reopen, replies
 
-COUNT = 2 * math.pi / 4096  # rad
-CENTRE = 2048
 VOLTAGE = 0.1  # V
-BAUDS = {1_000_000: 0, 500_000: 1, 115_200: 4, 57_600: 6, 250_000: 2, 128_000: 3, 38_400: 7}
-BAUDS |= {76_800: 5}
-MAJOR, MINOR, MODEL, ID, BAUD = (0, 1), (1, 1), (3, 2), (5, 1), (6, 1)
-RETURN_DELAY, LEVEL, LOWEST, HIGHEST = (7, 1), (8, 1), (9, 2), (11, 2)
-PHASE, UNLOADING, GAIN, MODE = (18, 1), (19, 1), (21, 1), (33, 1)
-TORQUE, ACCELERATION, GOAL, SPEED = (40, 1), (41, 1), (42, 2), (46, 2)
-LOCK, STATUS, FASTEST = (55, 1), (65, 1), (84, 1)
 STATE_FIRST, STATE_LENGTH = 56, 15  # present position ... current
 POSITION_MODE = 0
 ANSWERS_ALL = 1  # response level: the servo answers writes too
-FINE, ZERO_IS_FASTEST, TURNS, REVERSED = 4, 8, 16, 128  # bits of the phase
-COARSE = 50  # counts/s: unit of speed 84, and of all speeds if the phase is not `FINE`
 HARDWARE = {0: "voltage", 1: "encoder", 2: "overheat", 3: "overcurrent", 5: "overload"}
 
 
@@ -62,7 +71,8 @@ class Servo:
     sign: int = 1
     deadline: float = DEADLINE
     current_unit: float = math.nan  # A per count, of the fish's hardware
-    speed_unit: float = COUNT  # rad/s per count of speed, as the servo's phase says
+    table: Table = STS
+    speed_unit: float = STS.count  # rad/s per count of speed, as the servo's phase says
     parser: Parser = field(default_factory=Parser)
     silent: int = 0
     answers_writes: bool = True
@@ -74,11 +84,16 @@ class Servo:
         """Read the servo's state in one transaction. Raises ServoFault."""
         status = self._ask(READ, bytes([STATE_FIRST, STATE_LENGTH]), STATE_LENGTH, tries=2)
         data = status.parameters
+
+        def word(address: int) -> int:
+            at = address - STATE_FIRST
+            return signed(int.from_bytes(data[at : at + 2], self.table.order))
+
         return ServoState(
             time=time.monotonic(),
-            angle=self.sign * COUNT * (_word(data, 56) - CENTRE),
-            velocity=self.sign * self.speed_unit * _word(data, 58),
-            current=self.sign * self.current_unit * _word(data, 69),
+            angle=self.sign * self.table.count * (word(56) - self.table.centre),
+            velocity=self.sign * self.speed_unit * word(58),
+            current=self.sign * self.current_unit * word(69),
             voltage=VOLTAGE * data[62 - STATE_FIRST],
             temperature=float(data[63 - STATE_FIRST]),
             alert=bool(status.instruction),
@@ -87,9 +102,12 @@ class Servo:
     def write(self, angle: float) -> float:
         """Send a setpoint [rad]; returns the angle sent, rounded to whole counts. The servo itself
         keeps it within its limits. Raises ServoFault."""
-        counts = CENTRE + self.sign * round(angle / COUNT)
+        counts = self._counts(angle)
         self.set(GOAL, with_sign(counts))
-        return self.sign * COUNT * (counts - CENTRE)
+        return self.sign * self.table.count * (counts - self.table.centre)
+
+    def _counts(self, angle: float) -> int:
+        return self.table.centre + self.sign * round(angle / self.table.count)
 
     # ---- arming ---------------------------------------------------------------------------------
 
@@ -98,32 +116,36 @@ class Servo:
         ramp, and replies to all packets. Raises ServoFault."""
         with self._patient():
             self.torque_off()
-            ends = sorted(CENTRE + self.sign * round(end / COUNT) for end in (low, high))
-            wanted = {MODE: POSITION_MODE, RETURN_DELAY: 0, LOWEST: ends[0], HIGHEST: ends[1]}
+            ends = sorted(map(self._counts, (low, high)))
+            wanted = {LOWEST: ends[0], HIGHEST: ends[1]}
+            if self.table.modes:
+                wanted |= {MODE: POSITION_MODE, RETURN_DELAY: 0}
             self.store({one: value for one, value in wanted.items() if self.get(one) != value})
-            self.set(ACCELERATION, 0)
+            self.set(self.table.plain, 0)
             self._set_fastest()
 
     def _set_fastest(self) -> None:
         """Let goals be reached as fast as the servo can: speed 0 means that, or standstill."""
         phase = self.get(PHASE)
-        most = self.get(FASTEST) * (COARSE if phase & FINE else 1)
+        most = SCS_FASTEST
+        if self.table.modes:
+            most = self.get(FASTEST) * (COARSE if phase & FINE else 1)
         if phase & ZERO_IS_FASTEST or most:
             self.set(SPEED, 0 if phase & ZERO_IS_FASTEST else most)
 
-    def store(self, values: dict[tuple[int, int], int]) -> None:
+    def store(self, values: dict[Register, int]) -> None:
         """Write registers of the EEPROM with its lock open, and read them back. Raises
         ServoFault."""
         if not values:
             return
-        self.set(LOCK, 0)
+        self.set(self.table.lock, 0)
         try:
             for register, value in values.items():
                 self._keep(register, value)
         finally:
-            self.set(LOCK, 1)
+            self.set(self.table.lock, 1)
 
-    def _keep(self, register: tuple[int, int], value: int) -> None:
+    def _keep(self, register: Register, value: int) -> None:
         self.set(register, value)
         if (kept := self.get(register)) != value:
             raise ServoFault(
@@ -154,7 +176,7 @@ class Servo:
         """Make the present angle the goal; returns it [rad]. Raises ServoFault, also where it lies
         outside the servo's limits: the servo would move to the nearer one."""
         angle = self.read().angle
-        counts = CENTRE + self.sign * round(angle / COUNT)
+        counts = self._counts(angle)
         low, high = self.get(LOWEST), self.get(HIGHEST)
         if not low <= counts <= high:
             raise ServoFault(
@@ -193,18 +215,18 @@ class Servo:
 
     # ---- registers ------------------------------------------------------------------------------
 
-    def get(self, register: tuple[int, int]) -> int:
+    def get(self, register: Register) -> int:
         """Read an unsigned register (address, bytes). Raises ServoFault."""
         status = self._ask(READ, bytes(register), register[1], tries=2)
-        return int.from_bytes(status.parameters, "little")
+        return int.from_bytes(status.parameters, self.table.order)
 
-    def set(self, register: tuple[int, int], value: int) -> None:
+    def set(self, register: Register, value: int) -> None:
         """Write a register (address, bytes). An answer says only that it came. Raises
         ServoFault."""
         (address, size), most = register, (1 << 8 * register[1]) - 1
         if not 0 <= value <= most:
             raise ServoFault("refused", f"register {address} takes 0 to {most}, not {value}")
-        self._ask(WRITE, bytes([address]) + value.to_bytes(size, "little"), 0, tries=1)
+        self._ask(WRITE, bytes([address]) + value.to_bytes(size, self.table.order), 0, tries=1)
 
     def reopen(self) -> None:
         """Open the port again after the cable was unplugged. Raises ServoFault."""
@@ -250,15 +272,9 @@ def check(servo: Servo, path: str, hardware: Hardware, baud: int) -> None:
     except ServoFault as fault:
         raise no_answer(path, servo.ident, baud, fault) from None
     check_model(path, number, hardware)
-    servo.speed_unit = COUNT * (1 if phase & FINE else COARSE)
+    servo.speed_unit = servo.table.speed_unit(phase)
     if level < ANSWERS_ALL:
         raise BadInput(
             f"{path}: the servo's response level (register 8) is {level}, so it answers no writes"
             f" and confirms no command; run `tailbeat prepare --servo {path} --fish FISH`."
         )
-
-
-def _word(data: bytes, address: int) -> int:
-    """A signed word of a reading of the state."""
-    first = address - STATE_FIRST
-    return signed(int.from_bytes(data[first : first + 2], "little"))

@@ -47,6 +47,7 @@ NUMBERS = {
     "signal_progress": "speed over the rms of the motor velocity [m]",
     "signal_same": "equal poses in a row",
     "signal_wander": "path of the target within 1 s, without its displacement [m]",
+    "signal_course": "direction in which the tag moves over 1 s, minus its heading [rad]",
 }
 ABSENT = dict.fromkeys(NUMBERS)  # a row without a number
 ARRAYS = {

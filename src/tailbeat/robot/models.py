@@ -2,11 +2,11 @@
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Hardware
+from tailbeat.robot.dynamixel_tables import P_NUMBERS, P_STEPS
 
 # ROBOTIS servos that speak Protocol 2.0 and have other addresses, by model number (DynamixelSDK).
 ELSEWHERE = (
     (range(350, 351), "XL-320"),
-    (range(2000, 2200), "P series"),
     (range(4000, 5000), "Y series"),
 )
 
@@ -15,10 +15,21 @@ def check_model(path: str, number: int, hardware: Hardware) -> None:
     """Raises BadInput if the servo that answers is not the fish's, or no driver has its
     addresses."""
     series = next((name for numbers, name in ELSEWHERE if number in numbers), "")
-    if series and hardware.family == "dynamixel-x":
+    if series and hardware.family.startswith("dynamixel"):
         raise BadInput(
             f"{path}: model number {number} answers ({series}); its control table has other"
-            f" addresses than the X series, and tailbeat does not support it."
+            f" addresses than the X and P series, and tailbeat does not support it."
+        )
+    told = "dynamixel-p" if number in P_NUMBERS else "dynamixel-x"
+    if hardware.family.startswith("dynamixel") and hardware.family != told:
+        raise BadInput(
+            f"{path}: model number {number} answers, and the fish's family is {hardware.family};"
+            f' write family = "{told}" into its [hardware] table.'
+        )
+    if number in P_NUMBERS and number not in P_STEPS:
+        raise BadInput(
+            f"{path}: model number {number} answers, and tailbeat does not know how many counts it"
+            f" has for a turn; P models that it drives: {', '.join(map(str, P_STEPS))}."
         )
     if number != hardware.number:
         raise BadInput(

@@ -11,19 +11,22 @@ from dataclasses import dataclass
 import serial
 
 from tailbeat.files import BadInput
-from tailbeat.fish.description import Fish, Hardware
+from tailbeat.fish.description import Family, Fish, Hardware
 from tailbeat.fish.store import hardware_of
-from tailbeat.robot import dynamixel, feetech, feetech_packet, packet
+from tailbeat.robot import dynamixel, feetech_packet, feetech_tables, packet
+from tailbeat.robot.dynamixel_tables import table_of
 from tailbeat.robot.models import check_model
 from tailbeat.robot.servo import Servo, ServoFault, on_port
-from tailbeat.robot.settings import BAUD_RATE, IDENT, Setting, settings
+from tailbeat.robot.settings import BAUD_RATE, IDENT, Setting, held, settings
 from tailbeat.robot.wire import GONE, open_port, replies
 
 EVERYONE = 0xFE  # the broadcast id of both families
-LISTEN = {"dynamixel-x": 0.8, "feetech-sts": 0.1}  # s: a Dynamixel waits 3 ms for each lower id
+LISTEN = {
+    "dynamixel-x": 0.8,
+    "dynamixel-p": 0.8,
+    "feetech-sts": 0.1,
+}  # s: a Dynamixel waits 3 ms for each lower id
 PATIENT = 0.25  # s for a reply
-LEVELS = {"dynamixel-x": dynamixel.RETURN_LEVEL, "feetech-sts": feetech.LEVEL}
-ALL = {"dynamixel-x": dynamixel.ANSWERS_ALL, "feetech-sts": feetech.ANSWERS_ALL}
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ def look(path: str, fish: Fish, ident: int | None = None, baud: int | None = Non
 def find(path: str, hardware: Hardware, ident: int | None = None, baud: int | None = None) -> Found:
     """Find the one servo on a bus. Raises BadInput where there is none, more than one, or another
     one than the fish's."""
-    usual = feetech.BAUDS if hardware.family == "feetech-sts" else dynamixel.BAUDS
+    usual = feetech_tables.BAUDS if hardware.family.startswith("feetech") else dynamixel.BAUDS
     for rate in usual if baud is None else (baud,):
         with contextlib.closing(open_port(path, rate, PATIENT)) as port:
             heard = _ask(path, port, hardware, ident)
@@ -104,8 +107,8 @@ def _ask(
     listen = LISTEN[hardware.family] if ident is None else PATIENT
     pinged = EVERYONE if ident is None else ident
     try:
-        if hardware.family == "feetech-sts":
-            return _feetechs(port, pinged, listen)
+        if hardware.family.startswith("feetech"):
+            return _feetechs(port, hardware.family, pinged, listen)
         return _dynamixels(port, pinged, listen)
     except GONE as error:
         raise BadInput(f"{path}: {error}; check the cable.") from None
@@ -121,7 +124,9 @@ def _dynamixels(port: serial.Serial, ident: int, listen: float) -> list[tuple[in
     return heard
 
 
-def _feetechs(port: serial.Serial, ident: int, listen: float) -> list[tuple[int, int]]:
+def _feetechs(
+    port: serial.Serial, family: Family, ident: int, listen: float
+) -> list[tuple[int, int]]:
     asked, heard = feetech_packet.Packet(ident, feetech_packet.PING), []
     for status in replies(port, feetech_packet.encode(asked), feetech_packet.Parser(), listen):
         if status.ident != EVERYONE and not status.parameters:
@@ -129,8 +134,8 @@ def _feetechs(port: serial.Serial, ident: int, listen: float) -> list[tuple[int,
             if ident != EVERYONE:
                 break
     with contextlib.suppress(ServoFault):
-        servos = [feetech.Servo(port, one, deadline=PATIENT) for one in heard]
-        return [(servo.ident, servo.get(feetech.MODEL)) for servo in servos]
+        servos = [on_port(port, family, one, PATIENT) for one in heard]
+        return [(servo.ident, servo.get(feetech_tables.MODEL)) for servo in servos]
     return []
 
 
@@ -158,10 +163,10 @@ def _settings(servo: Servo, fish: Fish) -> tuple[Setting, ...]:
     try:
         return settings(servo, hardware, fish.motor.range)
     except ServoFault as fault:
-        if fault.kind != "silent" or hardware.family == "feetech-sts":
+        if fault.kind != "silent" or hardware.family.startswith("feetech"):
             raise BadInput(f"{servo.port.port}: {fault}; check its cable.") from None
-    level = Setting("status return level", LEVELS[hardware.family], 0, ALL[hardware.family])
-    return (level,)
+    level = table_of(hardware.number).return_level
+    return (Setting("status return level", level, 0, dynamixel.ANSWERS_ALL),)
 
 
 # ---- write it -----------------------------------------------------------------------------------
@@ -186,16 +191,16 @@ def write(path: str, fish: Fish, looked: Looked) -> tuple[Change, ...]:
 def _changes(servo: Servo, hardware: Hardware, fish: Fish) -> Iterator[Change]:
     """Write what does not fit: first that the servo answers at all."""
     before = _settings(servo, fish)[0]
-    if hardware.family == "feetech-sts":
-        _send(servo, feetech.LOCK, 0)
+    if hardware.family.startswith("feetech"):
+        _send(servo, feetech_tables.table_of(hardware.family).lock, 0)
     if not before.fits:
         yield _written(servo, before)
     servo.torque_off()
     for setting in settings(servo, hardware, fish.motor.range):
         if not setting.fits and setting.register != before.register:
             yield _written(servo, setting)
-    if hardware.family == "feetech-sts":
-        servo.set(feetech.LOCK, 1)
+    if hardware.family.startswith("feetech"):
+        servo.set(feetech_tables.table_of(hardware.family).lock, 1)
 
 
 def _written(servo: Servo, setting: Setting) -> Change:
@@ -207,18 +212,18 @@ def _written(servo: Servo, setting: Setting) -> Change:
     if setting.name == "baud rate":
         rate, servo.port.baudrate = servo.port.baudrate, BAUD_RATE
         return _read_back(servo, setting, said, lambda: setattr(servo.port, "baudrate", rate))
-    return Change(setting, servo.get(setting.register), said)
+    return Change(setting, held(servo, setting.register), said)
 
 
 def _read_back(servo: Servo, setting: Setting, said: str, go_back: Callable[[], None]) -> Change:
     """Read a setting under the servo's new id or rate, or under the old one if it kept that."""
     try:
-        return Change(setting, servo.get(setting.register), said)
+        return Change(setting, held(servo, setting.register), said)
     except ServoFault as fault:
         if fault.kind != "silent":
             raise
     go_back()
-    return Change(setting, servo.get(setting.register), said)
+    return Change(setting, held(servo, setting.register), said)
 
 
 def _send(servo: Servo, register: tuple[int, int], value: int) -> str:

@@ -48,7 +48,7 @@ def limits_for(hardware: Hardware) -> SafetyLimits:
         voltage_low=round((1 + SAG) * low, 3),
         voltage_high=high,
         current_stop=hardware.current_limit,
-        own_watchdog=hardware.family == "dynamixel-x",
+        own_watchdog=hardware.family.startswith("dynamixel"),
     )
 
 

@@ -1,7 +1,8 @@
-"""The fish's servo, of either family: what the robot asks of a driver, and which driver answers.
+"""The fish's servo, of any family: what the robot asks of a driver, and which driver answers.
 
-`dynamixel` drives ROBOTIS X-series servos and the MX-28 (2.0), `feetech` Feetech STS servos. The
-fish's `[hardware]` names the family.
+`dynamixel` drives ROBOTIS X- and P-series servos and the MX-28 (2.0), `feetech` Feetech STS
+and SCS servos.
+The fish's `[hardware]` names the family.
 """
 
 from typing import Protocol
@@ -10,11 +11,12 @@ import serial
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Family, Hardware
-from tailbeat.robot import dynamixel, feetech
+from tailbeat.robot import dynamixel, feetech, feetech_tables
+from tailbeat.robot.dynamixel_tables import P, X, table_of
 from tailbeat.robot.servo_state import DEADLINE, PATIENCE, ServoFault, ServoState
 from tailbeat.robot.wire import open_port
 
-FAMILIES: tuple[Family, ...] = ("dynamixel-x", "feetech-sts")
+FAMILIES: tuple[Family, ...] = ("dynamixel-x", "dynamixel-p", "feetech-sts", "feetech-scs")
 
 __all__ = ["DEADLINE", "FAMILIES", "Servo", "ServoFault", "ServoState", "connect", "on_port"]
 
@@ -89,12 +91,12 @@ def connect(
     port = open_port(path, baud, deadline)
     told = port, ident, sign, max(deadline, PATIENCE), hardware.current_unit
     try:
-        if hardware.family == "feetech-sts":
-            sts = feetech.Servo(*told)
+        if hardware.family.startswith("feetech"):
+            sts = feetech.Servo(*told, feetech_tables.table_of(hardware.family))
             feetech.check(sts, path, hardware, baud)
             sts.deadline = deadline
             return sts
-        servo = dynamixel.Servo(*told)
+        servo = dynamixel.Servo(*told, table_of(hardware.number))
         dynamixel.check(servo, path, hardware, baud)
     except BadInput:
         port.close()
@@ -106,6 +108,8 @@ def connect(
 def on_port(port: serial.Serial, family: Family, ident: int, deadline: float) -> Servo:
     """A driver on a port that is open, without asking the servo anything. It may be one that
     answers no writes."""
-    if family == "feetech-sts":
-        return feetech.Servo(port, ident, deadline=deadline, answers_writes=False)
-    return dynamixel.Servo(port, ident, deadline=deadline, answers_writes=False)
+    if family.startswith("feetech"):
+        memory = feetech_tables.table_of(family)
+        return feetech.Servo(port, ident, deadline=deadline, table=memory, answers_writes=False)
+    table = P if family == "dynamixel-p" else X
+    return dynamixel.Servo(port, ident, deadline=deadline, table=table, answers_writes=False)

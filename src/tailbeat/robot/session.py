@@ -86,7 +86,7 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
     check_driven(loaded.contract)
     check_yaw_rate(loaded.contract, config.ports.imu, config.force_camera)
     hardware = _hardware(config, loaded)
-    if hardware.family == "feetech-sts":
+    if hardware.family.startswith("feetech"):
         say(f"        {hardware.model}: {NO_WATCHDOG}")
     refuse_existing(config.log)
     with _open_devices(config, secret, hardware) as devices:

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from tailbeat.fish.description import Hardware
-from tailbeat.robot import dynamixel, feetech
+from tailbeat.robot import dynamixel, feetech, feetech_tables
+from tailbeat.robot import dynamixel_tables as at
+from tailbeat.robot.dynamixel_tables import Register, table_of
 from tailbeat.robot.servo import Servo
 
 IDENT, BAUD_RATE = 1, 1_000_000  # at which every verb looks for the servo
 OWN_ERRORS = 0b110100  # overheat, electrical shock, overload: turn torque off, as from the factory
-STS_ERRORS = 0b101100  # overheat, overcurrent, overload
-Register = tuple[int, int]  # address, bytes
 
 
 @dataclass(frozen=True)
@@ -38,54 +38,64 @@ def settings(
     """Every such register of a servo, in the order in which they are written: id and baud rate
     last. `ends` are the lowest and highest motor angle [rad]; None leaves the servo's own limits.
     Raises ServoFault."""
-    family = _of_feetech if hardware.family == "feetech-sts" else _of_dynamixel
+    family = _of_feetech if hardware.family.startswith("feetech") else _of_dynamixel
     found = []
-    for name, register, wanted in family(servo, ends):
-        size = register[1]
-        now = servo.get(register)
-        if wanted < 0 or name == "homing offset":  # two's complement
-            now = int.from_bytes(now.to_bytes(size, "little"), "little", signed=True)
-        found.append(Setting(name, register, now, wanted))
+    for name, register, wanted in family(servo, hardware, ends):
+        found.append(Setting(name, register, held(servo, register), wanted))
     return tuple(found)
 
 
+def held(servo: Servo, register: Register) -> int:
+    """What a register holds; four bytes (positions, of a Dynamixel) have a sign. Raises
+    ServoFault."""
+    size = register[1]
+    return int.from_bytes(servo.get(register).to_bytes(size, "little"), "little", signed=size == 4)
+
+
 def _of_dynamixel(
-    servo: Servo, ends: tuple[float, float] | None
+    servo: Servo, hardware: Hardware, ends: tuple[float, float] | None
 ) -> Iterator[tuple[str, Register, int]]:
-    yield "status return level", dynamixel.RETURN_LEVEL, dynamixel.ANSWERS_ALL
-    yield "return delay", dynamixel.RETURN_DELAY, 0
-    yield "drive mode", dynamixel.DRIVE_MODE, 0
-    yield "operating mode", dynamixel.OPERATING_MODE, dynamixel.POSITION_MODE
-    yield "homing offset", dynamixel.HOMING, 0
-    yield from _limits(ends, dynamixel.LOWEST, dynamixel.HIGHEST)
-    yield "shutdown", dynamixel.SHUTDOWN, servo.get(dynamixel.SHUTDOWN) | OWN_ERRORS
-    yield "profile acceleration", dynamixel.PROFILE_ACCELERATION, 0
-    yield "profile velocity", dynamixel.PROFILE_VELOCITY, 0
-    yield "id", dynamixel.ID, IDENT
-    yield "baud rate", dynamixel.BAUD, dynamixel.BAUDS[BAUD_RATE]
+    table = table_of(hardware.number)
+    yield "status return level", table.return_level, dynamixel.ANSWERS_ALL
+    yield "return delay", at.RETURN_DELAY, 0
+    yield "drive mode", at.DRIVE_MODE, 0
+    yield "operating mode", at.OPERATING_MODE, dynamixel.POSITION_MODE
+    yield "homing offset", at.HOMING, 0
+    yield from _limits(ends, table.centre, table.count, (at.LOWEST, at.HIGHEST))
+    yield "shutdown", at.SHUTDOWN, servo.get(at.SHUTDOWN) | OWN_ERRORS
+    yield "profile acceleration", table.profile_acceleration, 0
+    yield "profile velocity", table.profile_velocity, 0
+    yield "id", at.ID, IDENT
+    yield "baud rate", at.BAUD, dynamixel.BAUDS[BAUD_RATE]
 
 
 def _of_feetech(
-    servo: Servo, ends: tuple[float, float] | None
+    servo: Servo, hardware: Hardware, ends: tuple[float, float] | None
 ) -> Iterator[tuple[str, Register, int]]:
-    """The offset (31) is left: calibrating the middle writes it, and so it holds the straight
-    tail."""
-    yield "response level", feetech.LEVEL, feetech.ANSWERS_ALL
-    yield "return delay", feetech.RETURN_DELAY, 0
-    yield "phase", feetech.PHASE, servo.get(feetech.PHASE) & ~feetech.TURNS
-    yield "operating mode", feetech.MODE, feetech.POSITION_MODE
-    yield from _limits(ends, feetech.LOWEST, feetech.HIGHEST)
-    yield "unloading condition", feetech.UNLOADING, servo.get(feetech.UNLOADING) | STS_ERRORS
-    yield "acceleration", feetech.ACCELERATION, 0
-    yield "id", feetech.ID, IDENT
-    yield "baud rate", feetech.BAUD, feetech.BAUDS[BAUD_RATE]
+    """The offset (31) of an STS is left: calibrating the middle writes it, and so it holds the
+    straight tail."""
+    own, table = feetech_tables, feetech_tables.table_of(hardware.family)
+    yield "response level", own.LEVEL, feetech.ANSWERS_ALL
+    if table.modes:
+        yield "return delay", own.RETURN_DELAY, 0
+        yield "phase", own.PHASE, servo.get(own.PHASE) & ~own.TURNS
+        yield "operating mode", own.MODE, feetech.POSITION_MODE
+    yield from _limits(ends, table.centre, table.count, (own.LOWEST, own.HIGHEST))
+    yield "unloading condition", own.UNLOADING, servo.get(own.UNLOADING) | table.errors
+    yield "acceleration" if table.modes else "goal time", table.plain, 0
+    yield "id", own.ID, IDENT
+    yield "baud rate", own.BAUD, own.BAUDS[BAUD_RATE]
 
 
 def _limits(
-    ends: tuple[float, float] | None, lowest: Register, highest: Register
+    ends: tuple[float, float] | None,
+    centre: int,
+    count: float,
+    registers: tuple[Register, Register],
 ) -> Iterator[tuple[str, Register, int]]:
-    """The position limits; both families count 4096 to a turn and 2048 at the straight tail."""
+    """The position limits: `count` [rad] of one, `centre` at the straight tail; the registers of
+    the lowest and the highest."""
     if ends is not None:
-        low, high = (dynamixel.CENTRE + round(end / dynamixel.COUNT) for end in ends)
-        yield "lowest position", lowest, low
-        yield "highest position", highest, high
+        low, high = (centre + round(end / count) for end in ends)
+        yield "lowest position", registers[0], low
+        yield "highest position", registers[1], high

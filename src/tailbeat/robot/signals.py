@@ -25,9 +25,11 @@ ROWS = round(at.LONGEST / PERIOD)
 NAMES = tuple(one.name for one in fields(Signs))
 TIMES = 3  # looks in a row in which a check must be broken (chosen)
 SAME = 15  # equal poses in a row, a quarter of a second: a camera's noise never repeats (chosen)
+ASIDE = math.radians(70)  # between course and heading; 60 in 20 minutes of tours (chosen)
 WANDER = 5.0  # m within a second that a target may go to and fro: a hand that drags it (chosen)
+NEEDS_ROOM = ("recoil", "progress", "course")
 NEEDS_IMU = ("turning", "drifting", "recoil")
-WALL = 0.3  # m of the paper's fish: nearer to a wall, the body's answer and progress do not count
+WALL = 0.3  # m of the paper's fish: nearer to a wall, the body's answer and way do not count
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,8 @@ CHECKS = (
           "the body answers its tail by {x:.0%}: check tendons and IMU; is it held?"),
     Check("progress", lambda x, lim, m: x < lim.progress_low,
           "the tail beats and the fish stays where it is; is it held?"),
+    Check("course", lambda x, lim, m: abs(x) > ASIDE,
+          "the fish swims {x:.1f} rad off its heading: its tag is turned, or the picture mirrored"),
     Check("drifting", lambda x, lim, m: abs(x) > lim.drifting,
           "the camera turns by {x:.3f} rad/s: check that it is fixed", holds=False),
 )  # fmt: skip
@@ -196,8 +200,8 @@ class Signals:
         rows = self.window.rows()
         if len(rows) * PERIOD < at.SPAN:
             return
-        value = at.sign(name, rows, self.expected)
-        if name in ("recoil", "progress") and self._by_a_wall(rows, room):
+        value = at.sign(name, rows, self.expected, at.LEAST_SPEED * self.measure.speed)
+        if name in NEEDS_ROOM and self._by_a_wall(rows, room):
             value = math.nan
         if name in NEEDS_IMU and not self.imu:
             value = math.nan
