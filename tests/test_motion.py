@@ -9,6 +9,7 @@ import pytest
 from tailbeat.control import motion
 from tailbeat.control.motion import MotionFilter
 from tailbeat.control.observation import FOLLOWING, TABLE, Samples, observe
+from tailbeat.control.policy import load_policy
 from tailbeat.env import randomize, target_paths
 from tailbeat.env.sensors import SensorModel
 from tailbeat.env.task import Scene, Settings, Task
@@ -43,6 +44,10 @@ def textbook(times: Any, places: Any, density: float) -> list[Any]:
         x, p = x + gain * (place - x[0]), p - np.outer(gain, p[0])
         found.append((x, p))
     return found
+
+
+def test_a_new_policy_is_trained_with_the_shipped_filter() -> None:
+    assert load_policy("pulley-fish-pool-follow").contract.motion == CONSTANTS
 
 
 def test_the_filter_is_the_textbook_s():
