@@ -55,6 +55,7 @@ class Room:
     needs: tuple[str, ...] = ("numpy",)  # imported once, before the forks
 
 
+LEARNING = ("onnx", "onnxruntime", "pydantic", "mujoco", "numba", "gymnasium", "stable_baselines3")
 ROOMS = {
     "search": Room(
         ("identify/search.py", "identify/polish.py", "identify/space.py", "identify/intervals.py"),
@@ -64,18 +65,35 @@ ROOMS = {
     "safety": Room(("robot/safety.py",), ("test_safety.py",)),
     "link": Room(
         ("link/*.py",),
-        ("test_clock.py", "test_places.py", "test_link.py", "test_sender.py", "test_orders.py"),
+        ("test_clock.py", "test_places.py", "test_link.py", "test_sender.py", "test_orders.py",
+         "test_keys.py"),
         "not random",
         ("numpy", "typer", "rich"),
     ),
     "reward": Room(("env/reward.py",), ("test_reward.py",)),
     "control": Room(
-        ("control/*.py",),
-        ("test_control.py", "test_band.py", "test_contract.py"),
-        "not needs_neither",
-        ("numpy", "onnx", "onnxruntime", "pydantic"),
+        ("control/actions.py", "control/band.py", "control/network_file.py",
+         "control/observation.py", "control/policy*.py", "control/runner.py"),
+        ("test_control.py", "test_band.py", "test_contract.py", "test_policy_attacks.py",
+         "test_runner.py", "test_turning.py", "test_camera_yaw.py"),
+        # without imports alone, swims of minutes, and a training
+        "not needs_neither and not steers_to and not taken_by_turning and not training_without",
+        LEARNING,
     ),
-}
+    "measure": Room(
+        ("control/measure.py", "control/camera_yaw.py"),
+        ("test_measure.py", "test_camera_yaw.py"),
+        "not training_without",
+        LEARNING,
+    ),
+    "motion": Room(("control/motion.py",), ("test_motion.py",), needs=LEARNING),
+    "signals": Room(
+        ("control/consistency.py", "control/expected.py", "control/sign_test.py"),
+        ("test_signal_models.py", "test_signals.py", "test_expected.py"),
+        "not one_period",  # it swims for minutes
+        LEARNING,
+    ),
+}  # fmt: skip
 SWAPS: dict[type, type] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,
     ast.NotEq: ast.Eq, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,

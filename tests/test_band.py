@@ -90,6 +90,14 @@ def test_an_angle_far_from_zero_that_drifts_has_no_power_from_it():
         assert found.inside > 0.99
 
 
+def test_a_band_without_a_floor_has_nothing_below_it():
+    monitor = Monitor(4.0)
+    for k in range(200):
+        monitor.add(0.02 * k, float(np.sin(2 * np.pi * 0.5 * 0.02 * k)))
+    found = monitor.shares()
+    assert found is not None and found.below == 0.0 and found.inside > 0.99
+
+
 def test_frequencies_end_where_the_samples_rate_ends():
     time = np.linspace(0, 10, 101)  # ten a second: just below five can be told
     assert velocity_spectrum(time, np.sin(time)).frequency[-1] == pytest.approx(4.5)

@@ -60,7 +60,7 @@ AGES = [0.04 + k / 60 for k in range(camera_yaw.FRAMES)]
 
 @pytest.mark.parametrize("turning", [0.0, 1.5, -3.0])
 def test_a_steady_turn_gives_its_rate_over_half_turns_and_uneven_times(turning):
-    for start in (0.0, np.pi - 0.01, -np.pi + 0.01):
+    for start in (0.0, np.pi / 2 + 0.05 * turning, np.pi - 0.01, -np.pi + 0.01):
         for ages in (AGES, [0.04, 0.06, 0.11]):
             yaw = [float((start - turning * age + np.pi) % (2 * np.pi) - np.pi) for age in ages]
             assert rate(yaw, ages) == pytest.approx(turning, abs=1e-9)

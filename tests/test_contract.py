@@ -27,6 +27,7 @@ from tailbeat.control.policy import (
     decide,
     differences,
     load_policy,
+    measure_in,
     shipped,
 )
 from tailbeat.control.runner import Readings, begin, steer
@@ -114,6 +115,10 @@ def signed(to: Path, content: object, of: Path = PATH) -> Path:
     model.metadata_props[0].value = content
     onnx.save(model, str(to))
     return to
+
+
+def test_without_a_policy_the_measure_is_the_paper_s_fish_s():
+    assert measure_in(None) == PAPER == measure_in(NAME)
 
 
 def test_a_contract_that_cannot_be_read_or_lacks_a_field_is_refused(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
-from tailbeat.control.measure import PAPER, Measure, measure, preferred
+from tailbeat.control.measure import NEAR, PAPER, Measure, arrival_of, measure, preferred
 from tailbeat.control.observation import TABLE, Samples, observe, scales, table
 from tailbeat.control.policy import KEY, _digests, load_policy
 from tailbeat.control.runner import Readings, begin, steer
@@ -42,8 +42,9 @@ def test_the_paper_s_numbers_come_out_for_the_paper_s_fish(name):
     assert measure_of(load_fish(name)) == PAPER
     assert table(PAPER) == TABLE
     last = settings_of(STAGES[9], measure=measure_of(load_fish(name)))
-    assert (last.task.nearest, last.task.farthest, last.task.arrival) == (0.5, 2.5, 0.05)
+    assert (last.task.nearest, last.task.farthest) == (0.5, 2.5)
     assert (last.task.seconds, last.task.limit) == (30.0, 6.0)
+    assert (last.task.arrival, NEAR) == (0.05, 0.2)  # what the paper counts
     assert last.physics == Randomisation()
     assert RunConfig(FISH, FISH_OUT).discount == RunConfig(FISH, FISH_OUT).recipe.discount
 
@@ -56,6 +57,9 @@ def test_ratios_are_preferred_numbers_that_a_small_change_does_not_move():
     assert preferred(0.5) == preferred(0.52) == 0.501
     known = measure(0.27, 0.225, 0.156, 0.365)
     assert known == Measure(size=0.501, reach=0.501, speed=0.501, mass=0.316)
+    assert measure(0.27, 0.225, 2 * 0.39, 0.365).reach == 2.0  # it turns in wide circles
+    assert arrival_of(0.27) == known.arrival == pytest.approx(0.025, rel=0.01)
+    assert known.near == 4 * known.arrival
 
 
 def test_the_nearest_target_of_a_long_and_slow_fish_is_not_within_its_arrival():

@@ -57,6 +57,10 @@ def textbook(times: Any, places: Any, density: float) -> list[Any]:
     return found
 
 
+def test_a_new_policy_is_trained_with_the_shipped_filter() -> None:
+    assert load_policy("pulley-fish-pool-follow").contract.motion == CONSTANTS
+
+
 def test_the_filter_is_the_textbook_s():
     """Over frames at irregular times; each is seen late, and some of them twice."""
     rng = np.random.default_rng(0)

@@ -14,7 +14,7 @@ import onnxruntime
 
 from policies import POLICIES
 from tailbeat.control import policy_checks
-from tailbeat.control.network_file import LARGEST, check_network
+from tailbeat.control.network_file import LARGEST, _fields, check_network
 from tailbeat.control.policy import KEY, _digests, as_text, decide, load_policy, shipped
 from tailbeat.files import BadInput
 from tailbeat.link import datagrams as link
@@ -78,6 +78,15 @@ def test_operators_that_no_policy_needs_are_refused_unrun(tmp_path, text, named)
     with pytest.raises(BadInput, match=f"the network has {named}.*, which no policy"):
         load_policy(path)
     assert time.monotonic() - began < 5
+
+
+def test_every_kind_of_part_of_a_file_is_passed_over():
+    """A number, eight bytes, four bytes; then text in field 2. Kind 3 is of no file of today."""
+    parts = bytes([8, 0x96, 1, 9, *range(8), 13, *range(4), 18, 2, *b"ab"])
+    assert list(_fields(parts)) == [(1, 150), (2, b"ab")]
+    for wrong in (bytes([11]), parts[:-1]):
+        with pytest.raises(ValueError, match=r"unknown kind 3|longer than the file"):
+            list(_fields(wrong))
 
 
 def test_the_shipped_policies_pass_and_a_file_of_megabytes_does_not(tmp_path):
@@ -162,6 +171,7 @@ def test_decisions_are_those_of_an_optimised_network_to_the_last_bit(name):
         ({"period": 0.5}, "its period is 0.5 s; this tailbeat decides every 0.02 s"),
         ({"band": [float("nan"), 4.0]}, "band is nan to 4 Hz"),
         ({"band": [4.0, 1.0]}, "band is 4 to 1 Hz"),
+        ({"band": [1.0, float("inf")]}, "band is 1 to inf Hz"),
         ({"band": "wide"}, "a field of its contract is not what it should be"),
         ({"actions": {"kind": "magic"}}, "a field of its contract is not what it should be"),
         ({"actions": ["generator"]}, "a field of its contract is not what it should be"),
@@ -244,6 +254,23 @@ def test_a_contract_that_is_nested_without_end_is_refused(tmp_path, text):
     onnx.save(model, str(tmp_path / "p.onnx"))
     with pytest.raises(BadInput, match="its contract cannot be read"):
         load_policy(tmp_path / "p.onnx")
+
+
+@pytest.mark.parametrize("constant", [0.0, -0.1, 1000.0, float("nan"), True, "a"])
+def test_a_filter_of_impossible_constants_is_refused(tmp_path, constant):
+    following = load_policy("pulley-fish-pool-follow").contract
+    assert following.motion is not None
+    held = {**vars(following.motion), "noise": constant}
+    with pytest.raises(ValueError, match="in version 2"):
+        policy_checks.filter_from(2, held)
+    assert policy_checks.filter_from(2, {**held, "noise": 999.0}) is not None
+
+
+def test_one_golden_pair_is_enough(tmp_path):
+    seen, done = CONTRACT.golden
+    assert load_policy(altered(tmp_path, golden=[seen[:1], done[:1]])).contract.golden[0] == (
+        list(seen[0]),
+    )
 
 
 def test_digests_that_are_a_list_are_refused(tmp_path):
