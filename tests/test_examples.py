@@ -5,12 +5,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
+from synthetic_recordings import servo_run
 from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import load_fish
+from tailbeat.identify.protocol import limits, servo_commands
+from tailbeat.recording import read_recording
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
@@ -45,6 +49,17 @@ def test_the_test_bench_is_identified():
     assert stiffness and float(stiffness[2]) < 0.98 < float(stiffness[3])
     (held_out,) = re.findall(r"servo-mixed \(validate\): (\S+) deg", printed)
     assert float(held_out) < 0.2
+
+
+def test_the_recordings_of_the_test_bench_are_those_that_today_s_servo_makes():
+    """They were of a servo that acted half a step early, and the true delay was not found."""
+    fish = load_fish("pulley-fish")
+    commands = servo_commands(fish, limits(fish))
+    seed = list(commands).index("servo-beat")
+    made = servo_run(fish, commands["servo-beat"], seed)
+    kept = read_recording(EXAMPLES / "bench" / "servo-beat.csv")
+    assert np.array_equal(kept.time, made.time)
+    assert kept.columns["angle_rad"] == pytest.approx(made.columns["angle_rad"], abs=1e-6)
 
 
 def test_an_own_algorithm_runs_on_an_own_reward():
