@@ -160,6 +160,18 @@ def test_a_comparison_pairs_every_policy_with_its_twin_and_is_shared_between_pro
     assert json.loads((tmp_path / "c" / "report.json").read_text()) == plain(found)
 
 
+@pytest.mark.parametrize("name", ["pulley-fish-pool-generator", "pulley-fish-pool-follow"])
+def test_a_policy_observes_in_every_cell_what_it_was_trained_with(name):
+    """A policy that observes velocities was given none, and the comparison ended in a traceback."""
+    field = compare.Field(load_fish("pulley-fish"), 2, 0)
+    entrant = compare._entrant(name, None, field.fish)
+    found = compare.conditions_of(entrant, field)
+    assert {one.motion for one in found} == {entrant.policy.contract.motion}
+    assert {one.yaw_rate for one in found} == {entrant.policy.contract.yaw_rate}
+    short = replace(found[1], seconds=1.0)
+    assert compare.cell(entrant, short, field).targets == 2
+
+
 def test_cells_of_an_earlier_version_are_read(tmp_path):
     """They said `arm`, and lacked three of the fractions of power."""
     config = ComparisonConfig((POLICY,), targets=2)

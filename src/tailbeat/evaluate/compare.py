@@ -104,6 +104,7 @@ def conditions_of(entrant: Entrant, field: Field) -> list[Condition]:
     space, m = contract.actions, contract.measure
     scene = grid(fish, n, field.seed, 0.5 * m.reach, 2.5 * m.reach, float(np.radians(120)))
     full = Condition("full", fish, scene, space, pools([ablations()["full"]], n), measure=m)
+    full = replace(full, yaw_rate=contract.yaw_rate, motion=contract.motion)
     own = fish.servos[fish.servo]
     prompt = own.model_copy(update={"delay": 0.0})
     found = [replace(full, name=TWIN, fish=entrant.twin, water=None), full]
