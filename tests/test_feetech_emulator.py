@@ -5,8 +5,8 @@ The maker's SDK and rustypot speak over real bytes; the rules are asked packet b
 
 import math
 import struct
-import time
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import pytest
 
@@ -15,7 +15,7 @@ pytest.importorskip("serial", reason="the robot extra is not installed")
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lines import STS3215, Bench, servo_bench
+from lines import STS3215, Bench, heard_by, servo_bench
 from support import until
 from tailbeat.emulators.feetech import OVERHEATED, Feetech
 from tailbeat.emulators.feetech_table import REGISTERS
@@ -250,15 +250,7 @@ def test_the_maker_s_library_completes_a_session(bench):
     assert port.openPort() and port.setBaudRate(1_000_000)
     client = sdk.sms_sts(port)
 
-    def heard(call: Callable[..., tuple[int, ...]], *words: int) -> tuple[int, ...]:
-        """On a busy machine its 50 ms are too short: it asks again."""
-        for _ in range(20):
-            answer = call(*words)
-            if answer[-2] == sdk.COMM_SUCCESS:
-                return answer
-            time.sleep(0.05)
-        raise AssertionError(answer)
-
+    heard = partial(heard_by, sdk.COMM_SUCCESS)
     assert heard(client.ping, 1) == (777, 0, 0)
     heard(client.unLockEprom, 1)
     assert heard(client.write2ByteTxRx, 1, sdk.SMS_STS_MAX_ANGLE_LIMIT_L, 3000) == (0, 0)

@@ -2,14 +2,14 @@
 maker's `scscl`, another maker's client and our driver complete a session over real bytes."""
 
 import math
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 
 import pytest
 
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
-from lines import PATIENT, Bench, servo_bench
+from lines import PATIENT, Bench, heard_by, servo_bench
 from support import tailbeat, until
 from tailbeat.emulators.feetech import OVERHEATED, Feetech
 from tailbeat.emulators.feetech_table import SCS
@@ -47,15 +47,7 @@ def test_the_maker_s_library_completes_a_session(bench):
     assert port.openPort() and port.setBaudRate(1_000_000)
     client = sdk.scscl(port)
 
-    def heard(call: Callable[..., tuple[int, ...]], *words: int) -> tuple[int, ...]:
-        """On a busy machine its 50 ms are too short: it asks again."""
-        for _ in range(20):
-            answer = call(*words)
-            if answer[-2] == sdk.COMM_SUCCESS:
-                return answer
-            time.sleep(0.05)
-        raise AssertionError(answer)
-
+    heard = partial(heard_by, sdk.COMM_SUCCESS)
     assert heard(client.ping, 1) == (1284, 0, 0)
     heard(client.unLockEprom, 1)
     assert heard(client.write2ByteTxRx, 1, 11, 900) == (0, 0)
