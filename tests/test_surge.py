@@ -82,16 +82,20 @@ def kirchhoff(along: float, velocity: tuple[float, float, float], time: np.ndarr
     return solve_ivp(rate, (0, time[-1]), start, t_eval=time, rtol=1e-9).y[:3].T
 
 
-@pytest.mark.parametrize("velocity", [(0.2, 0.02, 0.1), (-0.2, 0.03, 0.0), (0.1, 0.1, -0.4)])
+@pytest.mark.parametrize(
+    "velocity",
+    [(0.2, 0.02, 0.1), (-0.2, 0.03, 0.0), (0.1, 0.1, -0.4), (0.2, 0.1, 2.0), (0.3, -0.1, 3.0)],
+)
 def test_a_rigid_fish_in_ideal_water_moves_by_kirchhoffs_equations(velocity) -> None:
+    """Tight turns too: a surge force that was late by 20 ms erred there by 5 % of the way."""
     time = np.arange(0, 1.5, 0.02)
     found = coast(hull(0.0), Start(np.zeros(3), np.array(velocity)), time[-1])
     exact, blind = kirchhoff(0.0, velocity, time), kirchhoff(1.0, velocity, time)
     n = min(len(found), len(time))
     way = np.abs(exact[:n] - exact[0]).max(axis=0)
     error = np.abs(found[:n, :3] - exact[:n]).max(axis=0)
-    assert error[2] < 0.05 * max(way[2], 0.05)
-    assert np.hypot(*error[:2]) < 0.02 * np.hypot(*way[:2])
+    assert error[2] < 0.02 * max(way[2], 0.05)
+    assert np.hypot(*error[:2]) < 0.004 * np.hypot(*way[:2])
     # the case can tell: without the correction the body never turns by Munk's moment
     assert np.abs(blind[:n, 2] - exact[:n, 2]).max() > 10 * error[2]
 

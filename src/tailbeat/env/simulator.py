@@ -90,10 +90,21 @@ class TwinSimulator:
         counts as lost."""
         self.ctrl[:, 0] = setpoint
         self.force[:, self.head, :2] = push
-        if self.water is not None and (relief := correct(self.water)) is not None:
-            self.force[:, self.head, :3] += relief
+        block = self.substeps if self.water is None else min(self.water.block, self.substeps)
         with quiet_engine():
-            self.batch.step(nstep=self.substeps)
+            for first in range(0, self.substeps, block):
+                self._correct(first, push)
+                self.batch.step(nstep=block)
+        return self._lost()
+
+    def _correct(self, step: int, push: Array) -> None:
+        """Set the force for the coming steps, the first of which is number `step`."""
+        if self.water is not None and (relief := correct(self.water, step)) is not None:
+            self.force[:, self.head, :3] = relief
+            self.force[:, self.head, :2] += push
+
+    def _lost(self) -> Flags:
+        """Which fish the engine has warned about since the last call."""
         warning = self.batch.warning
         if int(warning.sum()) == self.warned.sum():
             return np.zeros(self.count, dtype=bool)

@@ -28,9 +28,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 NAME = "trailing_edge"  # of the number that a compiled model carries
 KUTTA = 4  # column of `geom_fluid`
-# s between two updates of the coefficients, and of the force in `surge.py`: the control period. A
-# fish is identified with it; another interval needs another identification (docs/explain/twin.md).
-HOLD = 0.02
+HOLD = 0.02  # s between two updates of the coefficients: the control period
 
 
 @dataclass(frozen=True, eq=False)

@@ -142,11 +142,11 @@ def _advance(
     state, force = pool.bind("qpos"), pool.bind("xfrc_applied")
     found = np.empty((len(lengths), lengths.max() + 1, state.shape[1]))
     found[:, 0] = state
-    block = CHUNK * every if moved is None else moved.steps
+    block = CHUNK * every if moved is None else moved.block
     ends = lengths * every
     stops = sorted({*ends.tolist(), *range(0, int(ends.max()), block)})
     for first, last in pairwise(stops):
-        if moved is not None and first % block == 0 and (push := correct(moved)) is not None:
+        if moved is not None and first % block == 0 and (push := correct(moved, first)) is not None:
             force[:, HEAD, :3] = push
         active = ends >= last
         control = np.ascontiguousarray(commands[active, first:last])

@@ -9,9 +9,14 @@ its spin. Kirchhoff's equations of a body with m_A across and s m_A along are th
 
 The last two terms depend on velocities alone. They are the engine's own velocity half with the
 virtual mass -e / density along the chord (`virtual_mass`), exact at every step. The first term
-cannot be a coefficient. It is a force on the head along its heading: the excess of all parts times
-the head's surge acceleration over the last `HOLD`, under-relaxed so that it converges (`relieve`).
-All parts are assumed to surge like the head.
+cannot be a coefficient. It is a force on the head along its heading, the excess of all parts times
+the head's surge acceleration, and is updated at every step of the engine (`relieve`). All parts are
+assumed to surge like the head.
+
+The force f of one step follows from the last step, whose acceleration is a = (F + f) / M with F all
+other forces and M the mass. The force wanted is e a at f = e F / (M - e), so the change is
+(e a - f) M / (M - e). It is exact for a rigid fish. A bent tail follows the head less than a rigid
+one; the change is then too small, never too large.
 """
 
 from dataclasses import dataclass
@@ -19,14 +24,13 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from mujoco import batch
+from numba import njit
 from numpy.typing import NDArray
 
-from tailbeat.fish import edge
 from tailbeat.fish.description import Fish
 
 Array = NDArray[np.float64]
 NAME = "surge_excess"  # of the number that a compiled model carries [kg]
-GAIN = 0.5  # of the step that is exact for a rigid fish; below 1, to damp the tail's oscillation
 
 
 def excess(fish: Fish) -> float:
@@ -46,27 +50,30 @@ def excess_of(model: mujoco.MjModel) -> float:
     return float(model.numeric_data[model.numeric_adr[found]]) if found >= 0 else 0.0
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Relief:
-    """State of the correction: the `force` (n,) [N] on each head along its heading, and `before`,
-    its speed (n,) [m/s] one `HOLD` ago, NaN if a swim has just begun. `excess` (n,) [kg] and `gain`
-    (n,) are constants; `qpos` and `qvel` are the batch's own arrays."""
+    """State of the correction: the `force` (n,) [N] on each head along its heading, the same in
+    world axes (n, 3), and `before`, its speed (n,) [m/s] one step ago, NaN if a swim has just
+    begun. `inertia` (n,) [kg/s] is the excess over the step, `gain` (n,) is M / (M - e). `qpos` and
+    `qvel` are the batch's own arrays, `root` is the number of the root's velocities (3 or 6)."""
 
     root: int
     qpos: Array
     qvel: Array
-    excess: Array
+    inertia: Array
     gain: Array
     force: Array
+    world: Array
     before: Array
 
 
-def relief(root: int, pool: batch.Batch, excess: Array, mass: Array) -> Relief:
+def relief(root: int, pool: batch.Batch, excess: Array, mass: Array, step: float) -> Relief:
     """State of a batch at its start. `excess` and `mass` (n,) [kg] are of each model; `mass`
-    includes the added mass."""
-    gain = np.maximum(GAIN * mass / (mass - excess), 1.0)
-    still, unknown = np.zeros(len(mass)), np.full(len(mass), np.nan)
-    return Relief(root, pool.bind("qpos"), pool.bind("qvel"), excess, gain, still, unknown)
+    includes the added mass. `step` [s] is the engine's."""
+    n = len(mass)
+    moves = pool.bind("qpos"), pool.bind("qvel")
+    still, unknown = (np.zeros(n), np.zeros((n, 3))), np.full(n, np.nan)
+    return Relief(root, *moves, excess / step, mass / (mass - excess), *still, unknown)
 
 
 def begin(state: Relief, chosen: NDArray[np.int64]) -> None:
@@ -75,20 +82,38 @@ def begin(state: Relief, chosen: NDArray[np.int64]) -> None:
 
 
 def relieve(state: Relief) -> Array:
-    """Update the force after one `HOLD`; returns it in world axes (n, 3) [N]."""
-    speed = edge.root_motion(state.root, state.qpos, state.qvel, np.zeros((len(state.force), 3)))[
-        :, 0
-    ]
-    wanted = state.excess * np.nan_to_num((speed - state.before) / edge.HOLD)
-    state.force += state.gain * (wanted - state.force) * np.isfinite(state.before)
-    state.before = speed
-    return state.force[:, None] * heading(state.root, state.qpos)
+    """Update the force after one step of the engine; returns it in world axes (n, 3) [N]."""
+    nose = _planar_nose(state.qpos) if state.root == 3 else _free_nose(state.qpos)
+    _follow(nose, state.qvel, state.inertia, state.gain, state.force, state.world, state.before)
+    return state.world
 
 
-def heading(root: int, qpos: Array) -> Array:
-    """The head's nose-ward axis in the world (n, 3)."""
-    if root == 3:
-        yaw = qpos[:, 2]
-        return np.stack([np.cos(yaw), np.sin(yaw), 0 * yaw], axis=1)
-    w, x, y, z = qpos[:, 3:7].T
-    return np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1)
+@njit(cache=True)
+def _planar_nose(qpos):  # type: ignore[no-untyped-def]
+    """The head's nose-ward axis in the world (n, 3), of a root with x, y, yaw."""
+    found = np.zeros((len(qpos), 3))
+    for i in range(len(qpos)):
+        found[i, 0], found[i, 1] = np.cos(qpos[i, 2]), np.sin(qpos[i, 2])
+    return found
+
+
+@njit(cache=True)
+def _free_nose(qpos):  # type: ignore[no-untyped-def]
+    """The same of a free root, with a quaternion from index 3."""
+    found = np.empty((len(qpos), 3))
+    for i in range(len(qpos)):
+        w, x, y, z = qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6]
+        found[i, 0] = 1 - 2 * (y * y + z * z)
+        found[i, 1], found[i, 2] = 2 * (x * y + w * z), 2 * (x * z - w * y)
+    return found
+
+
+@njit(cache=True)
+def _follow(nose, qvel, inertia, gain, force, world, before):  # type: ignore[no-untyped-def]
+    """A planar root's third velocity is its yaw rate: there the nose has no z, so it adds zero."""
+    for i in range(len(force)):
+        speed = nose[i, 0] * qvel[i, 0] + nose[i, 1] * qvel[i, 1] + nose[i, 2] * qvel[i, 2]
+        if np.isfinite(before[i]):
+            force[i] += gain[i] * (inertia[i] * (speed - before[i]) - force[i])
+        before[i] = speed
+        world[i] = force[i] * nose[i]

@@ -1,8 +1,9 @@
-"""Correct the engine's fluid law once every `HOLD`, for any number of fish.
+"""Correct the engine's fluid law while it steps, for any number of fish.
 
 There are two corrections, and a description chooses each: lift that depends on the direction of the
-flow (`edge.py`), and added mass that acts less along the parts (`surge.py`). Both follow from
-positions and velocities; the second also keeps one speed and one force from `HOLD` before.
+flow (`edge.py`), once every `HOLD`, and added mass that acts less along the parts (`surge.py`), at
+every step. Both follow from positions and velocities; the second also keeps one speed and one force
+from the step before.
 """
 
 from collections.abc import Sequence
@@ -34,11 +35,17 @@ def whole(fish: Fish) -> Fish:
 
 @dataclass(frozen=True, eq=False)
 class Water:
-    """A batch's corrections, and the number of the engine's `steps` between two of them."""
+    """A batch's corrections, and the number of the engine's steps `held` between two updates of
+    the lift."""
 
     lift: edge.Lift | None
     relief: surge.Relief | None
-    steps: int
+    held: int
+
+    @property
+    def block(self) -> int:
+        """Most steps of the engine in one call."""
+        return self.held if self.relief is None else 1
 
 
 def water(models: Sequence[mujoco.MjModel], pool: batch.Batch, wind: Array) -> Water | None:
@@ -49,15 +56,15 @@ def water(models: Sequence[mujoco.MjModel], pool: batch.Batch, wind: Array) -> W
     lift = edge.lift(models[0], pool, wind, np.stack(blends)) if blends else None
     excess = np.array([surge.excess_of(model) for model in models])
     mass = np.array([model.body_mass.sum() for model in models])
-    relief = surge.relief(root, pool, excess, mass) if excess.any() and root else None
+    relief = surge.relief(root, pool, excess, mass, step) if excess.any() and root else None
     if lift is None and relief is None:
         return None
     return Water(lift, relief, max(round(edge.HOLD / step), 1))
 
 
-def correct(found: Water) -> Array | None:
-    """Update the lift for the next steps. Returns the force on each head for these steps, in world
-    axes (n, 3) [N], None if there is none."""
-    if found.lift is not None:
+def correct(found: Water, step: int) -> Array | None:
+    """Correct before the engine's step number `step` of a swim. Returns the force on each head for
+    this step, in world axes (n, 3) [N], None if there is none."""
+    if found.lift is not None and step % found.held == 0:
         edge.weigh(found.lift)
     return None if found.relief is None else surge.relieve(found.relief)
