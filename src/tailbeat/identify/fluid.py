@@ -64,6 +64,9 @@ EDGE_PRIORS = (
     Parameter("trailing_edge.speed", "m/s", 0.005, 0.2, 0.03, 0.7),
     Parameter("trailing_edge.reverse", "1", -1.0, 1.0, -0.5, 0.5, log=False),
 )
+# Of the added mass across a part, the fraction that acts along it: 0 for a thin plate, 0.2 for an
+# ellipsoid of the head's proportions, 1 for a sphere. Most of the mass is the head's.
+ALONG_PRIOR = Parameter("added_along", "1", 0.0, 0.9, 0.15, 0.15, log=False)
 # Without added inertia the coefficients must replace it (the paper's fin has a Kutta factor of 10
 # and an angular one of 18): upper limits are higher by this factor, chosen.
 STAND_IN = 4.0
@@ -71,8 +74,9 @@ STAND_IN = 4.0
 
 def fluid_space(fish: Fish, zones: int) -> tuple[Parameter, ...]:
     """The free numbers: five coefficients, one set for all zones (`zones` 1) or one for each (3).
-    The trailing edge's are added if the fish has one, and those that the description lists as
-    uncertain. Raises BadInput if an uncertain number is outside its range."""
+    The trailing edge's are added if the fish has one, the fraction of added mass along the parts if
+    it is below 1, and those that the description lists as uncertain. Raises BadInput if an
+    uncertain number is outside its range."""
     groups = ["*"] if zones == 1 else list(fish.zones)
     room = 1.0 if fish.added_inertia > 0 else STAND_IN
     found = [
@@ -83,6 +87,8 @@ def fluid_space(fish: Fish, zones: int) -> tuple[Parameter, ...]:
     ]
     if fish.trailing_edge is not None:
         found += EDGE_PRIORS
+    if fish.added_inertia > 0 and fish.added_along < 1:
+        found.append(ALONG_PRIOR)
     for extra in fish.uncertain:
         prior = value_at(fish, extra.field)
         _check_uncertain(fish, extra.field, extra.low, prior, extra.high)
