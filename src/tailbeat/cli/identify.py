@@ -26,7 +26,7 @@ LawOption = Annotated[
     Literal["described", "whole"],
     typer.Option(
         "--law",
-        help="Fluid law. described: the fish's own; whole: added mass only across the parts, and"
+        help="Fluid law. described: the fish's own; whole: less added mass along the parts, and"
         " lift with a trailing edge.",
     ),
 ]

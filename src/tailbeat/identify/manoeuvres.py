@@ -1,8 +1,10 @@
-"""Commands that move the fish as policies do: launches, stops, slow strokes, turns, wandering.
+"""Commands that move the fish as policies do: launches, stops, slow strokes, turns, wandering,
+sprints and dashes.
 
 Steady beats from rest (`protocol.fluid_runs`) lack most of a policy's motion: its generator's
-frequency goes to zero, its centre to 0.8 rad, and the beat is not steady. There are three of each
-kind, or a multiple, so that holding out every third swim holds out some of each.
+frequency goes to zero, its centre to 0.8 rad, and the beat is not steady. On its way to a target it
+beats near the band's end, and the fish is then twice as fast. There are three of each kind, or a
+multiple, so that holding out every third swim holds out some of each.
 """
 
 from dataclasses import dataclass
@@ -20,6 +22,7 @@ Array = NDArray[np.float64]
 BEGIN = "begin"  # in the metadata: where in the pool a swim begins, `end` (default) or `middle`
 SECONDS = 8.0
 FASTEST = 1.5  # shaft speeds reach this multiple of the protocol's limit, as a policy's do
+FULL = 5.0  # the same of sprints and dashes: the servo moves as fast as it can
 LAG = 0.1  # s, time constant with which frequency, stroke and centre follow their targets
 
 
@@ -34,11 +37,8 @@ class Beat:
     centre: float = 0.0
 
 
-def manoeuvres(
-    fish: Fish, limit: ServoLimits, first: int = 13, wander: int = 9
-) -> dict[str, Recording]:
-    """Command recordings by name, numbered from `first` in the order of their kinds. `wander` is
-    the number of wandering ones."""
+def manoeuvres(fish: Fish, limit: ServoLimits, first: int = 13) -> dict[str, Recording]:
+    """Command recordings by name, numbered from `first` in the order of their kinds."""
     low, high = fish.band
     middle = float(np.sqrt(low * high))
     short = min(length_of(fish) / LENGTH, 1.0)  # a longer fish has no larger pool
@@ -47,7 +47,12 @@ def manoeuvres(
         *(("brake", _played(limit, one)) for one in _stops(low, middle, high)),
         *(("slow", _played(limit, [Beat(SECONDS, *one)])) for one in SLOW),
         *(("turn", _played(limit, [Beat(SECONDS, *one)])) for one in _turns(low, middle, high)),
-        *(("wander", _wandering(limit, high, seed)) for seed in range(wander)),
+        *(("wander", _wandering(_fast(limit), 0.0, high, seed)) for seed in range(6)),
+        *(("sprint", _played(_fast(limit, FULL), [one])) for one in _sprints(high)),
+        *(
+            ("dash", _wandering(_fast(limit, FULL), 0.6 * high, high, seed))
+            for seed in range(6, 12)
+        ),
     ]
     made = {}
     for number, (kind, (command, launch)) in enumerate(kinds, start=first):
@@ -88,6 +93,19 @@ def _turns(low: float, middle: float, high: float) -> list[tuple[float, float, f
     return [(0.75 * middle, 0.6, 0.8), (1.25 * middle, 0.6, -0.8), (low, 0.5, -0.6)]
 
 
+def _sprints(high: float) -> list[Beat]:
+    """The fastest swims: the largest strokes near the band's end, one of them turning."""
+    return [
+        Beat(SECONDS, 0.75 * high, 1.0),
+        Beat(SECONDS, 0.9 * high, 1.0, 0.15),
+        Beat(SECONDS, 0.97 * high, 0.9),
+    ]
+
+
+def _fast(limit: ServoLimits, times: float = FASTEST) -> ServoLimits:
+    return ServoLimits(limit.angle, limit.centre, times * limit.speed)
+
+
 def _launched(limit: ServoLimits, surge: float, beat: Beat) -> tuple[Array, float]:
     return _played(limit, [beat])[0], surge
 
@@ -108,15 +126,16 @@ def _largest(limit: ServoLimits, beat: Beat) -> float:
     return min(largest(limit, beat.frequency), room) if beat.frequency else 0.0
 
 
-def _wandering(limit: ServoLimits, high: float, seed: int) -> tuple[Array, float]:
-    """Random frequency up to the band's end, stroke and centre; new ones every 0.3 to 1.5 s."""
+def _wandering(limit: ServoLimits, low: float, high: float, seed: int) -> tuple[Array, float]:
+    """Random frequency from `low` to `high` [Hz], stroke and centre; new ones every 0.3 to 1.5
+    s."""
     rng = np.random.default_rng(seed)
     rows: list[list[float]] = []
     while len(rows) < 1.25 * SECONDS * RATE:
-        frequency, centre = high * rng.uniform() ** 1.5, 0.8 * rng.uniform(-1, 1)
+        frequency = low + (high - low) * rng.uniform() ** 1.5
+        centre = 0.8 * rng.uniform(-1, 1)
         beat = Beat(rng.uniform(0.3, 1.5), frequency, rng.uniform(0.1, 1.0), centre)
-        fast = ServoLimits(limit.angle, limit.centre, FASTEST * limit.speed)
-        row = [frequency, beat.stroke * _largest(fast, beat), centre]
+        row = [frequency, beat.stroke * _largest(limit, beat), centre]
         rows += [row] * int(beat.seconds * RATE)
     return _swung(np.array(rows)), 0.0
 
