@@ -136,7 +136,7 @@ def test_manoeuvres_hold_out_one_of_each_kind_and_stay_inside_the_limits() -> No
     assert names == sorted(names)
     kinds = {name.split("-")[2] for name in MADE}
     held = {name.split("-")[2] for name in names[EVERY - 1 :: EVERY] if name.count("-") == 2}
-    assert held == kinds == {"launch", "brake", "slow", "turn", "wander"}
+    assert held == kinds == {"launch", "brake", "slow", "turn", "wander", "sprint", "dash"}
     for one in MADE.values():
         assert np.abs(one.columns["command_rad"]).max() <= limit.angle + 1e-9
         assert abs(one.columns["command_rad"][0]) < 0.2

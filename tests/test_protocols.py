@@ -33,7 +33,7 @@ LITTLE = FluidConfig(1, 1, effort=Effort(generations=1, population=8, polish=3),
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """All experiments, as files; three of the 39 swims."""
+    """All experiments, as files; three of the 45 swims."""
     out = tmp_path_factory.mktemp("pool")
     for kind in ("tail", "check"):
         record(kind, "pulley-fish", out, seed=0)
@@ -73,7 +73,7 @@ def test_the_same_seed_is_the_same_recording_and_the_plant_stays_hidden():
 
 def test_swims_start_at_rest_cover_the_band_and_stay_off_the_walls():
     swims = list(record_fluid(FISH, seed=1))
-    assert len(swims) == 39
+    assert len(swims) == 45
     for swim in swims:
         assert np.abs(swim.columns["x_m"]).max() < 2.75
         assert np.abs(swim.columns["y_m"]).max() < 1.35
