@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from even_lift import kutta_led
 from tailbeat.evaluate.fresh_recordings import EVERY
 from tailbeat.files import BadInput
 from tailbeat.fish.description import ends_of, length_of
@@ -103,8 +104,7 @@ def test_a_swim_that_diverges_at_the_usual_step_has_a_shorter_one(
 
 def test_the_launch_check_tells_the_even_law_from_a_trailing_edge() -> None:
     gaits = [(1.2, 0.3), (2.0, 0.2), (3.0, 0.13)]
-    bare = POOL.model_copy(update={"trailing_edge": None, "added_along": 1.0})
-    backward = stuck(check_launches(bare, gaits))
+    backward = stuck(check_launches(kutta_led(even=True), gaits))
     assert {one.launch for one in backward} == {-0.03, -0.1, -0.3}
     assert not stuck(check_launches(POOL, gaits))
 
