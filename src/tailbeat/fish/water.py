@@ -21,9 +21,9 @@ Array = NDArray[np.float64]
 
 
 def whole(fish: Fish) -> Fish:
-    """The fish with every correction on: added mass as inertia, less of it along the parts, lift with
-    a trailing edge. The integrator is Euler: it is exact and cheap with added mass as inertia
-    (docs/explain/twin.md)."""
+    """The fish with every correction on: added mass as inertia, less of it along the parts, and
+    lift with a trailing edge. The integrator is Euler: it is exact and cheap with added mass as
+    inertia (docs/explain/twin.md)."""
     changed = {
         "added_inertia": 1.0,
         "added_along": 0.0,
