@@ -14,14 +14,14 @@ from tailbeat.identify import posterior as store
 from tailbeat.identify.bands import Drawn, swim_all
 from tailbeat.identify.manoeuvres import manoeuvres
 from tailbeat.identify.next_swim import advise, as_played, choose, spread_after
-from tailbeat.identify.protocol import limits
+from tailbeat.identify.protocol import RATE, limits
 from tailbeat.recording import Recording
 from test_posterior import FISH, posterior, text_of
 
 
 def made(name: str, seconds: float, predicted: np.ndarray) -> Drawn:
     time = np.arange(0, seconds, 0.02)
-    run = as_played(Recording(name, time, {"command_rad": np.sin(time)}), FISH)
+    run = as_played({name: Recording(name, time, {"command_rad": np.sin(time)})}, FISH)[name]
     return Drawn(run, predicted[0], predicted)
 
 
@@ -69,10 +69,12 @@ def test_a_draw_that_diverged_is_left_out():
     assert left == pytest.approx(spread_after(goals, [swims["first"].predicted]), rel=0.02)
 
 
-def test_a_command_is_swum_as_it_is_played():
-    limit = limits(FISH)
-    for name, command in list(manoeuvres(FISH, limit).items())[::9]:
-        run = as_played(command, FISH)
+def test_a_command_is_swum_as_the_servo_follows_it():
+    """A dash jumps by 1.4 rad between two rows, which no shaft does."""
+    commands = dict(list(manoeuvres(FISH, limits(FISH)).items())[::9])
+    assert any(name.endswith("dash") for name in commands)
+    for name, run in as_played(commands, FISH).items():
+        assert np.abs(np.diff(run.motor)).max() < 6.0 / RATE
         (swum,) = swim_all([FISH], [run])
         assert np.isfinite(swum.predicted).all(), name
         assert run.from_rest == ("launch" not in name)

@@ -14,14 +14,16 @@ from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
+from tailbeat.fish.rollout import Start, swim
 from tailbeat.fish.store import load_fish
+from tailbeat.fish.twin import compile_twin
 from tailbeat.identify.bands import UNITS, Discrepancy, Drawn, shares, swim_all
 from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.gait import Gait, Track
 from tailbeat.identify.launch import launch_of
 from tailbeat.identify.manoeuvres import manoeuvres
 from tailbeat.identify.posterior import Posterior, fishes, needed
-from tailbeat.identify.protocol import fluid_runs, limits
+from tailbeat.identify.protocol import RATE, fluid_runs, limits
 from tailbeat.identify.runs import Run
 from tailbeat.recording import Recording
 
@@ -72,19 +74,32 @@ def advise(
 
 
 def candidates(fish: Fish) -> dict[str, Run]:
-    """Every swim of the protocol as a run, played exactly. Raises BadInput for a crank."""
+    """Every swim of the protocol as a run. Raises BadInput for a crank."""
     limit = limits(fish)
     commands = {**fluid_runs(fish, limit), **manoeuvres(fish, limit), **check_swims(fish, limit)}
-    return {name: as_played(command, fish) for name, command in commands.items()}
+    return as_played(commands, fish)
 
 
-def as_played(command: Recording, fish: Fish) -> Run:
-    """A command as a run whose motor follows it exactly; its track is only a clock."""
-    nan = float("nan")
-    track = Track(command.time, np.zeros((command.time.size, 3)))
+def as_played(commands: Mapping[str, Recording], fish: Fish) -> dict[str, Run]:
+    """Commands as runs whose motor moves as the fish's servo follows them; their tracks are only
+    clocks."""
+    twin = compile_twin(fish)
+    step = twin.model.opt.timestep
+    every, nan = max(round(1 / RATE / step), 1), float("nan")
+    swims = swim(
+        [twin] * len(commands),
+        [Start.at_rest()] * len(commands),
+        [np.repeat(one.columns["command_rad"], every) for one in commands.values()],
+        every,
+    )
     gait = Gait(nan, nan, nan, complex(nan), None, nan)
-    launch = launch_of(command, fish)
-    return Run(command.name, track, gait, command.columns["command_rad"], launch is None, launch)
+    found = {}
+    for (name, one), done in zip(commands.items(), swims, strict=True):
+        track = Track(one.time, np.zeros((one.time.size, 3)))
+        motor = done.qpos[: one.time.size, twin.motor]
+        launch = launch_of(one, fish)
+        found[name] = Run(one.name, track, gait, motor, launch is None, launch)
+    return found
 
 
 def _goals(swum: Mapping[str, Drawn], fish: Fish, goal: str) -> Array:
