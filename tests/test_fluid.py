@@ -8,7 +8,8 @@ import pytest
 
 from synthetic import record
 from tailbeat.files import BadInput
-from tailbeat.fish.store import load_fish, with_values
+from tailbeat.fish.store import load_fish, value_at, with_values
+from tailbeat.fish.water import whole
 from tailbeat.identify import fluid
 from tailbeat.identify.fluid import (
     COEFFICIENT_PRIORS,
@@ -93,6 +94,20 @@ def test_the_truth_has_no_residual():
     known = truth()
     z = np.array([[p.to_z(known[p.path]) for p in space]])
     assert np.abs(residual_function(PULLEY, runs, space)(z)).max() < 0.25
+
+
+def test_mass_along_the_parts_is_free_where_it_is_below_that_across():
+    """And known swims show it: at the prior they do not fit."""
+    fish = with_values(whole(PULLEY), {**truth(), "added_along": 0.4})
+    space = fluid_space(fish, 3)
+    paths = [p.path for p in space]
+    assert paths.count("added_along") == 1 and len(paths) == 18
+    assert "added_along" not in [p.path for p in fluid_space(PULLEY, 3)]
+    run = as_run(record(fish, "a", 1.5, 0.5, offset=0.1), fish)
+    known = np.array([p.to_z(value_at(fish, p.path)) for p in space])
+    other = np.where(np.array(paths) == "added_along", 0.0, known)
+    here, there = np.abs(residual_function(fish, [run], space)(np.stack([known, other]))).max(1)
+    assert here < 0.25 and there > 2
 
 
 def test_start_counts_four_times_as_much_from_rest(monkeypatch):

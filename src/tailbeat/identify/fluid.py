@@ -64,8 +64,8 @@ EDGE_PRIORS = (
     Parameter("trailing_edge.speed", "m/s", 0.005, 0.2, 0.03, 0.7),
     Parameter("trailing_edge.reverse", "1", -1.0, 1.0, -0.5, 0.5, log=False),
 )
-# Of the added mass across a part, the fraction that acts along it: 0 for a thin plate, 0.2 for an
-# ellipsoid of the head's proportions, 1 for a sphere. Most of the mass is the head's.
+# Of the added mass across a part, the fraction that acts along it: 0 for a thin plate, 0.15 for an
+# ellipsoid of the pulley fish's head (Lamb, art. 114), 1 for a sphere. The spread is chosen.
 ALONG_PRIOR = Parameter("added_along", "1", 0.0, 0.9, 0.15, 0.15, log=False)
 # Without added inertia the coefficients must replace it (the paper's fin has a Kutta factor of 10
 # and an angular one of 18): upper limits are higher by this factor, chosen.
@@ -87,7 +87,8 @@ def fluid_space(fish: Fish, zones: int) -> tuple[Parameter, ...]:
     ]
     if fish.trailing_edge is not None:
         found += EDGE_PRIORS
-    if fish.added_inertia > 0 and fish.added_along < 1:
+    listed = [extra.field for extra in fish.uncertain]
+    if fish.added_inertia > 0 and fish.added_along < 1 and ALONG_PRIOR.path not in listed:
         found.append(ALONG_PRIOR)
     for extra in fish.uncertain:
         prior = value_at(fish, extra.field)
