@@ -74,7 +74,7 @@ def test_a_command_is_swum_as_the_servo_follows_it():
     commands = dict(list(manoeuvres(FISH, limits(FISH)).items())[::9])
     assert any(name.endswith("dash") for name in commands)
     for name, run in as_played(commands, FISH).items():
-        assert np.abs(np.diff(run.motor)).max() < 6.0 / RATE
+        assert run.motor is not None and np.abs(np.diff(run.motor)).max() < 6.0 / RATE
         (swum,) = swim_all([FISH], [run])
         assert np.isfinite(swum.predicted).all(), name
         assert run.from_rest == ("launch" not in name)
