@@ -1,5 +1,6 @@
 """Calibration on rendered views: what it finds, and what it refuses."""
 
+import hashlib
 import json
 import math
 from datetime import UTC, datetime, timedelta
@@ -125,6 +126,7 @@ def test_a_calibration_is_read_back_as_it_was_written(tmp_path: Path):
     made, path = true_calibration(), tmp_path / "camera.json"
     write_calibration(path, made)
     back = read_calibration(path)
+    assert back.digest == hashlib.sha256(path.read_bytes()).digest()
     assert back.lens.size == made.lens.size and np.array_equal(back.lens.matrix, made.lens.matrix)
     assert np.array_equal(back.lens.distortion, made.lens.distortion)
     assert np.array_equal(back.hung.rotation, made.hung.rotation)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import (
+    CAMERA,
     FRAMES,
     HEAD,
     LENGTHS,
@@ -54,7 +55,7 @@ def fuzzed(count: int):
 @st.composite
 def bodies(draw) -> tuple[bytes, bytes]:
     """The kind and the content of a datagram, of the right length or not."""
-    kind = draw(st.sampled_from([POSES, TELL, ORDER, STATUS, b"tbA1", b"tbX9"]))
+    kind = draw(st.sampled_from([POSES, TELL, ORDER, CAMERA, STATUS, b"tbX9"]))
     if kind == POSES:
         frames = [(draw(BIG), draw(st.integers(0, 255)), *(draw(SINGLE) for _ in range(5)))
                   for _ in range(FRAMES)]  # fmt: skip
@@ -64,6 +65,8 @@ def bodies(draw) -> tuple[bytes, bytes]:
         body += POOL_SIZE.pack(draw(SINGLE), draw(SINGLE))
     elif kind == ORDER:
         body = ORDERED.pack(draw(BIG), draw(st.integers(0, 255)))
+    elif kind == CAMERA:
+        body = draw(st.binary(min_size=32, max_size=32))
     else:
         body = draw(st.binary(max_size=200))
     return kind, body[: draw(st.sampled_from([None, None, None, -1, 0, 7]))]

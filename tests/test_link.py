@@ -14,6 +14,7 @@ from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import (
     FRAMES,
     LENGTHS,
+    NO_CAMERA,
     POSES,
     SECOND,
     Clock,
@@ -21,6 +22,7 @@ from tailbeat.link.datagrams import (
     Receiver,
     ask_datagram,
     bind,
+    camera_datagram,
     drain,
     free_address,
     make_key,
@@ -145,7 +147,7 @@ def test_time_that_runs_backwards_within_a_run_is_dropped():
 def test_the_numbers_on_the_wire_stay_what_they_are():
     """A station and a fish of two versions must understand each other."""
     assert [one.value for one in link.Order] == [1, 2, 3, 4]
-    assert list(LENGTHS.values()) == [131, 68, 76, 53]
+    assert list(LENGTHS.values()) == [131, 68, 76, 53, 76]
     head, first = 28, sent(receiver(), 7, [Frame(9, None, (1.0, 0.5))])[28:57]
     assert link.HEAD.size == head and link.FRAME.unpack(first) == (9, 2, 0, 0, 0, 1.0, 0.5)
 
@@ -304,6 +306,19 @@ def test_the_pool_s_size_is_told_with_the_clock_and_bounds_the_poses():
     to.take(answer, 20)
     to.take(pose_datagram(KEY, RUN, to.nonce, 2, far), 30)
     assert to.room == (10.0, 4.0) and to.frames[0].fish is not None
+
+
+def test_the_calibration_of_the_sender_that_is_followed_is_known():
+    to, digest = Receiver(KEY), bytes(range(32))
+    to.take(camera_datagram(KEY, RUN, to.nonce, 1, digest), 0)
+    assert to.calibration is None and to.rejected == {"old": 1}  # nobody is followed yet
+    for run in (RUN, RUN + 1):
+        to.take(sent(to, 1, run=run), 0)
+        assert to.calibration is None
+        to.take(camera_datagram(KEY, run, to.nonce, 1, digest), 0)
+        assert to.calibration == digest
+    to.take(camera_datagram(KEY, RUN, to.nonce, 2, NO_CAMERA), 0)  # a sender that was replaced
+    assert to.calibration == digest
 
 
 def test_keys_are_private_whole_and_never_overwritten(tmp_path: Path):

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import time
@@ -30,6 +31,7 @@ from tailbeat.link.status import Numbers, State, Status
 from tailbeat.operator import leader as leaders
 from tailbeat.operator.tour import Tour, draw_targets
 from tailbeat.report import tour as page
+from tailbeat.robot.log import read_notes
 
 pytestmark = pytest.mark.realtime
 
@@ -63,6 +65,10 @@ def test_the_log_is_read_for_the_targets_that_were_swum_to_alone(swum):
     assert tour.nearest[0] >= closest - 1e-5  # logged in single precision
     with pytest.raises(BadInput, match="swam to other targets"):
         tour_of(out / "swim.mcap", FISH, draw_targets(1, 1))
+
+
+def test_the_log_s_head_names_the_calibration_of_the_station_s_camera(swum):
+    assert re.fullmatch("sha256 [0-9a-f]{64}", read_notes(swum[0] / "swim.mcap")["calibration"])
 
 
 def verbs(of: Path) -> set[str]:

@@ -23,7 +23,7 @@ from tailbeat.files import BadInput
 from tailbeat.recording import read_recording, write_recording
 from tailbeat.robot import log as logs
 from tailbeat.robot import log_salvage
-from tailbeat.robot.log import COLUMNS, read_log, read_rows, start
+from tailbeat.robot.log import COLUMNS, read_log, read_notes, read_rows, start
 from tailbeat.robot.log_export import as_recording, export, losses
 from tailbeat.robot.log_rows import NOTED, read_row
 from tailbeat.robot.log_salvage import CHUNK
@@ -141,6 +141,24 @@ def test_a_recording_carries_what_its_log_s_head_tells(tmp_path):
     export(tmp_path / "a.mcap", tmp_path / "a.csv")
     meta = read_recording(tmp_path / "a.csv").meta
     assert dict(meta) == {**told, "source": "tailbeat drive", "sign_test": "two lines"}
+
+
+def test_a_note_that_comes_while_rows_are_written_replaces_the_head_s(tmp_path):
+    path = tmp_path / "a.mcap"
+    log = start(path, {"calibration": "unknown", "policy": "p"})
+    for k in range(100):
+        log.put(row(k))
+        if k in (40, 60):
+            log.note("calibration", f"sha256 {k}")
+    log.close()
+    told = {"calibration": "sha256 60", "policy": "p"}
+    assert read_notes(path) == told and as_recording(path).meta["calibration"] == "sha256 60"
+    swim = read_log(path)
+    assert len(swim.rows) == 100 and not swim.damaged and swim.whole
+    with path.open("rb") as file:
+        assert [*make_reader(file).iter_metadata()][-1].metadata == {"calibration": "sha256 60"}
+    path.write_bytes(path.read_bytes()[:-300])  # its writer was killed
+    assert read_notes(path) == told and len(read_log(path).rows) == 100
 
 
 # ---- damage -------------------------------------------------------------------------------------

@@ -65,7 +65,8 @@ def log_page() -> str:
     )
     notes = (
         f"The file's metadata `{log.NOTES}` name date, policy and fish with their digests, and the"
-        " versions. The camera's calibration is the station's, and unknown to the robot. At the end"
+        " versions. `calibration` is the SHA-256 of the calibration that the station swims with; it"
+        " is added as soon as the station tells it, and the last one of a name counts. At the end"
         " of a swim they hold the loop's punctuality too. `tailbeat export` makes a recording of"
         " the columns " + ", ".join(map(code, log.COLUMNS)) + ", with the metadata."
     )

@@ -26,19 +26,21 @@ from tailbeat.link.clock import DRIFT, SECOND, Clock, Loss
 from tailbeat.link.places import POOL, is_pool
 
 KEY_BYTES, MAC_BYTES = 32, 16
-POSES, ASK, TELL, ORDER = b"tbP1", b"tbA1", b"tbT2", b"tbO1"
+POSES, ASK, TELL, ORDER, CAMERA = b"tbP1", b"tbA1", b"tbT2", b"tbO1", b"tbC1"
 FRAMES = 3
 HEAD = struct.Struct("<4sQQQ")  # kind, sender's run, receiver's nonce, sequence
 FRAME = struct.Struct("<QB5f")  # captured [ns], seen flags, fish x, y, yaw, target x, y
 ORDERED = struct.Struct("<QB")  # sent [ns of the sender's clock], which order
 TIMES = struct.Struct("<QQQ")  # of an echo: asked, received, sent back [ns]
 POOL_SIZE = struct.Struct("<2f")  # length, width [m]
+NO_CAMERA = bytes(32)  # instead of a calibration's SHA-256
 FISH_SEEN, TARGET_SEEN = 1, 2
 LENGTHS = {
     POSES: HEAD.size + FRAMES * FRAME.size + MAC_BYTES,
     ASK: HEAD.size + TIMES.size + MAC_BYTES,
     TELL: HEAD.size + TIMES.size + POOL_SIZE.size + MAC_BYTES,
     ORDER: HEAD.size + ORDERED.size + MAC_BYTES,
+    CAMERA: HEAD.size + len(NO_CAMERA) + MAC_BYTES,
 }
 YAW = 1e4  # rad: float32 tells a larger heading to no better than a milliradian
 MARGIN = 0.03  # m beyond a wall that a pose may lie: ten times the camera's noise
@@ -135,6 +137,11 @@ def tell_datagram(
     return sign(key, HEAD.pack(TELL, run, nonce, sequence) + times)
 
 
+def camera_datagram(key: bytes, run: int, nonce: int, sequence: int, calibration: bytes) -> bytes:
+    """The SHA-256 of the calibration of the sender's camera, or `NO_CAMERA`; the fish logs it."""
+    return sign(key, HEAD.pack(CAMERA, run, nonce, sequence) + calibration)
+
+
 def order_datagram(key: bytes, run: int, nonce: int, number: int, order: Order, sent: int) -> bytes:
     """A signed order, sent at `sent` [ns] of the sender's clock. A repeated order keeps its
     number."""
@@ -162,9 +169,10 @@ class Receiver:
     """The fish's end: checks datagrams and keeps the newest frames.
 
     `room` (length, width) [m] is sent by the station; poses must lie inside it, with the origin in
-    the middle of the pool. `rejected` counts rejected datagrams by reason. `orders` are those that
-    the loop has not yet taken. `run` is the sender's run, 0 before the first. `ordered` is the
-    number of the newest order of each run.
+    the middle of the pool. `calibration` is the SHA-256 of the sender's calibration, None until it
+    tells it. `rejected` counts rejected datagrams by reason. `orders` are those that the loop has
+    not yet taken. `run` is the sender's run, 0 before the first. `ordered` is the number of the
+    newest order of each run.
     """
 
     key: bytes
@@ -172,6 +180,7 @@ class Receiver:
     nonce: int = field(default_factory=lambda: secrets.randbits(64))
     clock: Clock = field(default_factory=Clock)
     loss: Loss = field(default_factory=Loss)
+    calibration: bytes | None = None
     frames: list[Frame] = field(default_factory=list)  # newest first, on the sender's clock
     orders: list[Order] = field(default_factory=list)  # oldest first
     rejected: Counter[str] = field(default_factory=Counter)
@@ -186,7 +195,7 @@ class Receiver:
         """Handle one datagram at `now` [ns], which arrived `waited` [ns] before. Never raises,
         whatever it contains."""
         kind = data[:4]
-        if kind not in (POSES, TELL, ORDER) or len(data) != LENGTHS[kind]:
+        if kind not in (POSES, TELL, ORDER, CAMERA) or len(data) != LENGTHS[kind]:
             self.rejected["not ours"] += 1
         elif not is_signed(self.key, data, kind, LENGTHS[kind]):
             self.rejected["signature"] += 1
@@ -200,6 +209,8 @@ class Receiver:
                 self.rejected["old"] += 1
             elif kind == TELL:
                 self._echo(data, run, sequence, now - waited)
+            elif kind == CAMERA:
+                self._camera(data, run)
             else:
                 self._poses(data, run, sequence)
 
@@ -219,6 +230,7 @@ class Receiver:
             self.followed |= {self.run}
             self.run, self.last = run, -1
             self.frames, self.clock, self.loss = [], Clock(), Loss()
+            self.calibration = None
 
     def _echo(self, data: bytes, run: int, sequence: int, now: int) -> None:
         asked, received, sent = TIMES.unpack_from(data, HEAD.size)
@@ -233,6 +245,12 @@ class Receiver:
         self._follow(run)
         self.told, self.room = sequence, pool
         self.clock.add(asked, received, sent, now)
+
+    def _camera(self, data: bytes, run: int) -> None:
+        if run == self.run:
+            self.calibration = data[HEAD.size : -MAC_BYTES]
+        else:
+            self.rejected["old"] += 1
 
     def _order(self, data: bytes, run: int, number: int, now: int) -> None:
         """STOP is accepted from any run; all other orders only from the current run."""

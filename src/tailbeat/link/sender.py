@@ -70,8 +70,9 @@ class Sender:
     frame.
 
     `clock` gives the station's monotonic time [ns]. `target` [m], if set, replaces the target that
-    the camera saw. `pool` is the length and width [m] that the fish is told. `status` is the fish's
-    last one, received at `heard` [s]. `outcomes` tells what became of the last orders.
+    the camera saw. `pool` is the length and width [m] that the fish is told, `calibration` the
+    SHA-256 of the camera's calibration. `status` is the fish's last one, received at `heard` [s].
+    `outcomes` tells what became of the last orders.
     """
 
     key: bytes
@@ -80,6 +81,7 @@ class Sender:
     clock: Callable[[], int] = time.monotonic_ns
     target: tuple[float, float] | None = None
     pool: tuple[float, float] = POOL
+    calibration: bytes = link.NO_CAMERA
     run: int = field(default_factory=lambda: 1 + secrets.randbits(63))
     nonce: int | None = None  # of the fish's start to which we send
     answerer: int | None = None  # nonce of the start that sent the last status
@@ -143,14 +145,16 @@ class Sender:
             self.rejected["not the fish's"] += 1
 
     def _answer(self, data: bytes, received: int, now: float) -> None:
-        """Answer a clock request. It may be a recording, so it changes the fish only if none is
-        heard."""
-        nonce = link.HEAD.unpack_from(data)[2]
+        """Answer a clock request, and name the camera's calibration. It may be a recording, so it
+        changes the fish only if none is heard."""
+        nonce, sequence = link.HEAD.unpack_from(data)[2:]
         if now - self.heard > LIVE and nonce not in self.left:
             self.nonce = nonce
         told = link.tell_datagram(self.key, self.run, data, received, self.clock(), self.pool)
         if told is not None:
             self._send(told)
+            known = nonce, sequence, self.calibration
+            self._send(link.camera_datagram(self.key, self.run, *known))
 
     def _hear(self, run: int, nonce: int, sequence: int, status: Status, now: float) -> None:
         """Accept a status that names our run: it answers us, so it is not a recording."""

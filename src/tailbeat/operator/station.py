@@ -87,7 +87,8 @@ def work(
     for line in announce(client) if client else []:
         say(line)
     ended = told_to_end(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    station = Station(Sender(secret, made, config.robot, pool=pool), tracker, client, described)
+    sender = Sender(secret, made, config.robot, pool=pool, calibration=_digest(tracker))
+    station = Station(sender, tracker, client, described)
     over = lambda: bool(ended) or (leader is not None and leader.over())  # noqa: E731
     try:
         _turns(station, leader, over, say)
@@ -96,6 +97,11 @@ def work(
         made.close()
         if client is not None:
             client.close()
+
+
+def _digest(tracker: "TrackerProcess | None") -> bytes:
+    """The SHA-256 of the tracker's calibration, which the fish's log names."""
+    return tracker.watching.calibration.digest if tracker else link.NO_CAMERA
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,14 +47,22 @@ SECOND = 1_000_000_000
 COLUMNS = ("command_rad", "motor_angle_rad", "yaw_rate_rad_s", "x_m", "y_m", "yaw_rad")
 
 
+@dataclass(frozen=True)
+class Note:
+    """What the head of a log tells under a name."""
+
+    name: str
+    text: str
+
+
 @dataclass(eq=False)
 class Log:
-    """An open log; see `start`. `put` never waits. `dropped` counts rows that were not written.
-    `failed` says why writing ended, or is ""."""
+    """An open log; see `start`. `put` and `note` never wait. `dropped` counts rows that were not
+    written. `failed` says why writing ended, or is ""."""
 
     path: Path
     file: BinaryIO
-    waiting: "queue.Queue[Mapping[str, Any] | None]"
+    waiting: "queue.Queue[Mapping[str, Any] | Note | None]"
     thread: threading.Thread | None = None
     dropped: int = 0
     failed: str = ""
@@ -62,8 +70,15 @@ class Log:
 
     def put(self, row: Mapping[str, Any]) -> None:
         """Queue a row for writing; `time_s` is the loop's monotonic time."""
+        self._queue(row)
+
+    def note(self, name: str, text: str) -> None:
+        """Queue what became known after the start; it replaces a note of that name."""
+        self._queue(Note(name, text))
+
+    def _queue(self, one: Mapping[str, Any] | Note) -> None:
         try:
-            self.waiting.put_nowait(row)
+            self.waiting.put_nowait(one)
         except queue.Full:
             self.dropped += 1
 
@@ -116,9 +131,8 @@ def _write(log: Log, notes: dict[str, str]) -> None:
         writer.add_metadata(NOTES, notes)
         kind = writer.register_schema("tailbeat.Row", "jsonschema", json.dumps(schema()).encode())
         channel = writer.register_channel(TOPIC, "json", kind)
-        while (row := log.waiting.get()) is not None:
-            at = round(row["time_s"] * SECOND)
-            writer.add_message(channel, at, _text(row).encode(), at)
+        while (one := log.waiting.get()) is not None:
+            _write_one(writer, channel, one)
         if log.last_notes:
             writer.add_metadata(NOTES, log.last_notes)
         writer.finish()
@@ -126,6 +140,14 @@ def _write(log: Log, notes: dict[str, str]) -> None:
         log.failed = str(error) or type(error).__name__
         while log.waiting.get() is not None:
             log.dropped += 1
+
+
+def _write_one(writer: Writer, channel: int, one: Mapping[str, Any] | Note) -> None:
+    if isinstance(one, Note):
+        writer.add_metadata(NOTES, {one.name: one.text})
+        return
+    at = round(one["time_s"] * SECOND)
+    writer.add_message(channel, at, _text(one).encode(), at)
 
 
 def _text(row: Mapping[str, Any]) -> str:
@@ -222,7 +244,8 @@ def _texts(path: Path) -> tuple[list[bytes], bool]:
 
 
 def read_notes(path: Path) -> dict[str, str]:
-    """What the head of a log tells, as far as it is whole: date, policy, versions."""
+    """What the head of a log tells, as far as it is whole: date, policy, versions; the last note of
+    a name counts."""
     found: dict[str, str] = {}
     with contextlib.suppress(Exception), path.open("rb") as file:  # as in `_texts`
         for one in NonSeekingReader(file, record_size_limit=RECORD).iter_metadata():

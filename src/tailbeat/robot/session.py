@@ -101,7 +101,7 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
                 target=config.target, sign_test=config.sign_test,
             )  # fmt: skip
             own.logging = lambda: written.healthy
-            _guarded(own, config, hardware, say, each)
+            _guarded(own, config, hardware, say, _noting(written, each))
             written.last_notes["pace"] = json.dumps(own.pace.report())
         if written.failed or written.dropped:
             say(f"log: {written.dropped} rows are lost; {written.failed or 'its writer was late'}")
@@ -117,19 +117,38 @@ def _hardware(config: DriveConfig, policy: Policy) -> Hardware:
 
 def notes(policy: str, contract: Contract) -> dict[str, str]:
     """What the head of a log tells of a drive: its date, what swam, and with which versions. The
-    camera's calibration is the station's; the link does not carry it."""
+    camera's calibration is the station's, which tells it later; see `_noting`."""
     return {
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "policy": policy,
         "policy_sha256": hashlib.sha256(policy_path(policy).read_bytes()).hexdigest(),
         "contract": contract.fish,
         "fish_digest": contract.fish_digest,
-        "calibration": "unknown to the robot: the station has it",
+        "calibration": "unknown: no station told it",
         "tailbeat": __version__,
         "git": git_describe(),
         "onnxruntime": version("onnxruntime"),
         "python": platform.python_version(),
     }
+
+
+def _noting(written: log_file.Log, each: Each) -> Each:
+    """`each`, and the log's head gets the calibration that the station tells. One that changes,
+    because another station is followed, is added."""
+    known = list[bytes]()
+
+    def both(loop: Loop) -> None:
+        told = loop.devices.receiver.calibration
+        if told is not None and told not in known[-1:]:
+            known.append(told)
+            written.note("calibration", ", then ".join(map(_calibration, known)))
+        each(loop)
+
+    return both
+
+
+def _calibration(told: bytes) -> str:
+    return "none: the station has no camera" if told == link.NO_CAMERA else f"sha256 {told.hex()}"
 
 
 def _sign_test(config: DriveConfig, policy: Policy, say: Say) -> str:

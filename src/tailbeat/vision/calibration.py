@@ -6,10 +6,11 @@ limit for steep rays: its error is 5 mm in the corner of a pool of 5.5 m, 5 cm d
 camera.) Fish and target may be in different planes. Pixel centres are at whole numbers.
 """
 
+import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,7 @@ class Hung:
 class Calibration:
     """A calibration: lens, pose, refraction `index` of water, the tags' sizes and heights, length
     and width of the pool [m] (None in older files), surveyed x, y, z [m] of the tags that may stay
-    in the pool, by id (`fixed`), and provenance."""
+    in the pool, by id (`fixed`), provenance, and the SHA-256 of the file that it was read from."""
 
     lens: Lens
     hung: Hung
@@ -66,6 +67,7 @@ class Calibration:
     pool: tuple[float, float] | None = None
     fixed: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
+    digest: bytes = b""
 
     def places(self, pixels: Array, height: float) -> Array:
         """Positions x, y (n, 2) [m] in the pool of `pixels` (n, 2) of points at `height` [m] above
@@ -123,7 +125,8 @@ def read_calibration(
     if not path.is_file():  # a device or a pipe would be read without end
         raise BadInput(f"{path}: no such file; give a file of tailbeat calibrate.")
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        read = path.read_bytes()
+        data = json.loads(read.decode("utf-8"))
     except (OSError, ValueError) as error:
         raise BadInput(f"{path}: {error}; give a file of tailbeat calibrate.") from None
     if not isinstance(data, dict) or data.get("kind") != KIND:
@@ -132,7 +135,7 @@ def read_calibration(
         if name not in data:
             raise BadInput(f"{path}: {name} is missing; calibrate again.")
     _check_age(path, data["made"], oldest, now or datetime.now(UTC))
-    return _checked(path, data)
+    return replace(_checked(path, data), digest=hashlib.sha256(read).digest())
 
 
 def _check_age(path: Path, made: Any, oldest: float, now: datetime) -> None:
