@@ -1,5 +1,6 @@
 """The page's server and the tracker stand still (SIGSTOP): they are noticed, replaced and ended."""
 
+import math
 import os
 import signal
 import subprocess
@@ -7,7 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event, Thread, Timer
 
 import pytest
 
@@ -21,14 +22,16 @@ from psutil import NoSuchProcess, Process
 
 from camera_views import FISH, TARGET, true_calibration
 from support import command, until
+from tailbeat.emulators import live
 from tailbeat.emulators.camera import Scene
 from tailbeat.emulators.camera_process import CameraProcess, start_camera
 from tailbeat.emulators.film import Filming
+from tailbeat.emulators.live import Part, Pulse
+from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.link import datagrams as link
 from tailbeat.link.sender import Sender
-from tailbeat.operator import client as operator_client
-from tailbeat.operator.client import OperatorClient, open_client, turn
+from tailbeat.operator.client import ANSWERS, HANGS, HUNG, OperatorClient, open_client, turn
 from tailbeat.operator.station import Station, _turns
 from tailbeat.vision import tracking
 from tailbeat.vision.tracking import TrackerProcess, start_tracker
@@ -68,7 +71,9 @@ def pair(tmp_path: Path) -> Iterator[tuple[CameraProcess, TrackerProcess]]:
 # ---- the page's server --------------------------------------------------------------------------
 
 
-def test_a_page_s_server_that_hangs_is_replaced_and_it_is_said(page):
+@contextmanager
+def serving(page: OperatorClient) -> Iterator[list[str]]:
+    """A thread serves the page as a station does; gives what it says of the server."""
     said, ended = list[str](), Event()
 
     def serve() -> None:
@@ -77,29 +82,47 @@ def test_a_page_s_server_that_hangs_is_replaced_and_it_is_said(page):
                 said.extend(filter(None, [turn(page, made, DESCRIBED, time.monotonic())]))
                 time.sleep(0.005)
 
-    serving = Thread(target=serve, daemon=True)
-    serving.start()
+    thread = Thread(target=serve, daemon=True)
+    thread.start()
     try:
+        yield said
+    finally:
+        ended.set()
+        thread.join(10)
+        page.close()
+
+
+def test_a_page_s_server_that_hangs_is_told_within_half_a_second_and_replaced(page):
+    with serving(page) as said:
         until(lambda: time.monotonic() > page.again)
         hung, began = page.process, time.monotonic()
         os.kill(hung.pid, signal.SIGSTOP)
+        until(lambda: said, seconds=10)
+        assert time.monotonic() - began < 0.6
         until(lambda: page.process is not hung, seconds=10)
         assert 1.5 < time.monotonic() - began < 5
-        assert said == ["the operator page's server hung; it is started again"]
+        assert said == [HANGS, "the operator page's server hung; it is started again"]
         assert hung.poll() == -signal.SIGKILL
         until(lambda: page.ready)
         with ws.connect(page.url.partition("#")[0].replace("http", "ws") + "live") as browser:
             assert "now" in browser.recv(30)
-    finally:
-        ended.set()
-        serving.join(10)
-        page.close()
+
+
+def test_a_page_s_server_that_was_slow_for_a_moment_goes_on(page):
+    with serving(page) as said:
+        until(lambda: time.monotonic() > page.again)
+        slow = page.process
+        os.kill(slow.pid, signal.SIGSTOP)
+        until(lambda: said == [HANGS], seconds=10)
+        os.kill(slow.pid, signal.SIGCONT)
+        until(lambda: said == [HANGS, ANSWERS], seconds=10)
+        assert page.process is slow
 
 
 def test_a_station_that_stood_still_itself_does_not_blame_its_server(page):
     with sender() as made:
         turn(page, made, DESCRIBED, time.monotonic())
-        time.sleep(operator_client.SILENT + 0.5)  # the whole station was suspended
+        time.sleep(HUNG + 0.5)  # the whole station was suspended
         before = page.process
         for _ in range(20):
             assert turn(page, made, DESCRIBED, time.monotonic()) == ""
@@ -144,6 +167,49 @@ def test_a_station_whose_page_hangs_ends_at_ctrl_c_without_a_traceback(tmp_path)
         with suppress(NoSuchProcess):
             server.kill()
         process.communicate()
+
+
+# ---- the station --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def station(tmp_path: Path) -> Iterator[tuple[Part, Pulse]]:
+    """A station without camera, fish and page, as `swim` starts it."""
+    link.make_key(tmp_path / "fish.key")
+    robot, listen = ("{}:{}".format(*link.free_address()) for _ in range(2))
+    words = ["station", "--robot", robot, "--listen", listen, "--page", ""]
+    words += ["--key", str(tmp_path / "fish.key")]
+    with live.pulse(tmp_path) as beats:
+        with live.started(words, tmp_path / "station.log", True, beats.address) as part:
+            until(lambda: beats.silent() >= 0)
+            yield part, beats
+
+
+def test_a_swim_whose_station_hangs_is_ended_in_a_sentence(station):
+    part, beats = station
+    os.kill(part.process.pid, signal.SIGSTOP)
+    began = time.monotonic()
+    with pytest.raises(BadInput, match=r"`station` gave no sign of life for \d+ s; try it"):
+        live._listen(part, (), beats, print)
+    assert time.monotonic() - began < live.HUNG + 1.5
+    assert part.process.wait(5) == -signal.SIGKILL
+
+
+def test_a_swim_whose_station_hangs_is_interrupted_by_ctrl_c(station, monkeypatch):
+    part, beats = station
+    monkeypatch.setattr(live, "HUNG", 60.0)
+    os.kill(part.process.pid, signal.SIGSTOP)
+    Timer(1.0, signal.raise_signal, [signal.SIGINT]).start()
+    with pytest.raises(KeyboardInterrupt):
+        live._listen(part, (), beats, print)
+    assert part.process.returncode == -signal.SIGKILL
+
+
+def test_a_station_that_is_asked_to_end_does_not_hang_however_long_that_takes(station):
+    part, beats = station
+    part.process.send_signal(signal.SIGINT)
+    live._listen(part, (), beats, print)
+    assert part.process.returncode == 0 and beats.silent() == -math.inf
 
 
 # ---- the tracker --------------------------------------------------------------------------------

@@ -5,11 +5,15 @@ camera's pictures and serves the operator page. `drive` is the fish. They are st
 other's addresses, and ended here.
 """
 
+import contextlib
 import json
+import math
 import os
 import select
 import signal
+import socket
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -30,6 +34,8 @@ Say = Callable[[str], None]
 VIEWS = 20  # of the board, for the lens
 START = 60.0  # s for a process to start
 TURN = 0.2  # s between two checks that all processes run
+FINISHED = (0, 1)  # exit codes of a station; 1: a tour or path was not finished
+HUNG = 5.0  # s without a sign of life of the station, which gives four a second
 # The target's tag is in a corner: it floats, and a fish hidden below it goes to HOLD.
 ASIDE = "-2.5,1.15"
 
@@ -61,15 +67,43 @@ class Part:
         return next((line.strip() for line in reversed(lines) if line.strip()), "it wrote nothing")
 
 
+@dataclass(eq=False)
+class Pulse:
+    """Signs of life of a process, as systemd gets them, at the socket `address`; it counts from the
+    first one to the announced end."""
+
+    address: str
+    line: socket.socket
+    last: float = math.inf  # when the last one came [s]
+
+    def silent(self) -> float:
+        """How long [s] none has come."""
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                ending = self.line.recv(4096).startswith(b"STOPPING")
+                self.last = math.inf if ending else time.monotonic()
+        return time.monotonic() - self.last
+
+
 @contextmanager
-def started(words: list[str], log: Path, heard: bool = False) -> Iterator[Part]:
-    """Start a verb; its output goes to its log unless `heard` is set. It ends with this process."""
+def pulse(folder: Path) -> Iterator[Pulse]:
+    """Listen for signs of life at a socket in a folder."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+        line.setblocking(False)
+        line.bind(str(folder / "alive"))
+        yield Pulse(str(folder / "alive"), line)
+
+
+@contextmanager
+def started(words: list[str], log: Path, heard: bool = False, alive: str = "") -> Iterator[Part]:
+    """Start a verb; its output goes to its log unless `heard` is set. It gives signs of life to the
+    socket `alive`, and ends with this process."""
     with log.open("w", encoding="utf-8") as kept:
         process = start_verb(
             words,
             stdout=subprocess.PIPE if heard else kept,
             stderr=kept,
-            env={"PYTHONUNBUFFERED": "1"},
+            env={"PYTHONUNBUFFERED": "1", "NOTIFY_SOCKET": alive},
         )
         try:
             yield Part(words[0], process, log)
@@ -149,12 +183,14 @@ def _run(chain: Chain, leads: list[str], say: Say) -> None:
         watch += ["--fish", fish, "--camera", ports["camera"], "--calibration", str(made)]
         watch += ["--page", chain.page, *leads]
         own = stack.enter_context(started(drive, out / "drive.log"))
-        above = stack.enter_context(started(watch, out / "station.log", heard=True))
-        _listen(above, (rig, own), say)
+        beats = stack.enter_context(pulse(folder))
+        above = stack.enter_context(started(watch, out / "station.log", True, beats.address))
+        _listen(above, (rig, own), beats, say)
 
 
-def _listen(above: Part, others: tuple[Part, ...], say: Say) -> None:
-    """Repeat the station's output until it ends, or until Ctrl-C, which ends it."""
+def _listen(above: Part, others: tuple[Part, ...], beats: Pulse, say: Say) -> None:
+    """Repeat the station's output until it ends, or until Ctrl-C, which ends it. Raises BadInput if
+    it hangs."""
     spoken = above.process.stdout
     assert spoken is not None
     os.set_blocking(spoken.fileno(), False)
@@ -166,11 +202,16 @@ def _listen(above: Part, others: tuple[Part, ...], say: Say) -> None:
             for one in others:
                 if (code := one.process.poll()) is not None:
                     raise BadInput(f"`{one.name}` ended ({code}): {one.last_words()}")
+            if (silence := beats.silent()) > HUNG:
+                above.process.kill()
+                raise BadInput(f"`station` gave no sign of life for {silence:.0f} s; try it again.")
     except KeyboardInterrupt:
         say("ending")
         end(above.process)
+        if above.process.returncode not in FINISHED:
+            raise
         return
     for line in iter(spoken.readline, ""):
         say(line.rstrip())
-    if above.process.returncode not in (0, 1):  # 1: a tour or path was not finished
+    if above.process.returncode not in FINISHED:
         raise BadInput(f"`station` ended ({above.process.returncode}): {above.last_words()}")

@@ -1,8 +1,9 @@
 """The station's end of the operator page: starts its server process, sends snapshots, takes orders.
 
 Both directions use a pair of datagram sockets that never wait. If the server is slow, snapshots are
-dropped; if the station is slow, the server says so. The server answers every snapshot. One that
-ended, or that does not answer for two seconds, is started again.
+dropped; if the station is slow, the server says so. The server answers every snapshot. If it does
+not answer for 0.4 s, the operator is told that it hangs. One that ended, or that does not answer
+for two seconds, is started again.
 """
 
 import contextlib
@@ -35,9 +36,12 @@ EVERY = 0.05  # s between two snapshots
 LARGEST = 180_000  # bytes, largest datagram and picture
 AGAIN = 5.0  # s between two starts of the server
 READY = 60.0  # s that it may take to start
-SILENT = 2.0  # s without an answer to a snapshot: the server hangs
+SILENT = 0.4  # s without an answer to a snapshot: the server hangs; this is reported
+HUNG = 2.0  # s: it is replaced; a new one takes seconds to start
 FAREWELL = 3.0  # s that it may take to end
 COMMANDS = 20  # most commands read at once
+HANGS = "the operator page's server hangs; Ctrl-C here stops the fish"
+ANSWERS = "the operator page's server answers again"
 ALIVE = ("ready", "alive")  # messages of the server itself
 CHANGES = 8  # of the state that the page lists
 
@@ -57,6 +61,7 @@ class OperatorClient:
     due: float = 0.0
     again: float = 0.0
     ready: bool = False  # whether the present server has started
+    hangs: bool = False  # whether it was reported to hang
     asked: float = math.inf  # when the first snapshot was sent that is not answered [s]
     changes: deque[Change] = field(default_factory=lambda: deque(maxlen=CHANGES))
     trace: Trace = field(default_factory=Trace)  # of the target
@@ -107,19 +112,28 @@ class OperatorClient:
         """Start the server if it does not run, and replace one that hangs; returns what happened,
         or ""."""
         if self.process is not None and self.process.poll() is None:
-            patience = SILENT if self.ready else READY
-            if time.monotonic() - self.asked < patience:
-                return ""
+            silence = time.monotonic() - self.asked
+            if silence < (HUNG if self.ready else READY):
+                return self._heard_of(silence)
             self.process.kill()
             self.process.wait()
             news = "the operator page's server hung; it is started again"
         else:
             news = "the operator page's server ended; it is started again" if self.ready else ""
-        self.ready = False
+        self.ready = self.hangs = False
         if now >= self.again:
             self.again = now + AGAIN
             self._start()
         return news
+
+    def _heard_of(self, silence: float) -> str:
+        """What there is to say of a server that has not answered for a time [s]; "" for nothing
+        new."""
+        hangs = self.ready and silence > SILENT
+        if hangs == self.hangs:
+            return ""
+        self.hangs = hangs
+        return HANGS if hangs else ANSWERS
 
     def _hang_up(self) -> None:
         """Close the server's standard input."""

@@ -21,6 +21,7 @@ from tailbeat.link.sender import Sender
 from tailbeat.operator.client import OperatorClient, announce, open_page, turn
 from tailbeat.operator.leader import Leader
 from tailbeat.processes import told_to_end
+from tailbeat.robot import systemd
 from tailbeat.vision.moved import warning
 
 if TYPE_CHECKING:  # needs OpenCV
@@ -116,8 +117,9 @@ class Station:
 
 def _turns(station: Station, leader: Leader | None, over: Callable[[], bool], say: Say) -> None:
     """Run the station; reports every change of the robot's state, and every fault of the tracker
-    and of the page's server."""
+    and of the page's server. Who started it may listen whether it runs, as systemd does."""
     sender, tracker, sent = station.sender, station.tracker, -1
+    notifier = systemd.from_environment()
     told = dict.fromkeys(("", "camera: "), "")
     note = ""
     while not over():
@@ -131,6 +133,7 @@ def _turns(station: Station, leader: Leader | None, over: Callable[[], bool], sa
             sender.show(sighting.frame)
             note = warning(sighting.moved)
         sender.work(now)
+        notifier.beat(now, _line(sender))
         if news := _show(station, now, note):
             say(news)
         camera = (tracker.fault or note) if tracker else ""
@@ -138,6 +141,7 @@ def _turns(station: Station, leader: Leader | None, over: Callable[[], bool], sa
             if line != told[kind]:
                 told[kind] = line
                 say(f"{kind}{line or 'frames arrive'}")
+    notifier.end()
 
 
 def _show(station: Station, now: float, moved: str) -> str:
