@@ -13,7 +13,8 @@ from lines import served
 from tailbeat.emulators.imu import Bno055, serve
 from tailbeat.files import BadInput
 from tailbeat.robot import imu as driver
-from tailbeat.robot.imu import Imu, ImuFault, Mounting, connect
+from tailbeat.robot.imu import Imu, ImuFault, connect
+from tailbeat.robot.mounting import AXIS_VECTORS, Mounting
 
 pytestmark = pytest.mark.realtime
 
@@ -61,8 +62,8 @@ def test_the_bytes_are_the_data_sheet_s():
 
 
 def test_rates_come_in_radians_about_the_fish_s_own_axis(bench):
-    for axis, sign in ((2, 1), (2, -1), (0, 1)):
-        opened = connect(bench.path, Mounting(axis, sign), PATIENT)
+    for up, axis, sign in (("z", 2, 1), ("-z", 2, -1), ("x", 0, 1)):
+        opened = connect(bench.path, Mounting(AXIS_VECTORS[up]), PATIENT)
         opened.prepare()
         assert opened.healthy()
         turning = [0.1, 0.2, 0.3]

@@ -5,20 +5,23 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
 
 pytest.importorskip("serial", reason="the robot extra is not installed")
 
-from lines import PATIENT, served
-from tailbeat.emulators.imu import Bno055, direction
+from lines import PATIENT, XW430, served
+from tailbeat.emulators.imu import Bno055, direction, up_of
 from tailbeat.emulators.imu import serve as serve_bno055
 from tailbeat.emulators.imu_rvc import Bno085, send, serve
 from tailbeat.emulators.line import close_line, open_line
 from tailbeat.files import BadInput
 from tailbeat.robot import imu_rvc as driver
 from tailbeat.robot import imus
-from tailbeat.robot.imu import ImuFault, Mounting
+from tailbeat.robot.imu import ImuFault
 from tailbeat.robot.imu_rvc import Packet, connect, packets, slope
+from tailbeat.robot.mounting import AXIS_VECTORS, Mounting, mounting_of, named
+from tailbeat.robot.mounting import direction as pointing
 
 pytestmark = pytest.mark.realtime
 
@@ -131,7 +134,7 @@ def test_the_noise_at_rest_is_that_of_the_counts(imu):
 
 def test_lost_packets_change_no_rate():
     """The times are the index's: of packets 0, 1, 4 the slope is the same as of 0, 1, 2."""
-    sensor = driver.Bno085(port=None)
+    sensor = driver.Bno085(port=None, mounting=Mounting())
     for index in (254, 255, 2):
         sensor._take(Packet(index, (100 * ((index + 2) % 256), 0, 0), (0, 0, index)))
     assert slope(sensor.recent) == pytest.approx(math.radians(100))
@@ -203,8 +206,8 @@ def test_a_pulled_cable_is_told(sensor):
 def test_upside_down_the_yaw_has_the_same_sign_and_gravity_tells_it(sensor, path, up):
     """The data sheet's order is yaw, pitch, roll: upside down is a roll of 180 degrees."""
     sensor.up = direction(up)
-    imu = connect(path, Mounting(2, 1 if up == "z" else -1), PATIENT)
-    assert imu.up() == up
+    imu = connect(path, Mounting(AXIS_VECTORS[up]), PATIENT)
+    assert named(imu.up()) == up
     assert imu.last is not None and (abs(imu.last.angles[2]) > 17_900) == (up == "-z")
     sensor.rate = 1.0
     found = rates(imu, 30)
@@ -212,10 +215,32 @@ def test_upside_down_the_yaw_has_the_same_sign_and_gravity_tells_it(sensor, path
     imu.close()
 
 
-def test_a_sensor_that_does_not_lie_flat_is_refused(path):
-    with pytest.raises(BadInput, match=r"imu_up is -x, .* mount it with z or -z up"):
-        connect(path, Mounting(0, -1), PATIENT)
-    imus.connect(path, Mounting(), PATIENT).close()  # the port is free again
+@pytest.mark.parametrize("angles", [(0, 0, 0), (90, 0, 20), (180, 0, 0), (30, -50, 70),
+                                    (0, 90, 0), (40, -90, 10), (-150, 89.9, 5)])  # fmt: skip
+def test_any_rotation_gives_the_fish_s_rate(angles):
+    """In packets as the data sheet has them, also where yaw and roll alone are not defined."""
+    rotation = tuple(np.radians(angles).tolist())
+    hardware = XW430.model_copy(update={"imu_rotation": rotation})
+    sensor, mounting = Bno085(up=up_of(hardware)), mounting_of(hardware)
+    headings = []
+    for k in range(400):
+        sensor.turn(0.02 * k, 2.0)
+        sensor.due = None  # a packet for each call
+        (packet,), _ = packets(bytearray(sensor.speak(0.01 * k)))
+        yaw, pitch, roll = np.radians(np.array(packet.angles) / 100)
+        headings.append(mounting.heading(yaw, pitch, roll))
+        assert mounting.off(pointing(packet.accelerations)) < 0.02
+    steps = np.diff(np.unwrap(headings))
+    assert steps == pytest.approx(0.02, abs=0.001)
+
+
+def test_a_turn_that_shows_in_the_roll_alone_is_seen():
+    """With x straight up a sensor may say the same attitude by its yaw or by its roll."""
+    mounting = Mounting(AXIS_VECTORS["x"], AXIS_VECTORS["y"])
+    by_yaw = [mounting.heading(yaw, -math.pi / 2, 0.0) for yaw in (0.1, 0.4)]
+    by_roll = [mounting.heading(0.0, -math.pi / 2, roll) for roll in (0.1, 0.4)]
+    assert by_yaw[1] - by_yaw[0] == pytest.approx(0.3)
+    assert by_roll[1] - by_roll[0] == pytest.approx(0.3)
 
 
 # ---- which IMU ----------------------------------------------------------------------------------
@@ -227,7 +252,7 @@ def test_which_of_both_is_at_a_port_is_found_out(sensor, path):
     found.close()
     other = Bno055(rates=(0.0, 0.5, 0.0))
     with served(serve_bno055, other) as (place, _):
-        found = imus.connect(place, Mounting(1, -1), PATIENT)
+        found = imus.connect(place, Mounting(AXIS_VECTORS["-y"]), PATIENT)
         assert found.name == "BNO055"
         found.prepare()
         reading = found.read()

@@ -1,5 +1,6 @@
 """Mounting, both IMUs and none in the emulated rig: which yaw rate the robot's loop sees."""
 
+import math
 import threading
 import time
 from collections.abc import Iterator
@@ -15,11 +16,13 @@ pytest.importorskip("serial", reason="the robot extra is not installed")
 pytest.importorskip("mcap", reason="the robot extra is not installed")
 
 from mcap.reader import make_reader
+from scipy.spatial.transform import Rotation
 
 from lines import PATIENT, XW430, served
+from support import complaint as complaint_of
 from support import tailbeat, tailbeat_process
 from tailbeat.emulators import rig as bench
-from tailbeat.emulators.imu import Bno055, direction
+from tailbeat.emulators.imu import Bno055, direction, up_of
 from tailbeat.emulators.imu import serve as serve_bno055
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Hardware
@@ -29,8 +32,8 @@ from tailbeat.link.status import State
 from tailbeat.robot import doctor, doctor_devices, imus, session
 from tailbeat.robot.devices import Devices
 from tailbeat.robot.findings import BAD, OK, WARN
-from tailbeat.robot.imu import Mounting, mounting_of
 from tailbeat.robot.loop import Loop
+from tailbeat.robot.mounting import AXIS_VECTORS, Mounting, mounting_of, named
 from tailbeat.robot.poses import Poses
 from tailbeat.robot.sensors import CameraYaw
 from tailbeat.robot.servo import connect as connect_servo
@@ -45,8 +48,13 @@ def mounted(up: str) -> Hardware:
     return XW430.model_copy(update={"imu_up": up})
 
 
-def fish_with(up: str) -> Fish:
-    return load_fish("pulley-fish").model_copy(update={"hardware": mounted(up)})
+def turned(*degrees: float) -> Hardware:
+    """The IMU's roll, pitch and yaw in the fish."""
+    return XW430.model_copy(update={"imu_rotation": tuple(np.radians(degrees).tolist())})
+
+
+def fish_with(hardware: Hardware) -> Fish:
+    return load_fish("pulley-fish").model_copy(update={"hardware": hardware})
 
 
 # ---- the fish's file ----------------------------------------------------------------------------
@@ -54,16 +62,66 @@ def fish_with(up: str) -> Fish:
 
 def test_the_mounting_stands_in_the_fish_s_file_and_is_checked(tmp_path):
     text = fish_path("pulley-fish").read_text("utf-8")
-    assert mounting_of(load_fish("pulley-fish").hardware or XW430) == Mounting(2, 1)
-    for up, expected in (("-z", Mounting(2, -1)), ("x", Mounting(0, 1)), ("-y", Mounting(1, -1))):
+    assert mounting_of(load_fish("pulley-fish").hardware or XW430) == Mounting()
+    for up in ("-z", "x", "-y"):
         path = tmp_path / f"{up}.toml"
         path.write_text(text.replace("[hardware]", f'[hardware]\nimu_up = "{up}"\n#'))
         hardware = load_fish(path).hardware
-        assert hardware is not None and mounting_of(hardware) == expected and str(expected) == up
+        assert hardware is not None
+        assert mounting_of(hardware).up == AXIS_VECTORS[up] and str(mounting_of(hardware)) == up
     (tmp_path / "odd.toml").write_text(text.replace("[hardware]", '[hardware]\nimu_up = "up"\n#'))
     done = tailbeat("show", tmp_path / "odd.toml")
     assert done.returncode == 2
     assert "hardware.imu_up = 'up'" in done.stderr and "'-z'" in done.stderr
+
+
+def test_any_rotation_may_stand_in_the_fish_s_file(tmp_path):
+    text = fish_path("pulley-fish").read_text("utf-8")
+    path, line = tmp_path / "own.toml", "[hardware]\nimu_rotation = "
+    path.write_text(text.replace("[hardware]", f'{line}"30 0 90 deg"'))
+    hardware = load_fish(path).hardware
+    assert hardware is not None and str(mounting_of(hardware)) == "0.00 0.50 0.87"
+    assert mounting_of(hardware).ahead == pytest.approx((0, -math.cos(math.pi / 6), 0.5))
+    again = Hardware.model_validate(hardware.model_dump())  # as a policy carries it
+    assert again == hardware
+    for value, complaint in {
+        '"30 0 deg"': "hardware.imu_rotation",
+        '"30 0 1 2 deg"': "hardware.imu_rotation",
+        '"30 0 90"': "unit '' is not one of rad, deg",
+        '"0 0 0 deg"\nimu_up = "x"': "imu_up and imu_rotation both say",
+        "[nan, 0, 0]": "hardware.imu_rotation",
+    }.items():
+        path.write_text(text.replace("[hardware]", line + value))
+        said = complaint_of("show", path)
+        assert complaint in said, (value, said)
+
+
+ROTATIONS = [(0, 0, 0), (0, 0, 130), (180, 0, 0), (90, 0, 0), (0, 90, 0), (25, -40, 70)]
+
+
+@pytest.mark.parametrize("angles", ROTATIONS)
+def test_a_bno055_at_any_rotation_gives_the_fish_s_rate(angles):
+    hardware = turned(*angles)
+    sensor = Bno055(up=up_of(hardware))
+    sensor.turn(0.3, 1.5)
+    with served(serve_bno055, sensor) as (path, _):
+        imu = imus.connect(path, mounting_of(hardware), PATIENT)
+        imu.prepare()
+        reading = imu.read()
+        assert reading is not None and reading.rate == pytest.approx(1.5, abs=0.05)
+        assert mounting_of(hardware).off(imu.up()) < 0.01
+        imu.close()
+
+
+def test_the_emulator_and_the_driver_turn_alike():
+    """As scipy has the rotation: about the fish's own axes x, y, z."""
+    rng = np.random.default_rng(0)
+    for angles in rng.uniform(-180, 180, (50, 3)):
+        fish_from_sensor = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+        mounting = mounting_of(turned(*angles))
+        assert mounting.ahead == pytest.approx(fish_from_sensor[0])
+        assert mounting.up == pytest.approx(fish_from_sensor[2])
+        assert up_of(turned(*angles)) == pytest.approx(fish_from_sensor[2])
 
 
 @pytest.mark.parametrize("up", ["x", "-x", "y", "-y", "z", "-z"])
@@ -76,7 +134,7 @@ def test_a_bno055_of_any_mounting_gives_the_fish_s_rate_and_the_wrong_one_does_n
             imu.prepare()
             reading = imu.read()
             assert reading is not None and reading.rate == pytest.approx(wanted, abs=0.05)
-            assert imu.up() == up
+            assert named(imu.up()) == up
             imu.close()
 
 
@@ -153,24 +211,25 @@ def likeness(one: LoopBench, until: float = 4.0) -> float:
 
 
 @pytest.mark.parametrize(
-    ("kind", "up", "told", "sign"),
+    ("kind", "real", "told", "sign"),
     [
-        ("bno055", "-z", "-z", 1),
-        ("bno055", "-z", "z", -1),
-        ("bno055", "y", "y", 1),
-        ("bno085", "z", "z", 1),
-        ("bno085", "-z", "-z", 1),
+        ("bno055", mounted("-z"), mounted("-z"), 1),
+        ("bno055", mounted("-z"), mounted("z"), -1),
+        ("bno055", turned(25, -40, 70), turned(25, -40, 70), 1),
+        ("bno085", mounted("z"), mounted("z"), 1),
+        ("bno085", mounted("-z"), mounted("-z"), 1),
+        ("bno085", turned(0, 90, 30), turned(0, 90, 30), 1),
     ],
 )
-def test_the_loop_sees_the_plant_s_rate_with_its_sign(kind, up, told, sign):
-    """The rig's sensor is mounted as `up` says, and the loop is told `told`."""
-    with looped(fish_with(up), kind, mounted(told)) as one:
+def test_the_loop_sees_the_plant_s_rate_with_its_sign(kind, real, told, sign):
+    """The rig's sensor is mounted as `real` says, and the loop is told `told`."""
+    with looped(fish_with(real), kind, told) as one:
         assert sign * likeness(one) > 0.5
         assert one.loop.disarm().reason is not None and one.torque == 0
 
 
 def test_a_bno085_that_freezes_or_falls_silent_holds_the_swim_and_comes_back():
-    with looped(fish_with("z"), "bno085", mounted("z")) as one:
+    with looped(fish_with(mounted("z")), "bno085", mounted("z")) as one:
         one.swim()
         one.rig.imu.faults.frozen = True
         one.ticks(lambda: one.loop.safety_status.state is State.HOLD)
@@ -284,8 +343,15 @@ def test_a_unit_names_the_fish_and_the_missing_imu(tmp_path: Path):
     assert "--fish pulley-fish --force-camera-yaw-rate" in out.read_text()
 
 
-def test_a_sensor_on_its_side_is_refused_as_a_bno085():
-    with looped(fish_with("z"), "bno085", mounted("z")) as one:
-        one.loop.devices.imu.close()  # type: ignore[union-attr]
-        with pytest.raises(BadInput, match=r"imu_up is y, .* only\s+if it lies flat"):
-            imus.connect(one.rig.ports[1], mounting_of(mounted("y")), PATIENT)
+def test_the_sign_test_tells_a_rotated_imu_that_is_upside_down():
+    """It is tilted by 30 degrees, and turned about its own axis; then the same and turned over."""
+    with looped(fish_with(turned(210, 0, 70)), "bno055", turned(30, 0, 70)) as one:
+        one.loop.sign_test = True
+        one.loop.signals.tested = False
+        one.ticks(lambda: one.loop.devices.receiver.clock.offset(0) is not None)
+        one.ticks(lambda: bool(one.loop.poses.seen) and one.loop.sensors.servo is not None)
+        one.loop.arm(time.monotonic())
+        one.loop.devices.servo.set((98, 1), 127)  # a thread may be late
+        assert one.loop.swim().state is State.TEST, one.loop.safety_status
+        one.ticks(lambda: one.loop.safety_status.state is not State.TEST)
+        assert "it is upside down" in one.loop.safety_status.text

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tailbeat.emulators.line import Line
+from tailbeat.fish.description import Hardware
 
 COUNT = 16 * 180 / math.pi  # per rad/s
 NOISE = 0.3  # deg/s rms, in counts of 16
@@ -138,6 +139,22 @@ def direction(axis: str) -> tuple[float, float, float]:
     """Unit vector of an axis by name, such as "-z"."""
     sign = -1.0 if axis.startswith("-") else 1.0
     x, y, z = (sign * (name == axis[-1]) for name in "xyz")
+    return x, y, z
+
+
+def up_of(hardware: Hardware) -> tuple[float, float, float]:
+    """Unit vector that points up in the axes of an IMU that is mounted as a fish's file says."""
+    if hardware.imu_rotation is None:
+        return direction(hardware.imu_up)
+    turned = np.eye(3)
+    for axis, angle in enumerate(hardware.imu_rotation):
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        once = np.eye(3)
+        once[a, a] = once[b, b] = math.cos(angle)
+        once[b, a] = math.sin(angle)
+        once[a, b] = -once[b, a]
+        turned = once @ turned
+    x, y, z = turned.T[:, 2].tolist()  # the fish's z, seen from the sensor
     return x, y, z
 
 

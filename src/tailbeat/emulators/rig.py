@@ -21,7 +21,7 @@ from tailbeat.emulators.broken import DRIFT, Broken, TrackerFaults
 from tailbeat.emulators.camera import Scene
 from tailbeat.emulators.camera_process import CameraProcess
 from tailbeat.emulators.feetech import Feetech
-from tailbeat.emulators.imu import Bno055, direction
+from tailbeat.emulators.imu import Bno055, up_of
 from tailbeat.emulators.imu_rvc import Bno085
 from tailbeat.emulators.line import Line, close_line, open_line
 from tailbeat.emulators.servo import Dynamixel, Shaft, hears
@@ -247,7 +247,7 @@ def imu_of(fish: Fish, kind: str) -> Bno055 | Bno085:
     """The fish's IMU, mounted as its file says. Raises BadInput."""
     if kind not in IMUS:
         raise BadInput(f"--imu {kind}: allowed for emulated devices are {', '.join(IMUS)}.")
-    return IMUS[kind](up=direction(hardware_of(fish).imu_up))
+    return IMUS[kind](up=up_of(hardware_of(fish)))
 
 
 def _servo_of(fish: Fish, shaft: PlantShaft) -> Dynamixel | Feetech:

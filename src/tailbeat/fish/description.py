@@ -146,7 +146,17 @@ class Hardware(Model):
     """Position P gain with which it was identified: register 84 (Dynamixel X), 532 (P) or 21
     (STS)."""
     imu_up: Literal["x", "-x", "y", "-y", "z", "-z"] = "z"
-    """Axis of the IMU that points up. A BNO085 must have `z` or `-z`."""
+    """Axis of the IMU that points up."""
+    imu_rotation: u.Angles3 | None = None
+    """Instead of `imu_up`, for any mounting: the IMU's roll, pitch and yaw in the fish's axes (x
+    ahead, y left, z up). It is turned about the fish's own x, then y, then z axis, as `rpy` in
+    URDF."""
+
+    @model_validator(mode="after")
+    def _mounted_once(self) -> "Hardware":
+        if self.imu_rotation is not None and self.imu_up != "z":
+            raise ValueError("imu_up and imu_rotation both say how the IMU is mounted; give one")
+        return self
 
 
 class Tendons(Model):

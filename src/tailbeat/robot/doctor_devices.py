@@ -16,8 +16,9 @@ from tailbeat.robot import dynamixel, feetech, feetech_tables, imus
 from tailbeat.robot import dynamixel_tables as at
 from tailbeat.robot import servo as servos
 from tailbeat.robot.findings import BAD, Finding, finding
-from tailbeat.robot.imu import ACCGYRO, MODE, STATUS, Imu, ImuFault, mounting_of
+from tailbeat.robot.imu import ACCGYRO, MODE, STATUS, Imu, ImuFault
 from tailbeat.robot.imus import YawSensor
+from tailbeat.robot.mounting import TILTED, WRONG, Vector, mounting_of, named
 from tailbeat.robot.safety import limits_for
 from tailbeat.robot.servo import Servo, ServoFault
 from tailbeat.robot.servo_state import PATIENCE
@@ -286,9 +287,9 @@ def _own_state(imu: Imu) -> list[Finding]:
     ]
 
 
-def _mounting(imu: YawSensor, up: str, hardware: Hardware) -> Finding:
-    """Compare gravity with the fish's file. The yaw of a BNO085 has the same sign with z and -z."""
-    wrong = up not in ("", hardware.imu_up)
-    told = f"{up or 'no axis'} is up by gravity, {hardware.imu_up} by the fish's file"
-    harmless = imu.name != "BNO055" and up in ("z", "-z")
-    return finding("IMU mounting", told, bad=wrong and not harmless, warn=wrong or not up)
+def _mounting(imu: YawSensor, up: Vector, hardware: Hardware) -> Finding:
+    """Compare gravity with the fish's file. The rate of a BNO085 has the same sign upside down."""
+    mounting = mounting_of(hardware)
+    told, off = f"{named(up)} is up by gravity, {mounting} by the fish's file", mounting.off(up)
+    harmless = imu.name != "BNO055" and off > math.pi - TILTED
+    return finding("IMU mounting", told, bad=off > WRONG and not harmless, warn=off > TILTED)

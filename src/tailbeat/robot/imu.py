@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import serial
 
 from tailbeat.files import BadInput
-from tailbeat.fish.description import Hardware
+from tailbeat.robot.mounting import Mounting, Vector, direction
 from tailbeat.robot.wire import GONE, heard, reopen
 
 CHIP_ID, ACCELERATION, GYRO, STATUS, UNITS, MODE, TRIGGER, PAGE = (
@@ -32,9 +32,6 @@ CHIP = 0xA0
 CONFIG, ACCGYRO = 0x00, 0x05  # raw rates: the fusion modes recalibrate during use
 RATE = math.radians(1 / 16)  # rad/s per count
 FASTEST = math.radians(2000)
-GRAVITY = 981  # counts of 0.01 m/s^2
-AXES = "xyz"
-TILTED = 0.8  # g along an axis below which it does not point up (chosen)
 TO_CONFIG, TO_OPERATE = 0.019, 0.007  # s that a change of mode takes
 DEADLINE = 0.008  # s for a reply: 12 bytes at 115,200 baud plus the sensor's time
 PATIENCE = 0.1  # s for the first one
@@ -59,32 +56,6 @@ class ImuFault(Exception):
 
 class NoAnswer(BadInput):
     """Nothing that can be understood arrives from the port."""
-
-
-@dataclass(frozen=True)
-class Mounting:
-    """Which sensor axis (0, 1, 2) is along the fish's z axis, and its sign: 1 if it points up, -1
-    if down."""
-
-    axis: int = 2
-    sign: int = 1
-
-    def __str__(self) -> str:
-        return ("-" if self.sign < 0 else "") + AXES[self.axis]
-
-
-def mounting_of(hardware: Hardware) -> Mounting:
-    """The mounting that a fish's file gives."""
-    up = hardware.imu_up
-    return Mounting(AXES.index(up[-1]), -1 if up.startswith("-") else 1)
-
-
-def axis_up(accelerations: tuple[float, float, float], gravity: float) -> str:
-    """Axis that points up, such as "-z", of a sensor at rest; "" if each is tilted by more than 37
-    degrees. `gravity` is one g in the accelerations' unit."""
-    axis = max(range(3), key=lambda one: abs(accelerations[one]))
-    sign = 1 if accelerations[axis] > 0 else -1
-    return str(Mounting(axis, sign)) if abs(accelerations[axis]) > TILTED * gravity else ""
 
 
 @dataclass(frozen=True)
@@ -120,11 +91,11 @@ class Imu:
             self.missed += 1
             return None
         self._check_alive(data)
-        rates = [RATE * count for count in struct.unpack("<3h", data)]
-        if max(map(abs, rates)) > FASTEST:
+        x, y, z = (RATE * count for count in struct.unpack("<3h", data))
+        if max(abs(x), abs(y), abs(z)) > FASTEST:
             self.missed += 1
             return None
-        return YawRate(time.monotonic(), self.mounting.sign * rates[self.mounting.axis])
+        return YawRate(time.monotonic(), self.mounting.rate((x, y, z)))
 
     def _check_alive(self, data: bytes) -> None:
         self.same = self.same + 1 if data == self.last else 0
@@ -145,11 +116,11 @@ class Imu:
         """Whether the sensor reports no error of its own."""
         return self.registers(STATUS, 2)[1] == 0
 
-    def up(self) -> str:
-        """Axis that points up, by gravity, such as "-z"; "" if none does. It needs `prepare`.
-        Raises ImuFault."""
+    def up(self) -> Vector:
+        """Unit vector that points up by gravity, in the sensor's axes. It needs `prepare`. Raises
+        ImuFault."""
         x, y, z = struct.unpack("<3h", self.registers(ACCELERATION, 6))
-        return axis_up((x, y, z), GRAVITY)
+        return direction((x, y, z))
 
     def registers(self, first: int, length: int) -> bytes:
         """Read a burst of registers. Raises ImuFault."""

@@ -1,14 +1,15 @@
 """The fish's IMU: a CEVA BNO085 (BNO080, BNO086) on a UART in its UART-RVC mode.
 
 Own driver. The sensor sends 100 packets a second and takes no orders: BNO08X data sheet, 1.3.5.2
-(not checked on a real sensor). A packet has the yaw angle, but no rate. The yaw rate is the slope
-of a straight line through the last three packets: `RECENT`. Their times are counted with the
-packets' own index, so neither a late reading nor a lost packet changes the rate.
+(not checked on a real sensor). A packet has yaw, pitch and roll, but no rate. The fish's heading
+follows from them and the mounting. The yaw rate is its slope: of a straight line through the last
+three packets, `RECENT`. Their times are counted with the packets' own index, so neither a late
+reading nor a lost packet changes the rate.
 
-One count of the angle is 0.01 degrees. Rounding to it gives the slope a noise of 0.0036 rad/s rms,
-and at most 0.009 rad/s. With two packets it would be twice as much. The slope is the rate at the
-middle packet, so it is 10 ms old when the newest packet arrives. If the sensor's clock is wrong by
-one per cent, so is the rate.
+One count of an angle is 0.01 degrees. Rounding to it gives the slope of a sensor that lies flat a
+noise of 0.0036 rad/s rms, and at most 0.009 rad/s. With two packets it would be twice as much. The
+slope is the rate at the middle packet, so it is 10 ms old when the newest packet arrives. If the
+sensor's clock is wrong by one per cent, so is the rate.
 """
 
 import contextlib
@@ -21,23 +22,14 @@ from dataclasses import dataclass, field
 
 import serial
 
-from tailbeat.files import BadInput
-from tailbeat.robot.imu import (
-    FASTEST,
-    ImuFault,
-    Mounting,
-    NoAnswer,
-    YawRate,
-    axis_up,
-    opened,
-)
+from tailbeat.robot.imu import FASTEST, ImuFault, NoAnswer, YawRate, opened
+from tailbeat.robot.mounting import Mounting, Vector, direction
 from tailbeat.robot.wire import GONE, heard, reopen
 
 HEAD, LENGTH = b"\xaa\xaa", 19
 FIELDS = struct.Struct("<B6h")  # index, yaw, pitch, roll [0.01 deg], acceleration x, y, z [mg]
 STEP = 0.01  # s from one packet to the next
 COUNT = math.radians(0.01)  # rad per count of an angle
-TURN = 36_000  # counts of a whole turn
 HIGHEST = (18_000, 9_000, 18_000)  # counts of yaw, pitch, roll
 RECENT = 3  # packets of which the slope is taken
 GAP = 5  # packets; after a longer gap the slope begins anew
@@ -96,6 +88,7 @@ class Bno085:
     with a wrong checksum."""
 
     port: serial.Serial
+    mounting: Mounting
     deadline: float = DEADLINE
     name: str = "BNO085"
     missed: int = 0
@@ -134,12 +127,17 @@ class Bno085:
             self.recent.clear()
             self.recent.append((0.0, 0.0))
             return True
-        turned = (packet.angles[0] - last.angles[0] + TURN // 2) % TURN - TURN // 2
+        turned = math.remainder(self._heading(packet) - self._heading(last), math.tau)
         when, yaw = self.recent[-1]
-        self.recent.append((when + gap * STEP, yaw + COUNT * turned))
+        self.recent.append((when + gap * STEP, yaw + turned))
         alike = (packet.angles, packet.accelerations) == (last.angles, last.accelerations)
         self.same = self.same + 1 if alike else 0
         return True
+
+    def _heading(self, packet: Packet) -> float:
+        """The fish's heading [rad], without a fixed zero."""
+        yaw, pitch, roll = (COUNT * one for one in packet.angles)
+        return self.mounting.heading(yaw, pitch, roll)
 
     def _hear(self, end: float) -> list[Packet]:
         """The packets that have arrived; if there is none, wait for one until `end` [s]. Raises
@@ -188,10 +186,10 @@ class Bno085:
         self.prepare()
         return True
 
-    def up(self) -> str:
-        """Axis that points up, by gravity, such as "-z"; "" if none does. Raises ImuFault."""
+    def up(self) -> Vector:
+        """Unit vector that points up by gravity, in the sensor's axes. Raises ImuFault."""
         self.prepare()
-        return axis_up(self.last.accelerations if self.last else (0, 0, 0), 1000)
+        return direction(self.last.accelerations if self.last else (0, 0, 0))
 
     def reopen(self) -> None:
         """Open the port again after the cable was unplugged. Raises ImuFault."""
@@ -211,10 +209,11 @@ def connect(path: str, mounting: Mounting | None = None, deadline: float = DEADL
     """Open a port and check that a BNO085 sends packets. `deadline` [s] is for a packet. Raises
     BadInput, NoAnswer if no packets arrive.
 
-    The yaw is counted about the vertical that gravity gives (data sheet: yaw, then pitch, then
-    roll), so it has the same sign with z up and z down. With x up it is not defined.
+    The angles are counted from the vertical that gravity gives (data sheet: yaw, then pitch, then
+    roll), so the rate has the same sign with z up and z down, whatever `mounting` says.
     """
-    sensor = Bno085(opened(path, deadline), max(deadline, PATIENCE))
+    port = opened(path, deadline)
+    sensor = Bno085(port, mounting or Mounting(), max(deadline, PATIENCE))
     try:
         sensor.prepare()
     except ImuFault as fault:
@@ -223,11 +222,5 @@ def connect(path: str, mounting: Mounting | None = None, deadline: float = DEADL
             f"{path}: no BNO085 sends packets at 115200 baud ({fault}); check cable, power and its"
             f" pins (PS0 high, PS1 low for UART-RVC)."
         ) from None
-    if (mounting or Mounting()).axis != 2:
-        sensor.close()
-        raise BadInput(
-            f"{path}: hardware.imu_up is {mounting}, and a BNO085 in UART-RVC mode gives a yaw only"
-            f" if it lies flat; mount it with z or -z up, and say so in the fish's file."
-        )
     sensor.deadline = deadline
     return sensor

@@ -6,7 +6,8 @@ import serial
 
 from tailbeat.files import BadInput
 from tailbeat.robot import imu, imu_rvc
-from tailbeat.robot.imu import Mounting, NoAnswer, YawRate
+from tailbeat.robot.imu import NoAnswer, YawRate
+from tailbeat.robot.mounting import Mounting, Vector
 
 
 class YawSensor(Protocol):
@@ -26,8 +27,8 @@ class YawSensor(Protocol):
     def healthy(self) -> bool:
         """Whether the sensor reports no error of its own."""
 
-    def up(self) -> str:
-        """Axis that points up, by gravity; "" if none does."""
+    def up(self) -> Vector:
+        """Unit vector that points up by gravity, in the sensor's axes."""
 
     def reopen(self) -> None:
         """Open the port again after the cable was unplugged."""

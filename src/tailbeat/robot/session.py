@@ -30,9 +30,10 @@ from tailbeat.robot.doctor_devices import (
     check_imu_before_driving,
 )
 from tailbeat.robot.fits import NONE, carried, check_driven, check_swims, check_yaw_rate
-from tailbeat.robot.imu import PATIENCE, ImuFault, mounting_of
+from tailbeat.robot.imu import PATIENCE, ImuFault
 from tailbeat.robot.imus import YawSensor
 from tailbeat.robot.loop import Loop
+from tailbeat.robot.mounting import WRONG, mounting_of, named
 from tailbeat.robot.ports import Ports
 from tailbeat.robot.results import DriveResult, summarise
 
@@ -174,9 +175,11 @@ def yaw_source(devices: Devices, hardware: Hardware, forced: bool = False) -> st
         up = devices.imu.up()
     except ImuFault as fault:
         return f"{devices.imu.name}; {fault}"
-    told = f"{devices.imu.name}, {hardware.imu_up} up"
-    wrong = up not in ("", hardware.imu_up)
-    return f"{told}; WARNING: by gravity {up} is up, see `tailbeat doctor`" if wrong else told
+    mounting = mounting_of(hardware)
+    told = f"{devices.imu.name}, {mounting} up"
+    if mounting.off(up) < WRONG:
+        return told
+    return f"{told}; WARNING: by gravity {named(up)} is up, see `tailbeat doctor`"
 
 
 @contextlib.contextmanager
