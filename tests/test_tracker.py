@@ -156,7 +156,7 @@ def test_a_tag_that_turns_over_is_not_believed_for_a_second(tracker, renderer):
 def test_a_tag_that_jumps_is_not_believed_and_one_that_comes_back_is(tracker, renderer):
     there = Scene((POSE[0] + 0.3, *POSE[1:]), target=AIM)
     film(tracker, renderer, [Scene(POSE, target=AIM)])
-    tracker.searched = -100  # search all of it
+    tracker.scanned = -(10**18)  # search all of it
     (seen,) = film(tracker, renderer, [there], 1)
     assert seen.frame.fish is None and seen.rejected == {"jumped": 1}
     back = film(tracker, renderer, [Scene(POSE, target=AIM)] * 4, 2)
@@ -291,6 +291,30 @@ def test_fixed_tags_tell_a_camera_that_moved_from_one_that_did_not(renderer, shi
     assert bool(warning(last.moved)) is told
     assert abs(last.moved - shift) < 0.006  # waves of the surface move a tag too
     assert last.frame.fish and "unexpected tag" not in last.rejected
+
+
+def told_after(rate: float, course: float) -> float:
+    """Time [s] until a camera at `rate` [Hz] that begins to drift by 1 cm/s in a direction [rad] is
+    told by two fixed tags; infinite after 5 s."""
+    places = {ident: (x, y, FISH.height) for ident, (x, y) in EDGE.items() if ident != 11}
+    tracker, optics = Tracker(replace(true_calibration(), fixed=places)), Optics()
+    renderer, begin = Renderer(optics, fish=FISH, target=TARGET), 1.9
+    others = tuple((ident, (x, y, 0.0)) for ident, (x, y, _) in places.items())
+    scene = Scene(fish=POSE, target=AIM, others=others)
+    (x, y, z), way = optics.position, np.array([math.cos(course), math.sin(course)])
+    for k in range(round((begin + 5.0) * rate)):
+        now = k / rate
+        x1, y1 = np.array([x, y]) + 0.01 * max(now - begin, 0.0) * way
+        renderer.optics = replace(optics, position=(x1, y1, z))
+        if warning(tracker.see(renderer.draw(scene, now), round(1e9 * now)).moved):
+            return now - begin
+    return math.inf
+
+
+@pytest.mark.parametrize("rate", [60.0, 15.0])
+@pytest.mark.parametrize("course", [0.3, 2.2, 4.4])
+def test_a_camera_that_drifts_slowly_is_told_within_three_seconds_at_any_frame_rate(rate, course):
+    assert 1.0 < told_after(rate, course) < 3.0
 
 
 def test_without_fixed_tags_nothing_is_said(renderer, tracker):

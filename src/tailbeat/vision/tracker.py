@@ -41,8 +41,8 @@ class TrackerLimits:
     turning: float = 12.0  # rad/s: a fish's head beats, it does not spin
     turn: float = 0.5  # rad
     memory: float = 1.0  # s
-    scan: int = 30  # frames between two searches of the whole picture
-    hunt: int = 3  # the same while a tag is missing: a full search takes as long as ten windows
+    scan: float = 0.5  # s between two searches of the whole picture, at any frame rate
+    hunt: int = 3  # frames, while a tag is missing: a full search takes as long as ten windows
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +85,7 @@ class Tracker:
     frames: int = 0
     last: dict[int, Last] = field(default_factory=dict)
     searched: int = -(10**9)  # last frame that was searched as a whole
+    scanned: int = -(10**18)  # its stamp [ns]
     stamps: deque[int] = field(default_factory=lambda: deque(maxlen=61))
 
     def __post_init__(self) -> None:
@@ -120,9 +121,10 @@ class Tracker:
         self.last = {k: one for k, one in self.last.items() if 0 <= stamp - one.stamp <= old}
         before = self.stamps[-1] if self.stamps else 0
         seen = [one for one in self.last.values() if one.stamp == before]
-        every = self.limits.hunt if len(seen) < len(self.ids) else self.limits.scan
-        if not self.last or self.frames - self.searched >= every:
-            self.searched = self.frames
+        missing = len(seen) < len(self.ids) and self.frames - self.searched >= self.limits.hunt
+        fresh = 0 <= stamp - self.scanned < round(self.limits.scan * SECOND)
+        if not self.last or missing or not fresh:
+            self.searched, self.scanned = self.frames, stamp
             return True
         return False
 
