@@ -163,8 +163,32 @@ def test_no_check_is_broken_in_tours_of_the_pool(known, toured):
             assert not own.trouble and not own.warned
 
 
+CUT, WITHIN = 9.0, 3.0  # s
+
+
+def test_tendons_that_are_cut_on_a_tour_are_told_within_three_seconds(known):
+    """At one moment of twenty tours, a third of them beside a wall. Those whose tail rests at a
+    target have nothing to compare."""
+    world, steps = pool(20, POLICY.contract.actions, CUT + WITHIN, POOL), [0]
+
+    def go(seen):
+        steps[0] += 1
+        if steps[0] == round(CUT / PERIOD):
+            tendon = world.simulator.plant.chain.tendon
+            tendon["stiffness"][0] = tendon["damping"][0] = 0.0
+        return decide(POLICY, seen)
+
+    rows = expect.rows(known, tours(go, world, 3))
+    said = [look(known, fish) for fish in rows]
+    assert not any(any(one[: round(CUT / PERIOD)]) for one in said)
+    beating = [math.isfinite(at.sign("recoil", fish, known)) for fish in rows]
+    told = [bool(one[-1]) for one in said]
+    assert sum(beating) >= 17 and sum(told) >= 18
+    assert sum(t for t, b in zip(told, beating, strict=True) if b) == sum(beating)
+
+
 def look(known: Expected, fish: np.ndarray) -> list[str]:
-    """What the monitors say in every period of a tour, but beside a wall."""
+    """What the monitors say in every period of a tour."""
     own = Signals(known, POLICY.contract.band, (LOW, HIGH), POLICY.contract.measure)
     own.begin(0.0)
     said = []
