@@ -110,6 +110,21 @@ def test_targets_lie_where_the_task_says():
     assert np.abs(bearing).max() <= 0.5 and np.ptp(bearing) > 0.8
 
 
+def test_targets_behind_a_fish_lie_on_both_sides_and_come_of_the_same_draws():
+    def bearings(least: float) -> np.ndarray:
+        task = Task(arc=3.0, least_arc=least)
+        world = World(FISH, replace(STILL, task=task), list(range(200)))
+        world.reset()
+        ahead, left = (world.target - world.pose[:, :2]).T
+        return np.arctan2(left, ahead)
+
+    everywhere, behind = bearings(0.0), bearings(2.5)
+    off = np.abs(behind)
+    assert 2.5 <= off.min() < 2.55 and 2.95 < off.max() <= 3.0
+    assert np.array_equal(np.sign(behind), np.sign(everywhere))
+    assert np.allclose(off, 2.5 + np.abs(everywhere) / 6)
+
+
 @pytest.mark.parametrize(("away", "kept"), [(0.2, True), (0.5, False)])
 def test_a_target_that_goes_on_ends_nothing_and_counts_when_it_was_kept(away, kept):
     task = Task(nearest=away, farthest=away, arrival=0.1, seconds=10.0, follow=True)
@@ -352,6 +367,7 @@ def test_a_million_control_steps_leave_no_trace():
         (Settings(task=Task(farthest=9.0)), "above limit 6 m"),
         (Settings(task=Task(nearest=2.0, walls=(5.5, 2.7))), "fits into walls"),
         (Settings(task=Task(arc=4.0)), "allowed are 0 to pi"),
+        (Settings(task=Task(arc=1.0, least_arc=1.5)), "bearings from 1.5 to 1 rad"),
         (Settings(actions=Generator(-1.0, 1.0, ceiling=6.0)), "identified band ends at 4 Hz"),
         (Settings(actions=Direct(-3.0, 3.0)), "motor allows -1.396 to 1.396|motor allows -1.39"),
         (Settings(physics=Randomisation(fluid=1.2)), "fluid = 1.2; allowed"),

@@ -139,6 +139,7 @@ def test_show_diff_and_try_from_the_command_line(written, tmp_path):
     assert tried.returncode == 0, tried.stderr
     found = json.loads((tmp_path / "try.json").read_text())
     assert found["targets"] == 8 and 0 <= found["reached"] <= 1
+    assert found["least_arc_deg"] == 0 and found["slowest_seconds"] is None  # it misses some
 
 
 def test_bad_input_is_one_sentence_and_exit_code_2(written, tmp_path):
@@ -146,6 +147,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(written, tmp_path):
         (("policy", "show", tmp_path / "none.onnx"), "no such file"),
         (("policy", "try", written[0], "--fish", "crank-fish"), "here crank-fish"),
         (("policy", "try", written[0], "--fish", FISH.name, "--arc", 999), "--arc 999"),
+        (("policy", "try", written[0], "--fish", FISH.name, "--least-arc", 130), "--least-arc 130"),
         (("train", "--fish", FISH.name, "--out", tmp_path, "--recipe", "soup"), "--recipe soup"),
         (("train", "--fish", FISH.name, "--out", tmp_path, "--actions", "fins"), "--actions fins"),
         (("train", "--fish", FISH.name, "--out", tmp_path / "a", "--resume"), "no run to resume"),

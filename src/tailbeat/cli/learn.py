@@ -148,6 +148,13 @@ def try_(
     arc: Annotated[
         float, typer.Option(help="Largest bearing of a target to either side [deg].")
     ] = 120.0,
+    least_arc: Annotated[
+        float,
+        typer.Option(
+            help="Smallest bearing of a target to either side [deg]; 165 with --arc 180: targets"
+            " behind the fish."
+        ),
+    ] = 0.0,
     targets: Annotated[int, typer.Option(help="Number of targets.")] = 1000,
     exact: Annotated[bool, typer.Option(help="Swim without noise and randomisation.")] = False,
     pools: Annotated[
@@ -174,14 +181,14 @@ def try_(
     need_training()
     from tailbeat.evaluate.reach import TrialConfig, try_policy
 
-    config = TrialConfig(arc, targets, seed, exact, pools, newer, _source(imu))
+    config = TrialConfig(arc, targets, seed, exact, pools, newer, _source(imu), least_arc)
     done = try_policy(file, fish, config)
     where = "in the virtual pool" if pools else "in the twin"
     sectors = [
         {"bearing [deg]": f"{row.low:g}-{row.high:g}", **one}
         for row, one in zip(done.sectors, as_rows(done.sectors, "low", "high"), strict=True)
     ]
-    asked = {"policy": file, "arc_deg": arc, "pools": pools}
+    asked = {"policy": file, "least_arc_deg": least_arc, "arc_deg": arc, "pools": pools}
     output.tables({f"{where}, by bearing": sectors})
     output.tables({where: [asked | row for row in as_rows([done], "sectors")]})
     if json is not None:

@@ -25,16 +25,17 @@ Array = NDArray[np.float64]
 class Task:
     """Where targets are and when an episode ends.
 
-    Targets are drawn at `nearest` to `farthest` [m] and within `arc` [rad], the half angle about
-    straight ahead. `arrival` [m] is the paper's. `seconds` until time-out; `limit` [m] from the
-    start at which the fish is lost; `walls` (length, width) [m] of a pool about the start, or None.
-    With `follow` an arrival ends nothing: targets stay or move at up to `target_speed` [m/s]
+    Targets are drawn at `nearest` to `farthest` [m] and at `least_arc` to `arc` [rad] to either
+    side of straight ahead. `arrival` [m] is the paper's. `seconds` until time-out; `limit` [m] from
+    the start at which the fish is lost; `walls` (length, width) [m] of a pool about the start, or
+    None. With `follow` an arrival ends nothing: targets stay or move at up to `target_speed` [m/s]
     (`target_paths`) until time-out.
     """
 
     nearest: float = 0.5
     farthest: float = 2.5
     arc: float = np.pi
+    least_arc: float = 0.0
     arrival: float = ARRIVAL
     seconds: float = PATIENCE
     limit: float = 6.0
@@ -142,7 +143,8 @@ def _check_task(task: Task) -> None:
             f"task: no target at {task.nearest:g} m or more fits into walls {task.walls}; use a"
             f" larger pool or nearer targets."
         )
-    if not 0 <= task.arc <= np.pi or not task.seconds > 0:
+    if not 0 <= task.least_arc <= task.arc <= np.pi or not task.seconds > 0:
         raise BadInput(
-            f"task: arc {task.arc:g} rad, {task.seconds:g} s; allowed are 0 to pi, and above 0 s."
+            f"task: bearings from {task.least_arc:g} to {task.arc:g} rad, {task.seconds:g} s;"
+            f" allowed are 0 to pi, the least one first, and above 0 s."
         )

@@ -149,7 +149,8 @@ class World:
         start = tracked_pose(self.fish, np.zeros(3))[:2]
         while True:
             distance = rng.uniform(self.task.nearest, self.task.farthest)
-            bearing = self.task.arc * rng.uniform(-1, 1)
+            side, least = rng.uniform(-1, 1), self.task.least_arc
+            bearing = np.copysign(least + (self.task.arc - least) * abs(side), side)
             place = start + distance * np.array([np.cos(bearing), np.sin(bearing)])
             walls = self.task.walls
             if walls is None or np.all(np.abs(place) < np.array(walls) / 2):

@@ -11,7 +11,7 @@ from tailbeat.control.actions import PERIOD
 from tailbeat.control.camera_yaw import Source
 from tailbeat.control.policy import Policy, check_fits, decide, load_policy
 from tailbeat.env.assess import Build, assess
-from tailbeat.env.curriculum import Stage, settings_of
+from tailbeat.env.curriculum import OPEN_WATER, Stage, settings_of
 from tailbeat.env.task import Settings
 from tailbeat.env.world import World
 from tailbeat.evaluate.rates import Flags, SuccessRates, success
@@ -57,12 +57,14 @@ class Cell(SuccessRates):
 @dataclass(frozen=True, kw_only=True)
 class SeededTrial(SuccessRates):
     """Swims to seeded targets: fraction `reached`; over those the median time [s] and the median
-    path length over the distance, NaN if none was reached."""
+    path length over the distance, NaN if none was reached. All were reached within
+    `slowest_seconds`; None means that one was missed."""
 
     targets: int
     reached: float
     median_seconds: float
     median_path_ratio: float
+    slowest_seconds: float | None
     sectors: tuple[Group, ...]
 
 
@@ -86,10 +88,10 @@ class ReachResult(SuccessRates):
 
 @dataclass(frozen=True)
 class TrialConfig:
-    """`targets` targets within `arc` [deg] to either side, drawn from `seed`: in the twin with all
-    noise and randomisation (`exact`: without), or in `pools` waters of the pool. With `newer` the
-    twin is a newer identification of the fish that the policy was trained on. `yaw_rate` is the
-    source of the yaw rate; None: the one that the policy was trained with."""
+    """`targets` targets at `least_arc` to `arc` [deg] to either side, drawn from `seed`: in the
+    twin with all noise and randomisation (`exact`: without), or in `pools` waters of the pool. With
+    `newer` the twin is a newer identification of the fish that the policy was trained on.
+    `yaw_rate` is the source of the yaw rate; None: the one that the policy was trained with."""
 
     arc: float = 120.0
     targets: int = 1000
@@ -98,6 +100,7 @@ class TrialConfig:
     pools: int = 0
     newer: bool = False
     yaw_rate: Source | None = None
+    least_arc: float = 0.0
 
 
 def in_twin(fish: Fish, settings: Settings) -> Build:
@@ -122,8 +125,12 @@ def reach(policy: Policy, build: Build, count: int, seed: int) -> SeededTrial:
     swims = assess(partial(decide, policy), partial(_fitting, policy, build), count, seed)
     near = swims.nearest < policy.contract.measure.near
     sectors = by_sector(swims.bearing, swims.reached, near, swims.seconds)
-    rates = vars(success(swims.reached, near))
-    return SeededTrial(**vars(swims.summary()), **rates, sectors=sectors)
+    return SeededTrial(
+        **vars(swims.summary()),
+        **vars(success(swims.reached, near)),
+        slowest_seconds=_time(np.where(swims.reached, swims.seconds, np.inf), 1.0),
+        sectors=sectors,
+    )
 
 
 def _fitting(policy: Policy, build: Build, seeds: list[int]) -> World:
@@ -141,11 +148,7 @@ def _fitting(policy: Policy, build: Build, seeds: list[int]) -> World:
 def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:
     """Swim a policy to seeded targets. Raises BadInput if it was not trained for this fish, or, for
     a newer identification, on another body."""
-    if not 0 < config.arc <= 180 or config.targets < 1 or config.pools < 0:
-        raise BadInput(
-            f"--arc {config.arc:g}, --targets {config.targets}, --pools {config.pools}: allowed are"
-            f" above 0 to 180, 1 or more, 0 or more."
-        )
+    _check(config)
     if config.newer and config.pools:
         raise BadInput("--newer: it is about the twin; omit --pools.")
     policy, described = load_policy(path), load_fish(fish)
@@ -158,11 +161,22 @@ def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:
         check_fits(held, *who, described.band, PERIOD)
     noise = 0.0 if config.exact else 1.0
     stage = Stage("trial", 3, noise, noise, float(np.radians(config.arc)))
-    settings = settings_of(stage, held.actions, measure=held.measure)
+    task = replace(OPEN_WATER, least_arc=float(np.radians(config.least_arc)))
+    settings = settings_of(stage, held.actions, task, held.measure)
     settings = replace(settings, yaw_rate=config.yaw_rate or held.yaw_rate, motion=held.motion)
     waters = ensemble(config.pools, config.seed) if config.pools else []
     build = in_pool(described, settings, waters) if waters else in_twin(described, settings)
     return reach(policy, build, config.targets, config.seed)
+
+
+def _check(config: TrialConfig) -> None:
+    if not 0 < config.arc <= 180 or config.targets < 1 or config.pools < 0:
+        raise BadInput(
+            f"--arc {config.arc:g}, --targets {config.targets}, --pools {config.pools}: allowed are"
+            f" above 0 to 180, 1 or more, 0 or more."
+        )
+    if not 0 <= config.least_arc <= config.arc:
+        raise BadInput(f"--least-arc {config.least_arc:g}: allowed are 0 to --arc, {config.arc:g}.")
 
 
 # ---- the trial ----------------------------------------------------------------------------------
