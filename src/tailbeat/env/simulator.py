@@ -89,19 +89,20 @@ class TwinSimulator:
         """Step one control period. If a fish diverges, the engine warns and resets it, and it
         counts as lost."""
         self.ctrl[:, 0] = setpoint
-        self.force[:, self.head, :2] = push
         block = self.substeps if self.water is None else min(self.water.block, self.substeps)
         with quiet_engine():
             for first in range(0, self.substeps, block):
-                self._correct(first, push)
+                self._push(first, push)
                 self.batch.step(nstep=block)
         return self._lost()
 
-    def _correct(self, step: int, push: Array) -> None:
+    def _push(self, step: int, push: Array) -> None:
         """Set the force for the coming steps, the first of which is number `step`."""
-        if self.water is not None and (relief := correct(self.water, step)) is not None:
-            self.force[:, self.head, :3] = relief
-            self.force[:, self.head, :2] += push
+        relief = None if self.water is None else correct(self.water, step)
+        if relief is not None:
+            self.force[:, self.head, 2] = relief[:, 2]
+            push = push + relief[:, :2]
+        self.force[:, self.head, :2] = push
 
     def _lost(self) -> Flags:
         """Which fish the engine has warned about since the last call."""
