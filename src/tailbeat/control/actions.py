@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
+from tailbeat.fish.period import PERIOD
 
 Array = NDArray[np.float64]
 TURN = 2 * np.pi
-PERIOD = 0.02  # s, of control
 
 
 @dataclass(frozen=True)

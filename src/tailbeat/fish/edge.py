@@ -25,10 +25,12 @@ from mujoco import batch
 from numba import njit
 from numpy.typing import NDArray
 
+from tailbeat.fish.period import PERIOD
+
 Array = NDArray[np.float64]
 NAME = "trailing_edge"  # of the number that a compiled model carries
 KUTTA = 4  # column of `geom_fluid`
-HOLD = 0.02  # s between two updates of the coefficients: the control period
+HOLD = PERIOD  # s between two updates of the coefficients
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
+from tailbeat.fish.period import PERIOD
 from tailbeat.identify.gait import Track, distance
 from tailbeat.identify.motor_power import HIGHEST, Spectrum, central, share, spectra
 from tailbeat.identify.runs import check_motor
 from tailbeat.recording import Recording, uniform
 
 Array = NDArray[np.float64]
-PERIOD = 0.02  # s between compared samples: the robot's own loop
 AVERAGE = 1.0  # s over which speed and yaw rate are averaged, to remove the sway of a beat
 PERCENTILES = (0.5, 99.5)  # between them lies the recorded range
 BANDS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, HIGHEST)  # Hz, edges of the table

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
+from tailbeat.fish.period import PERIOD
 from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]
-RATE = 50.0  # Hz: the robot's own loop
+RATE = 1 / PERIOD  # Hz: the robot's own loop
 SHARE = 0.9  # fraction of the motor's range that is used
 HELD_OUT_SERVO = ("servo-mixed", "servo-beat")
 USUAL_SPEED = 4.0  # rad/s
