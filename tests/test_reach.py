@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
-from policies import CURRENT, POLICIES
+from policies import POLICIES
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import check_fits, decide, load_policy
 from tailbeat.env.curriculum import OPEN_WATER, STAGES, Stage, settings_of
@@ -45,7 +45,7 @@ def test_sectors_take_both_sides_and_every_target_once():
     assert rows[-1].p90_s is None  # one of two never came
 
 
-@pytest.mark.parametrize("name", CURRENT)
+@pytest.mark.parametrize("name", POLICIES)
 def test_the_policies_fit_the_shipped_twin(name):
     """With the servo that their name says: the idealised one fits no other."""
     contract = load_policy(POLICIES[name]).contract
