@@ -139,9 +139,10 @@ def _advance(
 ) -> Array:
     """Samples (n, longest + 1, nq), in long calls: until the next twin stops, the next correction
     of the water's force, or `CHUNK` samples."""
+    if moved is not None and moved.block == 1:
+        return _step_by_step(pool, moved, commands, lengths, every)
     state, force = pool.bind("qpos"), pool.bind("xfrc_applied")
-    found = np.empty((len(lengths), lengths.max() + 1, state.shape[1]))
-    found[:, 0] = state
+    found = _begun(state, lengths)
     block = CHUNK * every if moved is None else moved.block
     ends = lengths * every
     stops = sorted({*ends.tolist(), *range(0, int(ends.max()), block)})
@@ -153,6 +154,33 @@ def _advance(
         rows = pool.rollout(last - first, control, CONTROL, record=("qpos",), ids=active)["qpos"]
         samples = np.arange(first // every + 1, last // every + 1)
         found[np.ix_(active, samples)] = rows[:, samples * every - first - 1]
+    return found
+
+
+def _step_by_step(
+    pool: batch.Batch, moved: Water, commands: Array, lengths: NDArray[np.int_], every: int
+) -> Array:
+    """The samples of `_advance`, bit for bit, where the water's force changes at every step. An
+    engine call that records nothing takes a third less time."""
+    state, force, control = (pool.bind(name) for name in ("qpos", "xfrc_applied", "ctrl"))
+    found = _begun(state, lengths)
+    ends, played = lengths * every, np.ascontiguousarray(commands[:, :, 0].T)
+    for first, last in pairwise(sorted({0, *ends.tolist()})):
+        active = np.flatnonzero(ends >= last).astype(np.int32)
+        for step in range(first, last):
+            if (push := correct(moved, step)) is not None:
+                force[:, HEAD, :3] = push
+            control[:, 0] = played[step]
+            pool.step(None if len(active) == len(ends) else active)
+            if (step + 1) % every == 0:
+                found[active, (step + 1) // every] = state[active]
+    return found
+
+
+def _begun(state: Array, lengths: NDArray[np.int_]) -> Array:
+    """Room for samples (n, longest + 1, nq), of which the first is written."""
+    found = np.empty((len(lengths), lengths.max() + 1, state.shape[1]))
+    found[:, 0] = state
     return found
 
 
