@@ -160,8 +160,8 @@ def _advance(
 def _step_by_step(
     pool: batch.Batch, moved: Water, commands: Array, lengths: NDArray[np.int_], every: int
 ) -> Array:
-    """The samples of `_advance`, bit for bit, where the water's force changes at every step. An
-    engine call that records nothing takes a third less time."""
+    """The samples of `_advance`, where the water's force changes at every step: an engine call that
+    records nothing takes a third less time. A twin that diverged is stepped no further."""
     state, force, control = (pool.bind(name) for name in ("qpos", "xfrc_applied", "ctrl"))
     found = _begun(state, lengths)
     ends, played = lengths * every, np.ascontiguousarray(commands[:, :, 0].T)
@@ -174,7 +174,18 @@ def _step_by_step(
             pool.step(None if len(active) == len(ends) else active)
             if (step + 1) % every == 0:
                 found[active, (step + 1) // every] = state[active]
+                active = _sound(pool, active)
+            if not active.size:
+                break
     return found
+
+
+def _sound(pool: batch.Batch, active: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Those of the active twins that have not diverged; of the others no sample is kept."""
+    if not pool.warning.any():
+        return active
+    warned = pool.warning.reshape(pool.nsim, -1).any(axis=1)
+    return active[~warned[active]]
 
 
 def _begun(state: Array, lengths: NDArray[np.int_]) -> Array:
