@@ -130,7 +130,14 @@ def test_a_page_of_runs_cut_short_says_so(evaluated, tmp_path):
 
 
 @pytest.mark.long
-def test_a_comparison_pairs_every_policy_with_its_twin_and_is_shared_between_processes(tmp_path):
+def test_a_comparison_pairs_every_policy_with_its_twin_and_is_shared_between_processes(
+    tmp_path, monkeypatch
+):
+    """In swims of six seconds: how far they come does not matter here."""
+    real = compare.conditions_of
+    monkeypatch.setattr(
+        compare, "conditions_of", lambda *of: [replace(one, seconds=6.0) for one in real(*of)]
+    )
     config = ComparisonConfig((POLICY,), targets=2)
     for share in ((0, 2), (1, 2)):
         found = compare.compare(config, tmp_path / "c", lambda *_: None, share)
