@@ -132,7 +132,7 @@ def test_a_contract_that_contradicts_itself_is_refused(fields, refusal, tmp_path
 def test_a_training_to_follow_writes_such_a_policy(tmp_path):
     recipe = recipe_of("smoke", "follow")
     space = action_space("generator", FISH)
-    run = RunConfig(FISH, tmp_path / "run", recipe, space, hours=0.003)
+    run = RunConfig(FISH, tmp_path / "run", recipe, space, hours=0.001)
     train(run)
     made = load_policy(tmp_path / "run" / "policy.onnx").contract
     assert (made.version, made.motion) == (2, run.settings(0).motion)
