@@ -19,7 +19,7 @@ from tailbeat.identify.job import FluidConfig
 from tailbeat.identify.protocol import fluid_runs, limits, servo_commands
 from tailbeat.identify.search import Effort
 from tailbeat.identify.tail import identify_tail
-from tailbeat.pool.protocols import record_fluid, record_servo, record_tail
+from tailbeat.pool.protocols import record_fluid, record_servo
 from tailbeat.pool.record import record
 from tailbeat.pool.recorder import COUNT, Sensors
 from tailbeat.pool.water import Water, fingerprint
@@ -63,9 +63,10 @@ def test_what_is_recorded_is_what_sensors_give(folder):
 
 
 def test_the_same_seed_is_the_same_recording_and_the_plant_stays_hidden():
-    first, again = (next(record_servo(FISH, seed=3)) for _ in range(2))
+    chirp = crop(servo_commands(FISH, limits(FISH))["servo-chirp"], 0.0, 4.0)
+    first, again = (next(record_servo(FISH, seed=3, commands=[chirp])) for _ in range(2))
     assert np.array_equal(first.columns["angle_rad"], again.columns["angle_rad"])
-    other = next(record_servo(FISH, seed=4))
+    other = next(record_servo(FISH, seed=4, commands=[chirp]))
     assert first.time.size != other.time.size or not np.array_equal(first.time, other.time)
     hidden = {f.name for f in fields(Water)}
     assert not hidden & set(first.meta) and not hidden & set(first.columns)
@@ -111,9 +112,8 @@ def test_check_swims_judge_the_fit_and_are_never_fitted(folder):
     assert not {*sorted_out.check} & {*sorted_out.fluid_fit, *sorted_out.fluid_validate}
 
 
-def test_the_bench_gives_back_the_plant_s_stiffness():
-    sweep = next(record_tail(FISH, seed=0))
-    fit = identify_tail([sweep])
+def test_the_bench_gives_back_the_plant_s_stiffness(folder):
+    fit = identify_tail([read_recording(folder / "tail-sweep.csv")])
     assert fit.k_eff.value == pytest.approx(shaft_stiffness(FISH), rel=0.02)
     assert fit.k_eff.interval[0] < shaft_stiffness(FISH) < fit.k_eff.interval[1]
 

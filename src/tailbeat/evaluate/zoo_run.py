@@ -26,10 +26,10 @@ STEPS = ("new-fish", "record", "identify", "train", "evaluate")
 # short for a policy that swims well.
 QUICK = {
     "servo": ("servo-chirp", "servo-steps", "servo-triangle", "servo-beat"),
-    "fluid": ("fluid-02", "fluid-06", "fluid-14-launch", "fluid-28-turn"),
+    "fluid": ("fluid-02", "fluid-06", "fluid-28-turn"),
 }
 QUICK_IDENTIFY, QUICK_TRAIN = (
-    ("--zones", "1", "--generations", "2", "--iterations", "4", "--draws", "4"),
+    ("--zones", "1", "--generations", "1", "--iterations", "2", "--draws", "2"),
     ("--recipe", "smoke", "--hours", "0.002"),
 )
 CRANK = "crank-fish"  # shipped; no test bench for a motor that turns on, so not identified
