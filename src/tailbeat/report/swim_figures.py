@@ -45,8 +45,9 @@ from tailbeat.report.style import (
 
 def save(figure: Figure, stem: Path) -> list[Path]:
     """Write `stem`.svg and `stem`.png; existing files are replaced."""
-    figure.draw_without_rendering()
-    figure.set_layout_engine(None)  # laid out once, not once more for each drawing of each file
+    if (layout := figure.get_layout_engine()) is not None:
+        layout.execute(figure)  # once, not once more for each drawing of each file
+        figure.set_layout_engine(None)
     paths = [stem.with_suffix(end) for end in (".svg", ".png")]
     for path in paths:
         with new_file(path, overwrite=True) as beside:
