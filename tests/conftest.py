@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """`-n auto`: two more processes than cores, for two of them mostly wait for other processes."""
     return (os.cpu_count() or 1) + 2
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """In a process of `pytest -n`, where all of the simulation's packages are installed."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        with suppress(ModuleNotFoundError):
+            from compiled_once import compile_once
+
+            compile_once()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
