@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, swim
-from tailbeat.fish.store import load_fish
+from tailbeat.fish.store import load_fish, with_values
 from tailbeat.fish.twin import compile_twin
 
 MASS, INERTIA, ADDED = 1.0, 0.01, 0.8  # kg, kg m^2, kg: ADDED across, spread over LENGTH
@@ -125,3 +125,15 @@ def test_a_shipped_fish_mirrors_with_it() -> None:
     left, right = swim([twin] * 2, [Start.at_rest()] * 2, commands, 5)
     assert right.qpos[:, 1:] == pytest.approx(-left.qpos[:, 1:], abs=1e-6)
     assert left.qpos[-1, 0] > 0.5
+
+
+def test_a_twin_that_diverges_stops_alone():
+    fish = load_fish("pulley-fish-pool")
+    wild = with_values(fish, {f"zones.{zone}.kutta": 1e5 for zone in fish.zones})
+    command = 0.6 * np.sin(0.05 * np.arange(300))
+    sound, lost = compile_twin(fish), compile_twin(wild)
+    rest = Start.at_rest()
+    alone = swim([sound], [rest], [command], 5)[0]
+    both = swim([lost, sound], [rest, rest], [command, command], 5)
+    assert [one.diverged for one in both] == [True, False] and not both[0].qpos.any()
+    assert np.array_equal(both[1].qpos, alone.qpos) and alone.qpos[-1].any()

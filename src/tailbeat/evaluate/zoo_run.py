@@ -25,12 +25,12 @@ STEPS = ("new-fish", "record", "identify", "train", "evaluate")
 # To see in minutes that all steps fit together: few recordings, a short search, and a training too
 # short for a policy that swims well.
 QUICK = {
-    "servo": ("servo-chirp", "servo-steps", "servo-triangle", "servo-beat"),
+    "servo": ("servo-chirp", "servo-steps", "servo-beat"),
     "fluid": ("fluid-02", "fluid-06", "fluid-28-turn"),
 }
 QUICK_IDENTIFY, QUICK_TRAIN = (
     ("--zones", "1", "--generations", "1", "--iterations", "2", "--draws", "2"),
-    ("--recipe", "smoke", "--hours", "0.002"),
+    ("--recipe", "smoke", "--hours", "0.001"),
 )
 CRANK = "crank-fish"  # shipped; no test bench for a motor that turns on, so not identified
 UNDECIDED = "not decided"  # in the source of an identified number
