@@ -25,7 +25,7 @@ STEPS = ("new-fish", "record", "identify", "train", "evaluate")
 # To see in minutes that all steps fit together: few recordings, a short search, and a training too
 # short for a policy that swims well.
 QUICK = {
-    "servo": ("servo-chirp", "servo-steps", "servo-beat"),
+    "servo": ("servo-chirp", "servo-steps", "servo-triangle", "servo-beat"),
     "fluid": ("fluid-02", "fluid-06", "fluid-28-turn"),
 }
 QUICK_IDENTIFY, QUICK_TRAIN = (
