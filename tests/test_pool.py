@@ -51,9 +51,7 @@ def assembled(plant: Plant, q: np.ndarray, v: np.ndarray, wet: bool = False) -> 
     add_bodies(chain, plant.servo[0]["armature"], work)
     if wet:
         each = plant.each
-        around = Around(
-            each.water[0], each.servo[0], each.modes[0], each.walls[0], each.pokes[0], each.held[0]
-        )
+        around = Around(*(values[0] for values in each))
         add_water(chain, around, 0.0, 0.0, np.full(len(chain.fins), UNDISTURBED), work)
     return work
 

@@ -8,7 +8,7 @@ from numba import njit
 
 from tailbeat.pool import chain as rows
 from tailbeat.pool.chain import Chain, dofs
-from tailbeat.pool.dynamics import POKE, Around, scratch
+from tailbeat.pool.dynamics import POKE, TETHER, Around, scratch
 from tailbeat.pool.hydrodynamics import MODE, add_water, shed
 from tailbeat.pool.kinematics import pose
 from tailbeat.pool.section import UNDISTURBED
@@ -104,7 +104,8 @@ def foil(pivot: float = 0.0, slope: float = 1.0, arm: float | None = None) -> Ch
 def towed(path: Path, chain: Chain, water: Water) -> np.ndarray:
     """Force of the water on the joints (k, nv) [N, N m] along a path."""
     servo, modes, pokes = np.zeros(1, rows.SERVO)[0], np.zeros(0, MODE), np.zeros(0, POKE)
-    around = Around(water_rows([water])[0], servo, modes, np.zeros(2), pokes, np.zeros((), bool))
+    tether, held = np.zeros(1, TETHER)[0], np.zeros((), bool)
+    around = Around(water_rows([water])[0], servo, modes, np.zeros(2), pokes, held, tether)
     wakes = np.full(len(chain.fins), UNDISTURBED)
     work = scratch(dofs(chain), len(chain.bodies), len(chain.fins))
     return _towed(path, chain, around, wakes, work)

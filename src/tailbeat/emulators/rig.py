@@ -86,7 +86,7 @@ class PlantShaft(Shaft):
 
     def snap(self) -> None:
         """Cut the tendons: motor and tail turn freely of each other."""
-        tendon = self.plant.chain.tendon
+        tendon = self.plant.own.tendon
         tendon["stiffness"][0] = tendon["damping"][0] = 0.0
 
     def hold(self) -> None:

@@ -62,14 +62,16 @@ def motion_filter(model: SensorModel | None = None) -> MotionFilter:
 
 class SensorState(NamedTuple):
     """Sensor state of n fish: episode noise (n, steps, DRAWS), yaw-rate bias and drift (n,), camera
-    phase (n,) [s], and the frames not yet arrived (n, KEPT, 7): pose, target x, y, stamp, arrival
-    [s]."""
+    phase (n,) [s], the frames not yet arrived (n, KEPT, 7): pose, target x, y, stamp, arrival
+    [s]; what a lab got wrong: more latency (n,) [s], steps (n, steps) whose frames are lost."""
 
     noise: NDArray[np.float32]
     bias: Array
     drift: Array
     phase: Array
     frames: Array
+    late: Array
+    dark: NDArray[np.bool_]
 
 
 class Motion(NamedTuple):
@@ -108,6 +110,8 @@ def empty(count: int, steps: int) -> SensorState:
         np.zeros(count),
         np.zeros(count),
         np.zeros((count, KEPT, 7)),
+        np.zeros(count),
+        np.zeros((count, steps), dtype=np.bool_),
     )
 
 
@@ -187,7 +191,8 @@ def _film(figures, state, motion, i, step, period):  # type: ignore[no-untyped-d
             row[3 + j] = was[j] + share * (target[j] - was[j])
         row[5] = stamp + figures.stamp_noise * own[3]
         arrival = stamp + figures.latency + figures.latency_jitter * _uniform(own[4])
-        row[6] = np.inf if _uniform(own[5]) < figures.dropped else arrival
+        lost = _uniform(own[5]) < figures.dropped or state.dark[i, step]
+        row[6] = np.inf if lost else arrival + state.late[i]
 
 
 def newest(state: SensorState, now: Array) -> Array:

@@ -11,7 +11,8 @@ from tailbeat.control.camera_yaw import Source
 from tailbeat.control.measure import ARRIVAL, PATIENCE, Measure
 from tailbeat.control.motion import MotionFilter
 from tailbeat.control.policy import Contract
-from tailbeat.env import randomize
+from tailbeat.env import errors, randomize
+from tailbeat.env.errors import Errors
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.reward import Reward
 from tailbeat.env.sensors import SensorModel
@@ -68,7 +69,8 @@ class Scene:
 @dataclass(frozen=True)
 class Settings:
     """Settings of an environment, except the fish. `draws` (d, zones, 5): coefficients of a
-    posterior over the fish's own, drawn instead of `physics.fluid` (None: without)."""
+    posterior over the fish's own, drawn instead of `physics.fluid` (None: without). `errors`: half
+    widths of what each episode's robot has wrong (None: nothing)."""
 
     actions: ActionSpace | None = None  # None: the motor's own, over its range
     task: Task = field(default_factory=Task)
@@ -79,6 +81,7 @@ class Settings:
     measure: Measure = field(default_factory=Measure)  # of rewards and observations
     yaw_rate: Source = "imu"  # what the observed yaw rate comes from
     motion: MotionFilter | None = None  # of the observed velocities; None: they are not observed
+    errors: Errors | None = None
 
 
 def settings_for(contract: Contract) -> Settings:
@@ -124,6 +127,8 @@ def check_settings(fish: Fish, settings: Settings) -> ActionSpace:
         )
     act.check_band(space, fish.band[1])
     randomize.check(settings.physics)
+    if settings.errors is not None:
+        errors.check_widths(settings.errors)
     _check_task(settings.task)
     return space
 

@@ -4,6 +4,7 @@ Every fish has its own random generator: results are bit-identical alone or in a
 number of threads. The interfaces of gymnasium and SB3 are in `vector_env.py`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,8 @@ from tailbeat.control import actions as act
 from tailbeat.control import motion
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import COMMANDS, Samples, observe
-from tailbeat.env import reward, sensors, target_paths
+from tailbeat.env import errors, reward, sensors, target_paths
+from tailbeat.env.errors import Errors
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.reward import Terms
 from tailbeat.env.simulator import Flags, Simulator, TwinSimulator
@@ -24,6 +26,7 @@ from tailbeat.fish.description import Fish
 from tailbeat.identify.runs import tracked_pose
 
 Array = NDArray[np.float64]
+EVERY = slice(None)
 PUSH_STEPS = 10  # control steps that a pulse lasts
 # A fish has followed if it was beside its target, this far over its reach, for a fraction of the
 # steps that count; none do for some seconds after a target appears (chosen).
@@ -61,6 +64,7 @@ class World:
         threads: int = 0,
         simulator: Simulator | None = None,
         scene: Scene | None = None,
+        wrong: Sequence[Errors] = (),
     ) -> None:
         self.fish, self.settings, self.scene = fish, settings, scene
         self.space = check_settings(fish, settings)
@@ -69,6 +73,9 @@ class World:
         self.simulator: Any = simulator or TwinSimulator(fish, self.count, threads, settings.draws)
         self.rngs = [np.random.default_rng(seed) for seed in seeds]
         self.seen = sensors.empty(self.count, self.steps_per_episode)
+        self.wrong = errors.rows(wrong or [errors.NONE] * self.count)
+        self.fixed = bool(wrong)
+        self.right = not self.fixed and settings.errors is None  # nobody has anything wrong
         self.pushes = np.zeros((self.count, self.steps_per_episode, 2), dtype=np.float32)
         self.age = np.zeros(self.count, dtype=np.int64)
         self.along = np.zeros(self.count, dtype=np.int64)  # index of the present target of a scene
@@ -97,6 +104,7 @@ class World:
                 f"task: {settings.task.seconds:g} s; a world's episode length cannot change."
             )
         self.settings, self.task = settings, settings.task
+        self.right = not self.fixed and settings.errors is None
         self.walls = np.array(settings.task.walls or (np.inf, np.inf)) / 2
 
     # ---- beginning ------------------------------------------------------------------------------
@@ -132,7 +140,15 @@ class World:
             self.simulator.qvel[fish, :3] = self.scene.velocity[fish]
         self._draw_path(fish, rng)
         self.pushes[fish] = _pulses(settings.physics, self.steps_per_episode, rng)
-        sensors.begin(settings.sensors, self.seen, fish, self.pose[fish], self.target[fish], rng)
+        if settings.errors is not None:
+            self.wrong[fish] = errors.rows([errors.draw(settings.errors, rng)])[0]
+        elif not self.fixed:
+            self.wrong[fish] = 0.0
+        only = slice(fish, fish + 1)
+        pose, target = self._filmed(self.pose, only)[0], self._seen(self.target, only)[0]
+        sensors.begin(settings.sensors, self.seen, fish, pose, target, rng)
+        if not self.right:
+            errors.begin(self.wrong[fish], self.seen, fish, rng)
 
     def _draw_path(self, fish: int, rng: np.random.Generator) -> None:
         """Draw where a target goes, from its first position."""
@@ -156,6 +172,12 @@ class World:
             if walls is None or np.all(np.abs(place) < np.array(walls) / 2):
                 return place
 
+    def _filmed(self, pose: Array, which: slice = EVERY) -> Array:
+        return pose[which] if self.right else errors.filmed(self.wrong[which], pose[which])
+
+    def _seen(self, place: Array, which: slice = EVERY) -> Array:
+        return place[which] if self.right else errors.seen(self.wrong[which], place[which])
+
     def _clear(self, chosen: NDArray[np.int64]) -> None:
         fresh = act.reset(self.space, self.count)
         u, phase = self.state.u.copy(), self.state.phase.copy()
@@ -166,7 +188,7 @@ class World:
     def _first_readings(self) -> sensors.Readings:
         """Readings before the first step: the motor's state, the frames that have arrived."""
         simulator = self.simulator
-        motor = simulator.qpos[:, simulator.motor].copy(), simulator.qvel[:, simulator.motor].copy()
+        motor = self._encoder(), simulator.qvel[:, simulator.motor].copy()
         frames = sensors.newest(self.seen, np.asarray(self.age * PERIOD, dtype=np.float64))
         return sensors.Readings(*motor, simulator.qvel[:, 2].copy(), frames)
 
@@ -178,18 +200,31 @@ class World:
         before, action = self.pose, np.asarray(action, float)
         self.state = act.step(self.space, self.state, action, PERIOD)
         age, simulator = np.minimum(self.age, self.steps_per_episode - 1), self.simulator
-        lost = simulator.advance(act.setpoint(self.space, self.state), self.pushes[self.every, age])
+        setpoint = act.setpoint(self.space, self.state)
+        wanted = setpoint if self.right else setpoint + self.wrong["horn"]
+        lost = simulator.advance(wanted, self.pushes[self.every, age])
         self.pose = tracked_pose(self.fish, simulator.qpos[:, :3])
         was = self._move_targets()
         self.commands[:, 1:] = self.commands[:, :-1]
         self.commands[:, 0] = act.command(self.space, self.state)
-        motor = simulator.qpos[:, simulator.motor], simulator.qvel[:, simulator.motor]
-        moved = sensors.Motion(before, self.pose, was, self.target, *motor, simulator.qvel[:, 2])
-        readings = sensors.sense(self.settings.sensors, self.seen, age, moved)
+        readings = sensors.sense(self.settings.sensors, self.seen, age, self._moved(before, was))
         if self.settings.motion is not None:
             self.motion = motion.update(self.settings.motion, self.motion, readings.frames, PERIOD)
         self.age = self.age + 1
         return self._judge(action, self._observe(readings), lost)
+
+    def _moved(self, before: Array, was: Array) -> sensors.Motion:
+        """What the sensors see of this step, with what the lab has wrong."""
+        simulator = self.simulator
+        poses = self._filmed(before), self._filmed(self.pose)
+        targets = self._seen(was), self._seen(self.target)
+        velocity = simulator.qvel[:, simulator.motor]
+        return sensors.Motion(*poses, *targets, self._encoder(), velocity, simulator.qvel[:, 2])
+
+    def _encoder(self) -> Array:
+        """Shaft angles (n,) [rad] as the servos count them."""
+        angle = np.array(self.simulator.qpos[:, self.simulator.motor])
+        return angle if self.right else angle - self.wrong["horn"] + self.wrong["encoder"]
 
     def _move_targets(self) -> Array:
         """Move the targets. Returns where they were (n, 2) [m]; one that jumped was never between

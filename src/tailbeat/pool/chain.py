@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.fish.bodies import Body, Part
@@ -40,7 +40,7 @@ BODY = np.dtype([(name, float) for name in ("origin", "mass", "centre", "inertia
 STRIP = np.dtype([("body", int), *((name, float) for name in ("x", "length", "height"))])
 SHAPE = ("x", "chord", "height", "slope", "heave", "pitch")
 FIN = np.dtype([("body", int), *((name, float) for name in SHAPE)])
-HINGE = np.dtype([("stiffness", float), ("damping", float)])
+HINGE = np.dtype([(name, float) for name in ("stiffness", "damping", "rest", "dry")])
 GUIDE = np.dtype([("body", int), ("x", float), ("y", float)])
 SIZES = ("x", "radius", "half_width", "sign", "inertia", "mass")
 MOTOR = np.dtype([("crank", bool), *((name, float) for name in SIZES)])  # no crank: a pulley
@@ -54,7 +54,7 @@ class Chain(NamedTuple):
     `bodies` (b,) head, then links: x of the origin behind the parent's, mass [kg], x of the centre,
     inertia [kg m^2]. `strips` (s,) and `fins` (f,): body, x, length or chord, height; for a fin its
     lift slope over 2 pi and the factors of `fin_factors` on added mass. `hinges` (links,):
-    stiffness [N m/rad], damping [N m s/rad]. `guides` (2, g) of left and right tendon: body, x, y.
+    stiffness [N m/rad], damping [N m s/rad], angle at rest [rad], dry friction [N m]. `guides` (2, g) of left and right tendon: body, x, y.
     `motor` and `tendon` (1,): see `MOTOR`, `TENDON`; stiffness [N/m], damping [N s/m]. `neutral`
     (2,): tendon lengths of the straight fish [m]. `nose`, `rear`: x of the nose on the head, and of
     the fin's rear edge on the last body.
@@ -112,7 +112,7 @@ def _bodies(bodies: Sequence[Body], hinges: Array) -> Rows:
 
 
 def _springs(fish: Fish) -> Rows:
-    rows = np.empty(len(fish.tail.links), HINGE)
+    rows = np.zeros(len(fish.tail.links), HINGE)
     scale = fish.tail.stiffness_scale
     rows["stiffness"] = np.array([link.stiffness * scale for link in fish.tail.links])
     rows["damping"] = rows["stiffness"] * fish.tail.damping_time
@@ -151,16 +151,16 @@ def _strips(number: int, body: Body, x0: float) -> list[tuple[float, ...]]:
 
 def _fins(number: int, body: Body, x0: float) -> list[tuple[float, ...]]:
     fins = [(p.position[0], p.size[0], p.size[2]) for p in _wet(body) if p.zone == FIN_ZONE]
-    return [(number, x - x0, c, height, *fin_factors(c, height)) for x, c, height in fins]
+    return [(number, x - x0, c, h, *map(float, fin_factors(c, h))) for x, c, h in fins]
 
 
-def fin_factors(chord: float, height: float) -> tuple[float, float, float]:
+def fin_factors(chord: ArrayLike, height: ArrayLike) -> tuple[Array, Array, Array]:
     """Lift slope over 2 pi (Helmbold), and the factors of a finite span on added mass in heave and
-    pitch."""
-    aspect = height / chord
-    slope = aspect / (2 + np.sqrt(aspect**2 + 4))
+    pitch, for fins of any number."""
+    aspect = np.asarray(height, float) / np.asarray(chord, float)
+    slope = np.asarray(aspect / (2 + np.sqrt(aspect**2 + 4)))
     heave, pitch = np.interp(aspect, ASPECT, HEAVE), np.interp(aspect, ASPECT, PITCH)
-    return float(slope), float(heave), float(pitch)
+    return slope, np.asarray(heave), np.asarray(pitch)
 
 
 def _guides(fish: Fish, hinges: Array) -> Rows:
@@ -194,11 +194,12 @@ def _tendon(fish: Fish) -> Rows:
 
 
 NAMES = ("kp", "kv", "armature", "damping", "friction", "force_limit", "delay")
-SERVO = np.dtype([(name, float) for name in NAMES])  # units as in `description.Servo`
+# Units as in `description.Servo`; `fade`: see `dynamics.fading`.
+SERVO = np.dtype([(name, float) for name in (*NAMES, "fade")])
 
 
 def servo_rows(servos: Sequence[Servo], tail_friction: float) -> Rows:
     """Servos (n,) as rows of `SERVO`, the tail's friction [N m] added to the servo's own."""
-    rows = np.array([tuple(getattr(one, name) for name in NAMES) for one in servos], dtype=SERVO)
+    rows = np.array([(*(getattr(one, name) for name in NAMES), 0.0) for one in servos], dtype=SERVO)
     rows["friction"] += tail_friction
     return rows

@@ -25,8 +25,12 @@ COULOMB = 0.02  # rad/s over which dry friction changes sign
 WALL, WALL_DAMPING = 300.0, 20.0  # N/m, N s/m of a pool's wall against a point of the fish
 LOCKED = 1e9  # kg, kg m^2: a held root
 
+FADING = 60.0  # s, over which heat and a sagging supply weaken a servo; chosen
+
 # A force [N] and torque [N m] on the head for a duration [s] from a time [s].
 POKE = np.dtype([(name, float) for name in ("time", "duration", "x", "y", "torque")])
+# A tether on the head: its pull x, y [N] in the world, its drag [N s^2/m^2].
+TETHER = np.dtype([(name, float) for name in ("x", "y", "drag")])
 
 
 class Moving(NamedTuple):
@@ -42,7 +46,7 @@ class Around(NamedTuple):
     """Surroundings and servo of one fish, or of n fish with one row each.
 
     Rows `water` and `servo`; `modes` (m,) of the flow; `walls` (2,) [m], half the pool's length and
-    width (0: none); `pokes` (k,); `held`: whether the head is held.
+    width (0: none); `pokes` (k,); `held`: whether the head is held; row `tether`.
     """
 
     water: Rows
@@ -51,6 +55,7 @@ class Around(NamedTuple):
     walls: Array
     pokes: Rows
     held: NDArray[np.bool_]
+    tether: Rows
 
 
 class Work(NamedTuple):
@@ -107,28 +112,39 @@ def _lump(b, x, weight, frames, mass, force, row):  # type: ignore[no-untyped-de
 
 
 @compiled
-def add_drive(command, chain, servo, work):  # type: ignore[no-untyped-def]
+def add_drive(command, chain, servo, strength, work):  # type: ignore[no-untyped-def]
     """Hinge springs and the servo, at the middle of a step as it is predicted."""
     q, v, force, stiff, damp = work.q, work.v, work.force, work.stiff, work.damp
     for j in range(len(chain.hinges)):
         hinge = chain.hinges[j]
-        force[4 + j] -= hinge.stiffness * q[4 + j] + hinge.damping * v[4 + j]
+        loss = hinge.damping
+        if hinge.dry > 0:
+            loss += hinge.dry / np.sqrt(v[4 + j] * v[4 + j] + COULOMB * COULOMB)
+        force[4 + j] -= hinge.stiffness * (q[4 + j] - hinge.rest) + loss * v[4 + j]
         stiff[4 + j, 4 + j] += hinge.stiffness
-        damp[4 + j, 4 + j] += hinge.damping
-    torque = actuator(command, q[3], v[3], servo)
-    if abs(torque) < servo.force_limit:
-        stiff[3, 3] += servo.kp
-        damp[3, 3] += servo.kv
+        damp[4 + j, 4 + j] += loss
+    torque = actuator(command, q[3], v[3], servo, strength)
+    if abs(torque) < strength * servo.force_limit:
+        stiff[3, 3] += strength * servo.kp
+        damp[3, 3] += strength * servo.kv
     dry = servo.friction / np.sqrt(v[3] * v[3] + COULOMB * COULOMB)
     force[3] += torque - (servo.damping + dry) * v[3]
     damp[3, 3] += servo.damping + dry
 
 
 @compiled
-def actuator(command, angle, speed, servo):  # type: ignore[no-untyped-def]
+def fading(time, fade):  # type: ignore[no-untyped-def]
+    """What is left of a servo's gain and torque at a time [s], as a fraction: 1 - `fade` in the
+    end."""
+    return 1.0 - fade * (1.0 - np.exp(-time / FADING)) if fade > 0 else 1.0
+
+
+@compiled
+def actuator(command, angle, speed, servo, strength):  # type: ignore[no-untyped-def]
     """The servo's torque [N m], within its limit, without friction and damping of its shaft."""
-    wanted = servo.kp * (command - angle) - servo.kv * speed
-    return min(max(wanted, -servo.force_limit), servo.force_limit)
+    wanted = strength * (servo.kp * (command - angle) - servo.kv * speed)
+    limit = strength * servo.force_limit
+    return min(max(wanted, -limit), limit)
 
 
 @compiled
@@ -160,6 +176,19 @@ def add_pokes(x, pokes, time, work):  # type: ignore[no-untyped-def]
         along(0, p.x + p.cos * x, p.y + p.sin * x, fx, fy, work.frames, work.row)
         force += work.row
         force[2] += torque
+
+
+@compiled
+def add_tether(x, tether, work):  # type: ignore[no-untyped-def]
+    """A tether's pull and drag on the head, at x."""
+    if tether.x == 0 and tether.y == 0 and tether.drag == 0:
+        return
+    p, force = work.frames[0], work.force
+    vx, vy = p.vx - p.spin * p.sin * x, p.vy + p.spin * p.cos * x
+    drag = tether.drag * np.hypot(vx, vy)
+    fx, fy = tether.x - drag * vx, tether.y - drag * vy
+    along(0, p.x + p.cos * x, p.y + p.sin * x, fx, fy, work.frames, work.row)
+    force += work.row
 
 
 @compiled
@@ -198,9 +227,11 @@ def step(fish, command, time, dt, chain, around, work):  # type: ignore[no-untyp
     add_bodies(chain, around.servo.armature, work)
     add_water(chain, around, time + dt / 2, dt / 2, fish.wakes, work)
     add_tendons(chain, work)
-    add_drive(command, chain, around.servo, work)
+    strength = fading(time, around.servo.fade)
+    add_drive(command, chain, around.servo, strength, work)
     add_walls(chain, around.walls, work)
     add_pokes(chain.bodies[0].centre, around.pokes, time, work)
+    add_tether(chain.bodies[0].centre, around.tether, work)
     if around.held:
         for i in range(3):
             mass[i, i] += LOCKED
@@ -208,7 +239,7 @@ def step(fish, command, time, dt, chain, around, work):  # type: ignore[no-untyp
     mass += dt / 2 * damp + dt * dt / 4 * stiff
     solve(mass, force)
     angle = work.q[3] + dt * dt / 4 * force[3]
-    torque = actuator(command, angle, fish.v[3] + dt / 2 * force[3], around.servo)
+    torque = actuator(command, angle, fish.v[3] + dt / 2 * force[3], around.servo, strength)
     _move(fish, force, dt)
     shed(chain, around, dt / 2, fish.wakes, work)
     return torque

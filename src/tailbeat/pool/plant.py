@@ -17,10 +17,12 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
 from tailbeat.pool.chain import Chain, build_chain, dofs, servo_rows
 from tailbeat.pool.compiled import compiled, compiled_parallel
-from tailbeat.pool.dynamics import POKE, Around, Moving, scratch, step
+from tailbeat.pool.dynamics import POKE, TETHER, Around, Moving, scratch, step
 from tailbeat.pool.hydrodynamics import MODE
 from tailbeat.pool.section import UNDISTURBED
 from tailbeat.pool.water import Water, rows
+from tailbeat.pool.wear import Wear, alone, worn, worn_servos
+from tailbeat.pool.wear import rows as wear_rows
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.void]
@@ -31,12 +33,14 @@ LONGEST_DELAY = 0.2  # s, longest delay of a servo's description
 class Surroundings:
     """What is around one fish: pool walls (length, width) [m] or None for open water; `modes`
     (m, 5) of the background flow (see `hydrodynamics.MODE`); `pokes` (k, 5): time, duration [s],
-    force x, y [N], torque [N m] on the head; `held` clamps the head."""
+    force x, y [N], torque [N m] on the head; `held` clamps the head; `tether`: its pull x, y [N] on
+    the head in the world, and its drag [N s^2/m^2]."""
 
     walls: tuple[float, float] | None = None
     modes: tuple[tuple[float, ...], ...] = ()
     pokes: tuple[tuple[float, ...], ...] = ()
     held: bool = False
+    tether: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def stirred(seed: int, size: float = 0.03, count: int = 6, scale: float = 1.0) -> Surroundings:
@@ -86,13 +90,20 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """n fish of one description: waters, rows (n,) of `chain.SERVO`, surroundings, step dt [s]."""
+    """n fish of one description: waters, rows (n,) of `chain.SERVO`, surroundings, step dt [s],
+    wear."""
 
     chain: Chain
     water: tuple[Water, ...]
     servo: Rows
     around: tuple[Surroundings, ...]
     dt: float
+    wear: tuple[Wear, ...]
+
+    @cached_property
+    def own(self) -> Chain:
+        """The chains of all fish, every array with a leading axis n."""
+        return worn(self.chain, wear_rows(self.wear))
 
     @cached_property
     def each(self) -> Around:
@@ -105,12 +116,16 @@ class Plant:
             np.array(half),
             _filled([a.pokes for a in self.around], POKE, "duration"),
             np.array([a.held for a in self.around]),
+            np.array([a.tether for a in self.around], TETHER),
         )
 
     def part(self, chosen: NDArray[np.int64]) -> "Plant":
         """Some of the fish, in their own water and surroundings."""
-        water, around = ([values[i] for i in chosen] for values in (self.water, self.around))
-        return replace(self, water=tuple(water), around=tuple(around), servo=self.servo[chosen])
+        lists = self.water, self.around, self.wear
+        water, around, wear = (tuple(values[i] for i in chosen) for values in lists)
+        part = replace(self, water=water, around=around, wear=wear, servo=self.servo[chosen])
+        part.__dict__["own"] = Chain._make(values[chosen] for values in self.own)
+        return part
 
 
 def build_plant(
@@ -119,6 +134,7 @@ def build_plant(
     servo: Servo | Sequence[Servo] | None = None,
     around: Sequence[Surroundings] = (Surroundings(),),
     dt: float = 0.002,
+    wear: Sequence[Wear] = (Wear(),),
 ) -> Plant:
     """Build a pool of n fish; n is the length of the longest list, and lists of length 1 are
     repeated.
@@ -129,21 +145,29 @@ def build_plant(
     chain = build_chain(fish)
     chosen = servo or fish.servos[fish.servo]
     servos = [chosen] if isinstance(chosen, Servo) else chosen
-    count = max(len(water), len(servos), len(around))
-    if {len(water), len(servos), len(around)} - {1, count}:
+    lengths = len(water), len(servos), len(around), len(wear)
+    count = max(lengths)
+    if set(lengths) - {1, count}:
         raise BadInput(
-            f"{fish.name}: {len(water)} waters, {len(servos)} servos, {len(around)} surroundings;"
-            f" give one of each, or as many as there are fish."
+            f"{fish.name}: {len(water)} waters, {len(servos)} servos, {len(around)} surroundings,"
+            f" wear of {len(wear)}; give one of each, or as many as there are fish."
         )
-    found = servo_rows(servos, fish.tail.friction)
-    _check_step(fish, found, dt)
-    everyone = np.broadcast_to(found, count).copy()
-    waters, places = (tuple(water) * count)[:count], (tuple(around) * count)[:count]
-    return Plant(chain, waters, everyone, places, dt)
+    rows = np.broadcast_to(servo_rows(servos, fish.tail.friction), count)
+    found = worn_servos(rows, np.broadcast_to(wear_rows(wear), count))
+    _check_servos(fish, found, dt)
+    waters, places, wears = ((tuple(own) * count)[:count] for own in (water, around, wear))
+    return Plant(chain, waters, found, places, dt, wears)
 
 
-def _check_step(fish: Fish, servo: Rows, dt: float) -> None:
-    """Check the step. Springs are implicit, so only the servo's loop limits it."""
+def _check_servos(fish: Fish, servo: Rows, dt: float) -> None:
+    """Check the step and the delays. Springs are implicit, so only the servo's loop limits the
+    step."""
+    longest = float(servo["delay"].max())
+    if longest > LONGEST_DELAY:
+        raise BadInput(
+            f"{fish.name}: a servo's delay of {1e3 * longest:.4g} ms with its wear; at most"
+            f" {1e3 * LONGEST_DELAY:g} ms is allowed."
+        )
     inertia = servo["armature"] + 1e-3  # the least inertia that a tail adds
     fastest = np.sqrt(servo["kp"] / inertia).max()
     largest = float(min(0.01, 2.0 / fastest))
@@ -188,7 +212,7 @@ def step_plant(plant: Plant, state: State, commands: Array, every: int = 1) -> S
     q = np.empty((n, samples, state.q.shape[1]))
     v, torque = np.empty_like(q), np.zeros((n, samples))
     played = _Played(np.ascontiguousarray(commands, dtype=float), every, plant.dt)
-    words = state, played, plant.chain, plant.each, _Samples(q, v, torque)
+    words = state, played, plant.own, plant.each, _Samples(q, v, torque)
     if n == 1:
         _swim(0, *words)  # a pool of threads would wait for a busy machine, 35 ms a step
     else:
@@ -234,12 +258,20 @@ def _advance(state, played, chain, each, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _swim(i, state, played, chain, each, out):  # type: ignore[no-untyped-def]
+def _swim(i, state, played, chains, each, out):  # type: ignore[no-untyped-def]
     """Step fish i through all its steps; the servo gets each command after its delay."""
     dt, every, slots = played.dt, played.every, state.history.shape[1]
-    servo = each.servo[i]
+    chain, servo = alone(i, chains), each.servo[i]
     fish = Moving(state.q[i], state.v[i], state.a[i], state.wakes[i])
-    around = Around(each.water[i], servo, each.modes[i], each.walls[i], each.pokes[i], each.held[i])
+    around = Around(
+        each.water[i],
+        servo,
+        each.modes[i],
+        each.walls[i],
+        each.pokes[i],
+        each.held[i],
+        each.tether[i],
+    )
     work = scratch(len(fish.q), len(chain.bodies), len(chain.fins))
     history, (place, taken) = state.history[i], state.clock
     out.q[i, 0], out.v[i, 0] = fish.q, fish.v

@@ -74,15 +74,25 @@ def add_tendons(chain, work):  # type: ignore[no-untyped-def]
     tendon, neutral, lengths = chain.tendon[0], chain.neutral, work.lengths
     tendon_lengths(work.q, chain, work.frames, lengths, work.pulls)
     if tendon.tied:
-        work.row[:] = (work.pulls[0] - work.pulls[1]) / 2
-        stretch = (lengths[0] - neutral[0] - lengths[1] + neutral[1]) / 2
-        _pull(2 * tendon.stiffness, 2 * tendon.damping, stretch, work)
+        _pull_tied(tendon, (lengths[0] - neutral[0] - lengths[1] + neutral[1]) / 2, work)
         return
     for side in range(2):
         stretch = lengths[side] - neutral[side] - tendon.slack
         if stretch > 0 or tendon.two_way:
             work.row[:] = work.pulls[side]
             _pull(tendon.stiffness, tendon.damping, stretch, work)
+
+
+@compiled
+def _pull_tied(tendon, stretch, work):  # type: ignore[no-untyped-def]
+    """Force of an inextensible pair, which pulls either way beyond its slack."""
+    beyond = abs(stretch) - tendon.slack
+    if tendon.slack > 0 and beyond <= 0:
+        return
+    work.row[:] = (work.pulls[0] - work.pulls[1]) / 2
+    if tendon.slack > 0:
+        stretch = np.sign(stretch) * beyond
+    _pull(2 * tendon.stiffness, 2 * tendon.damping, stretch, work)
 
 
 @compiled
