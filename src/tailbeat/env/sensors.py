@@ -130,6 +130,7 @@ def begin(
     state.bias[fish] = model.yaw_rate_bias * bias
     state.drift[fish] = model.yaw_rate_drift * drift / steps
     state.phase[fish] = phase / model.frame_rate
+    state.late[fish], state.dark[fish] = 0.0, False
     number = np.arange(-KEPT + 1, 1)
     stamp = state.phase[fish] + (number - 1) / model.frame_rate
     rows = np.column_stack([np.tile([*pose, *target], (KEPT, 1)), stamp, stamp])

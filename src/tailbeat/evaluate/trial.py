@@ -18,6 +18,7 @@ from tailbeat.control.measure import PATIENCE, Measure
 from tailbeat.control.motion import MotionFilter
 from tailbeat.env import randomize
 from tailbeat.env.assess import Decide
+from tailbeat.env.errors import Errors
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel
 from tailbeat.env.task import Scene, Settings, Task, sized
@@ -27,9 +28,11 @@ from tailbeat.evaluate.runs import SHOWN, Runs
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo
 from tailbeat.link.places import POOL
+from tailbeat.pool.mess import Lab, in_lab
 from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water
+from tailbeat.pool.wear import Wear
 
 Array = NDArray[np.float64]
 CHUNK = 125  # swims in one batch, and in one file
@@ -51,6 +54,8 @@ class Condition:
     water: tuple[Water, ...] | None  # one for each swim
     around: tuple[Surroundings, ...] = (Surroundings(),)  # one, or one for each swim
     servo: Servo | None = None
+    wear: tuple[Wear, ...] = (Wear(),)  # one, or one for each swim
+    wrong: tuple[Errors, ...] = ()  # none, or one for each swim
     sensors: SensorModel = field(default_factory=SensorModel)
     physics: Randomisation = field(default_factory=Randomisation)
     draws: Array | None = None
@@ -117,8 +122,20 @@ def part(condition: Condition, chunk: int) -> Condition:
     own = slice(chunk * CHUNK, (chunk + 1) * CHUNK)
     scene = Scene(*(values[own] for values in vars(condition.scene).values()))
     around = condition.around if len(condition.around) == 1 else condition.around[own]
-    water = condition.water and condition.water[own]
-    return replace(condition, scene=scene, water=water, around=around)
+    wear = condition.wear if len(condition.wear) == 1 else condition.wear[own]
+    water, wrong = condition.water and condition.water[own], condition.wrong[own]
+    return replace(condition, scene=scene, water=water, around=around, wear=wear, wrong=wrong)
+
+
+def in_labs(condition: Condition, labs: Sequence[Lab]) -> Condition:
+    """A condition of the pool, each swim in its own lab."""
+    n = condition.count
+    around = condition.around if len(condition.around) == n else condition.around * n
+    water = condition.water or ()
+    pairs = [in_lab(*one) for one in zip(labs, water, around, strict=True)]
+    waters, places = zip(*pairs, strict=True)
+    wear, wrong = tuple(lab.wear for lab in labs), tuple(lab.errors for lab in labs)
+    return replace(condition, water=waters, around=places, wear=wear, wrong=wrong)
 
 
 def swim_all(
@@ -162,7 +179,7 @@ def swim(decide: Decide, condition: Condition, seeds: list[int]) -> Runs:
 def _world(one: Condition, seeds: list[int]) -> World:
     simulator: Any = None
     if one.water is not None:
-        simulator = PoolSimulator(one.fish, one.water, one.around, one.servo)
+        simulator = PoolSimulator(one.fish, one.water, one.around, one.servo, one.wear)
     settings = Settings(
         one.actions,
         one.task,
@@ -173,7 +190,7 @@ def _world(one: Condition, seeds: list[int]) -> World:
         yaw_rate=one.yaw_rate,
         motion=one.motion,
     )
-    return World(one.fish, settings, seeds, simulator=simulator, scene=one.scene)
+    return World(one.fish, settings, seeds, simulator=simulator, scene=one.scene, wrong=one.wrong)
 
 
 class _Log:

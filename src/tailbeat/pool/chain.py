@@ -54,10 +54,10 @@ class Chain(NamedTuple):
     `bodies` (b,) head, then links: x of the origin behind the parent's, mass [kg], x of the centre,
     inertia [kg m^2]. `strips` (s,) and `fins` (f,): body, x, length or chord, height; for a fin its
     lift slope over 2 pi and the factors of `fin_factors` on added mass. `hinges` (links,):
-    stiffness [N m/rad], damping [N m s/rad], angle at rest [rad], dry friction [N m]. `guides` (2, g) of left and right tendon: body, x, y.
-    `motor` and `tendon` (1,): see `MOTOR`, `TENDON`; stiffness [N/m], damping [N s/m]. `neutral`
-    (2,): tendon lengths of the straight fish [m]. `nose`, `rear`: x of the nose on the head, and of
-    the fin's rear edge on the last body.
+    stiffness [N m/rad], damping [N m s/rad], angle at rest [rad], friction [N m]. `guides` (2, g)
+    of left and right tendon: body, x, y. `motor` and `tendon` (1,): see `MOTOR`, `TENDON`;
+    stiffness [N/m], damping [N s/m]. `neutral` (2,): tendon lengths of the straight fish [m].
+    `nose`, `rear`: x of the nose on the head, and of the fin's rear edge on the last body.
     """
 
     bodies: Rows

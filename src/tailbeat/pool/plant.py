@@ -121,9 +121,9 @@ class Plant:
 
     def part(self, chosen: NDArray[np.int64]) -> "Plant":
         """Some of the fish, in their own water and surroundings."""
-        lists = self.water, self.around, self.wear
-        water, around, wear = (tuple(values[i] for i in chosen) for values in lists)
-        part = replace(self, water=water, around=around, wear=wear, servo=self.servo[chosen])
+        water, around = ([values[i] for i in chosen] for values in (self.water, self.around))
+        wear, servo = tuple(self.wear[i] for i in chosen), self.servo[chosen]
+        part = replace(self, water=tuple(water), around=tuple(around), servo=servo, wear=wear)
         part.__dict__["own"] = Chain._make(values[chosen] for values in self.own)
         return part
 
@@ -155,8 +155,8 @@ def build_plant(
     rows = np.broadcast_to(servo_rows(servos, fish.tail.friction), count)
     found = worn_servos(rows, np.broadcast_to(wear_rows(wear), count))
     _check_servos(fish, found, dt)
-    waters, places, wears = ((tuple(own) * count)[:count] for own in (water, around, wear))
-    return Plant(chain, waters, found, places, dt, wears)
+    waters, places = (tuple(water) * count)[:count], (tuple(around) * count)[:count]
+    return Plant(chain, waters, found, places, dt, (tuple(wear) * count)[:count])
 
 
 def _check_servos(fish: Fish, servo: Rows, dt: float) -> None:

@@ -22,14 +22,16 @@ from tailbeat.pool.plant import (
 )
 from tailbeat.pool.section import UNDISTURBED
 from tailbeat.pool.water import Water
+from tailbeat.pool.wear import Wear
 
 Array = NDArray[np.float64]
 STRAIGHT = (Surroundings(),)
+AS_DESCRIBED = (Wear(),)
 
 
 class PoolSimulator:
-    """n fish, each in its own water. `draw` and pushes of the twin have no effect here: `water` and
-    `around` give what varies (see `plant.build_plant`)."""
+    """n fish, each in its own water. `draw` and pushes of the twin have no effect here: `water`,
+    `around` and `wear` give what varies (see `plant.build_plant`)."""
 
     def __init__(
         self,
@@ -37,8 +39,9 @@ class PoolSimulator:
         water: Sequence[Water],
         around: Sequence[Surroundings] = STRAIGHT,
         servo: Servo | None = None,
+        wear: Sequence[Wear] = AS_DESCRIBED,
     ) -> None:
-        self.plant = build_plant(fish, water, servo, around)
+        self.plant = build_plant(fish, water, servo, around, wear=wear)
         self.steps = round(PERIOD / self.plant.dt)
         if len(self.plant.water) != len(water):
             raise BadInput(

@@ -1,0 +1,33 @@
+"""Targets in messy pools: each swim in its own lab, at three levels beside the clean pool."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tailbeat.evaluate.rates import ConditionResult, against
+from tailbeat.evaluate.runs import Runs
+from tailbeat.evaluate.scenes import grid
+from tailbeat.evaluate.trial import Condition, Pool, in_labs
+from tailbeat.pool.mess import LEVELS, draw, level
+
+PREFIX = "messy: "
+CLEAN = f"{PREFIX}clean"
+
+
+def conditions(pool: Pool) -> list[Condition]:
+    """Every level at the same targets, within +-180 deg and 0.5-2.5 m, in the same waters; swim i
+    has the same sides and directions at every level."""
+    near, far = 0.5 * pool.measure.reach, 2.5 * pool.measure.reach
+    scene = grid(pool.fish, pool.count, pool.seed + 3, near, far, np.pi)
+    return [
+        in_labs(
+            pool.condition(f"{PREFIX}{name}", scene),
+            [draw(level(name), [pool.seed, i]) for i in range(pool.count)],
+        )
+        for name in LEVELS
+    ]
+
+
+def numbers(by_condition: Mapping[str, Runs]) -> tuple[ConditionResult, ...]:
+    """Success rates by level, and what each level costs on the same targets."""
+    return against(by_condition[CLEAN], by_condition)
