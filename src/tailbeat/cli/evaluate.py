@@ -51,7 +51,7 @@ def evaluate(
     json: JsonOption = None,
 ) -> None:
     """Evaluate a policy in the virtual pool: targets, disturbances, tracks, out of
-    distribution. The same command resumes an interrupted evaluation."""
+    distribution, messy labs. The same command resumes an interrupted evaluation."""
     if json is not None:
         refuse_existing(json)
     from tailbeat.control.policy import load_policy

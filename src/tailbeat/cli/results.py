@@ -68,7 +68,7 @@ def evaluated(done: "Evaluation") -> None:
     ]
     rows += [
         {"condition": row.condition, **_rates(row, done.run.measure), "median time [s]": None}
-        for row in (*done.disturb, *done.out_of_distribution)
+        for row in (*done.disturb, *done.out_of_distribution, *done.messy)
     ]
     power = as_rows(done.spectrum, "cumulative")
     tables({"targets": rows, "tracks": as_rows(done.track), "velocity power": power})

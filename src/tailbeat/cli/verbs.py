@@ -143,7 +143,7 @@ PANELS = {
             "evaluate",
             "evaluate:evaluate",
             "Evaluate a policy in the virtual pool: targets, disturbances, tracks,"
-            " out of distribution.",
+            " out of distribution, messy labs.",
             "runs/mine/policy.onnx --fish pulley-fish --twin mine.toml --out runs/evaluation",
         ),
         Verb(
@@ -151,6 +151,12 @@ PANELS = {
             "evaluate:compare",
             "Compare policies in their twins and in the pool, with parts of its physics off.",
             "runs/a/policy.onnx runs/b/policy.onnx --twin mine.toml --out runs/comparison",
+        ),
+        Verb(
+            "margins",
+            "margins:margins",
+            "Measure how much of each thing that labs get wrong a policy stands.",
+            "runs/mine/policy.onnx --fish pulley-fish --twin mine.toml --out runs/margins",
         ),
         Verb(
             "zoo",

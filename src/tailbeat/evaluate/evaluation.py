@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.policy import Policy, as_text, decide
-from tailbeat.evaluate import disturb, fresh_recordings, out_of_distribution, reach, spectrum, store
+from tailbeat.evaluate import (
+    disturb,
+    fresh_recordings,
+    messy,
+    out_of_distribution,
+    reach,
+    spectrum,
+    store,
+)
 from tailbeat.evaluate import track as tracks
 from tailbeat.evaluate.fresh_recordings import FreshResult
 from tailbeat.evaluate.names import NAMES, TRIALS, check_tasks
@@ -35,7 +43,13 @@ ENSEMBLE_SEED = 0
 CONDITIONS: Mapping[str, Callable[[Pool], list[Condition]]] = dict(
     zip(
         TRIALS,
-        (reach.conditions, disturb.conditions, tracks.conditions, out_of_distribution.conditions),
+        (
+            reach.conditions,
+            disturb.conditions,
+            tracks.conditions,
+            out_of_distribution.conditions,
+            messy.conditions,
+        ),
         strict=True,
     )
 )
@@ -72,6 +86,7 @@ class Evaluation:
     disturb: tuple[ConditionResult, ...]
     track: tuple[TrackResult, ...]
     out_of_distribution: tuple[ConditionResult, ...]
+    messy: tuple[ConditionResult, ...]
     spectrum: tuple[SpectrumRow, ...]
     twin: FreshResult | None
 
@@ -187,6 +202,7 @@ def read(out: Path) -> Evaluation:
         out_of_distribution=out_of_distribution.numbers(beyond)
         if out_of_distribution.AS_TRAINED in beyond
         else (),
+        messy=messy.numbers(mess) if messy.CLEAN in (mess := _of(swum, messy.PREFIX)) else (),
         spectrum=(*_identification(out), *spectrum.numbers(reached, run.band)),
         twin=store.read_record(FreshResult, fresh) if fresh.is_file() else None,
     )

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from tailbeat.files import BadInput
 
-TRIALS = ("reach", "disturb", "track", "out-of-distribution")
+TRIALS = ("reach", "disturb", "track", "out-of-distribution", "messy")
 NAMES = (*TRIALS, "spectrum", "twin")
 
 

@@ -61,7 +61,13 @@ def begin(out: Path, wanted: RunDescription) -> None:
         write_json(out / DESCRIPTION, wanted)
         return
     held, asked = (leaves("", plain(one)) for one in (read_description(out), wanted))
-    names = sorted(set(held) | set(asked), key=lambda name: (name.startswith("conditions"), name))
+    # a later version knows more conditions; what is there is gone on with
+    new = {name for name in set(asked) - set(held) if name.startswith("conditions")}
+    if new and not set(held) - set(asked):
+        write_json(out / DESCRIPTION, wanted, overwrite=True)
+    names = sorted(
+        (set(held) | set(asked)) - new, key=lambda name: (name.startswith("conditions"), name)
+    )
     wrong = [name for name in names if held.get(name) != asked.get(name)]
     if wrong:
         said = [f"{name} was {held.get(name)}, now {asked.get(name)}" for name in wrong[:3]]

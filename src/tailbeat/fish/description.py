@@ -12,6 +12,7 @@ from pydantic import Field, field_validator, model_validator
 from tailbeat.fish import bodies as b
 from tailbeat.fish import units as u
 from tailbeat.fish.bodies import Body, Link, Model, Part
+from tailbeat.fish.lab import Lab
 
 # Of a servo: which driver and which table speak to it.
 Family = Literal["dynamixel-x", "dynamixel-p", "feetech-sts", "feetech-scs"]
@@ -243,6 +244,8 @@ class Fish(Model):
     """Servos by name."""
     hardware: Hardware | None = None
     """Maker's numbers of the servo. Without them, the driver takes it for an XW430-T200."""
+    lab: Lab | None = None
+    """How exactly the lab builds and measures, for its policies' margins."""
     tendons: Tendons = Tendons()
     """The pair of tendons."""
     tail: Tail

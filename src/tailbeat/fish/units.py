@@ -27,6 +27,10 @@ UNITS: dict[str, dict[str, float]] = {
     "current": {"A": 1.0, "mA": 1e-3},
     "temperature": {"degC": 1.0},
     "ratio": {"1": 1.0},
+    "fraction": {"1": 1.0, "%": 1e-2},
+    "force": {"N": 1.0, "mN": 1e-3},
+    "tether drag": {"N s^2/m^2": 1.0},
+    "angular rate": {"rad/s": 1.0, "deg/s": 0.017453292519943295},
 }
 
 
@@ -115,6 +119,7 @@ Point3 = Annotated[Triple, _quantity("length")]
 Mass = Annotated[float, _quantity("mass")]
 Inertia = Annotated[float, _quantity("inertia")]
 Inertia3 = Annotated[Triple, _quantity("inertia")]
+Angle = Annotated[float, _quantity("angle")]
 AngleRange = Annotated[Pair, _quantity("angle")]
 Angles3 = Annotated[Triple, _quantity("angle")]
 Time = Annotated[float, _quantity("time")]
@@ -132,3 +137,7 @@ VoltageRange = Annotated[Pair, _quantity("voltage")]
 Current = Annotated[float, _quantity("current")]
 Temperature = Annotated[float, _quantity("temperature")]
 Ratio = Annotated[float, _quantity("ratio")]
+Fraction = Annotated[float, _quantity("fraction")]
+Force = Annotated[float, _quantity("force")]
+TetherDrag = Annotated[float, _quantity("tether drag")]
+AngularRate = Annotated[float, _quantity("angular rate")]

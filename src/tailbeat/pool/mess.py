@@ -60,7 +60,7 @@ NUISANCES = (
     Nuisance("servo gain", "%", 20, 900, "gain of the servo", AUDIT),
     Nuisance("servo torque", "%", 20, 900, "largest torque of the servo", AUDIT),
     Nuisance("servo delay", "ms", 5, 150, "servo slower", "chosen: another bus rate"),
-    Nuisance("fading", "%", 12, 900, "servo weaker over minutes", "battery of 12.6 V down to 11.1 V"),
+    Nuisance("fading", "%", 12, 900, "servo weaker over minutes", "battery, 12.6 to 11.1 V"),
     Nuisance("current", "cm/s", 3, 60, "steady current", AUDIT),
     Nuisance("stirring", "cm/s", 2, 60, "slow eddies, rms", "chosen: a pump or the swim before"),
     Nuisance("tether pull", "N", 0.02, 3, "steady pull of a tether", "1 m of 3 mm cable in water"),

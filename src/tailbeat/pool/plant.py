@@ -124,7 +124,7 @@ class Plant:
         water, around = ([values[i] for i in chosen] for values in (self.water, self.around))
         wear, servo = tuple(self.wear[i] for i in chosen), self.servo[chosen]
         part = replace(self, water=tuple(water), around=tuple(around), servo=servo, wear=wear)
-        part.__dict__["own"] = Chain._make(values[chosen] for values in self.own)
+        part.__dict__["own"] = Chain._make(np.asarray(values)[chosen] for values in self.own)
         return part
 
 

@@ -73,6 +73,7 @@ def evaluated(out: Path, data: Evaluation, fish: Fish, twin: Fish) -> list[Secti
     sections += _reach(out, data, fish)
     sections += _costs(out, data.disturb, "Disturbed", "disturb")
     sections += _costs(out, data.out_of_distribution, "Out of distribution", "out-of-distribution")
+    sections += _costs(out, data.messy, "Messy labs", "messy")
     if data.track:
         swims, _ = store.load(out, track.TRACK, 1)
         drawn = swim_figures.following(track.by_path(swims), data.track)

@@ -13,7 +13,7 @@ SHOWN = 5  # fields of a body that are named with their values; of others, the t
 # Fields of a description that an identification may change; all others describe the body. The servo
 # as bought is none: the driver itself compares the model that answers.
 LAW = ("zones", "added_inertia", "added_along", "trailing_edge")  # of the fluid
-FITTED = ("name", "summary", "servo", "simulation", "uncertain", "hardware", *LAW)
+FITTED = ("name", "summary", "servo", "simulation", "uncertain", "hardware", "lab", *LAW)
 FITTED_IN_TAIL = ("tail.damping_time", "tail.friction", "tail.k_eff", "tail.stiffness_scale")
 
 
