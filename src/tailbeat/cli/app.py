@@ -22,7 +22,7 @@ LISTS = {
     "--commands": "record",
 }
 LISTS |= {"--servo": "speed-map", "--tasks": "evaluate", "--only": "faults zoo"}
-LISTS |= {"--against": "coverage", "--fitted-on": "predict"}
+LISTS |= {"--against": "coverage", "--fitted-on": "predict", "--nuisances": "margins"}
 
 
 def spread_lists(arguments: list[str]) -> list[str]:

@@ -183,6 +183,8 @@ def _film(figures, state, motion, i, step, period):  # type: ignore[no-untyped-d
         stamp = phase + number / figures.frame_rate
         if stamp > now + 1e-9:
             return
+        if state.dark[i, step]:
+            continue  # the last frames that arrived are kept, however long it lasts
         own, row = draws[4 + 6 * k :], frames[number % KEPT]
         share = (stamp - now) / period + 1
         for j in range(3):
@@ -192,7 +194,7 @@ def _film(figures, state, motion, i, step, period):  # type: ignore[no-untyped-d
             row[3 + j] = was[j] + share * (target[j] - was[j])
         row[5] = stamp + figures.stamp_noise * own[3]
         arrival = stamp + figures.latency + figures.latency_jitter * _uniform(own[4])
-        lost = _uniform(own[5]) < figures.dropped or state.dark[i, step]
+        lost = _uniform(own[5]) < figures.dropped
         row[6] = np.inf if lost else arrival + state.late[i]
 
 

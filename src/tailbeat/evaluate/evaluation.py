@@ -35,6 +35,7 @@ from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import digest, load_fish, shipped
 from tailbeat.identify import posterior
 from tailbeat.link.places import POOL
+from tailbeat.pool import mess
 from tailbeat.pool.water import Water, ablations, ensemble, fingerprint
 from tailbeat.robot.fits import check_swims
 
@@ -170,6 +171,7 @@ def describe(policy: Policy, pool: Pool) -> RunDescription:
         walls=pool.walls,
         conditions=counts(pool),
         measure=pool.measure,
+        mess=mess.fingerprint(),
     )
 
 
@@ -202,7 +204,7 @@ def read(out: Path) -> Evaluation:
         out_of_distribution=out_of_distribution.numbers(beyond)
         if out_of_distribution.AS_TRAINED in beyond
         else (),
-        messy=messy.numbers(mess) if messy.CLEAN in (mess := _of(swum, messy.PREFIX)) else (),
+        messy=messy.numbers(labs) if messy.CLEAN in (labs := _of(swum, messy.PREFIX)) else (),
         spectrum=(*_identification(out), *spectrum.numbers(reached, run.band)),
         twin=store.read_record(FreshResult, fresh) if fresh.is_file() else None,
     )

@@ -29,6 +29,7 @@ from tailbeat.evaluate.margin_cells import (
     Table,
     bracket,
     following,
+    largest,
     swum,
     tried_of,
 )
@@ -257,6 +258,7 @@ def _margin(name: str, rest: Rest, ring: Ring, table: Table, lab: float | None) 
     tried = {f: getattr(h, ring) for f, h in tried_of(name, rest, table).items()}
     size = crossing({factor: float(np.mean(hits)) for factor, hits in tried.items()})
     low, high = _interval(tried)
+    low = min(low, largest(name))
     found = None if size is None else size * one.everyday
     return Margin(
         nuisance=name, unit=one.unit, what=one.what, everyday=one.everyday, most=one.most,

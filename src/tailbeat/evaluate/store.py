@@ -34,7 +34,7 @@ class RunDescription:
     Digest of the `policy`, kind of its `actions`, its `band` [Hz] and `training` from its contract;
     the `twin` that it was trained in; `fish` and `water` of the pool with their digests; the seed,
     swims per condition (`episodes`), walls (length, width) [m], the number of swims of each of the
-    `conditions`, and the fish's `measure`.
+    `conditions`, the fish's `measure`, and the fingerprint of the `mess`.
     """
 
     policy: str
@@ -51,6 +51,7 @@ class RunDescription:
     walls: tuple[float, float]
     conditions: Mapping[str, int]
     measure: Measure = field(default_factory=Measure)
+    mess: str = ""
 
 
 def begin(out: Path, wanted: RunDescription) -> None:
@@ -61,10 +62,9 @@ def begin(out: Path, wanted: RunDescription) -> None:
         write_json(out / DESCRIPTION, wanted)
         return
     held, asked = (leaves("", plain(one)) for one in (read_description(out), wanted))
-    # a later version knows more conditions; what is there is gone on with
+    # a later version knows more conditions: what is there is gone on with
     new = {name for name in set(asked) - set(held) if name.startswith("conditions")}
-    if new and not set(held) - set(asked):
-        write_json(out / DESCRIPTION, wanted, overwrite=True)
+    new |= set() if held["mess"] else {"mess"}
     names = sorted(
         (set(held) | set(asked)) - new, key=lambda name: (name.startswith("conditions"), name)
     )
@@ -76,6 +76,8 @@ def begin(out: Path, wanted: RunDescription) -> None:
             f"{out}: contains other runs: {'; '.join(said)}{more}. Use the same options, or a new"
             f" folder."
         )
+    if new:
+        write_json(out / DESCRIPTION, wanted, overwrite=True)
 
 
 def keep_fish(out: Path, twin: Fish) -> None:

@@ -22,6 +22,7 @@ from tailbeat.pool.tendons import add_tendons
 Array = NDArray[np.float64]
 Rows = NDArray[np.void]
 COULOMB = 0.02  # rad/s over which dry friction changes sign
+STICKING = 0.002  # rad/s, the same in a hinge: a bent tail creeps back at this, times the hinges
 WALL, WALL_DAMPING = 300.0, 20.0  # N/m, N s/m of a pool's wall against a point of the fish
 LOCKED = 1e9  # kg, kg m^2: a held root
 
@@ -119,7 +120,7 @@ def add_drive(command, chain, servo, strength, work):  # type: ignore[no-untyped
         hinge = chain.hinges[j]
         loss = hinge.damping
         if hinge.dry > 0:
-            loss += hinge.dry / np.sqrt(v[4 + j] * v[4 + j] + COULOMB * COULOMB)
+            loss += hinge.dry / np.sqrt(v[4 + j] * v[4 + j] + STICKING * STICKING)
         force[4 + j] -= hinge.stiffness * (q[4 + j] - hinge.rest) + loss * v[4 + j]
         stiff[4 + j, 4 + j] += hinge.stiffness
         damp[4 + j, 4 + j] += loss

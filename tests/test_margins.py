@@ -1,0 +1,176 @@
+"""Margins: the search finds a known size, its intervals hold it as often as they say, and a tag
+glued sideways has the margin that geometry allows."""
+
+import json
+
+import numpy as np
+import pytest
+
+from support import complaint, tailbeat
+
+pytest.importorskip("gymnasium", reason="the train extra is not installed")
+
+from tailbeat.evaluate import margins as measured
+from tailbeat.evaluate.margin_cells import (
+    BASES,
+    FEW,
+    RESTS,
+    RINGS,
+    Cell,
+    Hits,
+    bracket,
+    following,
+    largest,
+    sizes,
+)
+from tailbeat.evaluate.margins import (
+    MarginsConfig,
+    MarginsRun,
+    crossing,
+    lab_of,
+    next_cells,
+    numbers,
+)
+from tailbeat.fish.store import digest, load_fish
+from tailbeat.pool import mess
+
+COUNT = 40
+NAME = "horn"
+RUN = MarginsRun("p", "f", "d", mess.fingerprint(), COUNT, 0)
+
+
+def population(rng, count, middle=8.0, spread=0.6):
+    """Sizes, over the everyday one, that each target stands."""
+    return middle * np.exp(spread * rng.normal(size=count))
+
+
+def searched(stands, name=NAME):
+    """A search with targets that each stand a size: every cell that it swims."""
+    table = {base: Hits((True,) * COUNT, (True,) * COUNT) for base in BASES.values()}
+    for _ in range(100):
+        cells = next_cells([name], table, COUNT)
+        if not cells:
+            return table
+        for cell in cells:
+            done = len(table.get(cell, Hits()).arrived)
+            end = FEW if done < FEW else COUNT
+            hits = tuple((stands[:end] >= cell.factor).tolist())
+            table[cell] = Hits(hits, hits)
+    raise AssertionError("the search does not end")
+
+
+def test_the_search_finds_the_size_that_three_quarters_stand():
+    """Within the fifth that a bracket leaves, plus what clear cells are known to; few cells."""
+    for seed in range(20):
+        stands = population(np.random.default_rng(seed), COUNT, middle=2.0 ** (seed / 4))
+        table = searched(stands)
+        row = numbers(table, [NAME], RUN, {}).margins[0]
+        exact = np.sort(stands)[::-1][int(0.75 * COUNT) - 1]
+        most = mess.BY_NAME[NAME].most
+        if row.size is None:
+            assert exact >= largest(NAME) / 1.3
+        else:
+            assert row.size / row.everyday == pytest.approx(exact, rel=0.3), seed
+            assert row.interval[0] <= row.size <= (row.interval[1] or most)
+        assert len(table) < 24
+
+
+def test_its_intervals_hold_the_population_s_size_as_often_as_they_say():
+    """95 % are said; 60 policies, whose targets are drawn from a known population."""
+    exact = 8.0 * np.exp(0.6 * -0.6745)  # a quarter stands less
+    held = 0
+    for seed in range(60):
+        table = searched(population(np.random.default_rng([1, seed]), COUNT))
+        low, high = numbers(table, [NAME], RUN, {}).margins[0].interval
+        unit = mess.BY_NAME[NAME].everyday
+        held += low <= exact * unit <= (np.inf if high is None else high)
+    assert held >= 51  # fewer have a chance of 2 % if 95 % hold
+
+
+def test_a_policy_that_fails_at_once_or_never_is_told_apart():
+    never, always = np.zeros(COUNT), np.full(COUNT, np.inf)
+    row = numbers(searched(never), [NAME], RUN, {}).margins[0]
+    assert row.size is not None and row.size < 0.26 * row.everyday * 2
+    row = numbers(searched(always), [NAME], RUN, {}).margins[0]
+    assert row.size is None and row.interval == (row.most, None)
+    assert crossing({0.0: 1.0, 2.0: 1.0, 4.0: 0.5}) == pytest.approx(2 * 2**0.5)
+    assert bracket({1.0: 0.9, 2.0: 0.5, 4.0: 0.9}) == (1.0, 2.0)  # a lucky cell beyond is not used
+
+
+def test_a_cell_is_one_nuisance_over_none_or_over_everyday_ones():
+    everyday = mess.level("everyday")
+    assert sizes(Cell("slack", "alone", 2.0)) == dict.fromkeys(everyday, 0.0) | {"slack": 6.0}
+    assert sizes(Cell("slack", "everyday", 2.0)) == {**everyday, "slack": 6.0}
+    assert sizes(Cell("slack", "everyday", 1e9))["slack"] == mess.BY_NAME["slack"].most
+    assert sizes(BASES["everyday"]) == everyday and not any(sizes(BASES["alone"]).values())
+    cells = {following(NAME, rest, ring, {}, COUNT) for rest in RESTS for ring in RINGS}
+    assert cells == {Cell(NAME, "alone", 2.0), Cell(NAME, "everyday", 2.0)}
+
+
+def test_the_lab_s_own_figures_are_read_in_any_unit_and_change_no_digest(tmp_path):
+    path = tmp_path / "mine.toml"
+    table = '\n[lab]\ntag_sideways = "0.4 cm"\nhorn = "2 deg"\nstiffness = "10 %"\n'
+    words = ("--length", "540mm", "--mass", "1.2kg", "--hinges", "3", "--servo", "xl330")
+    assert tailbeat("new-fish", path, *words).returncode == 0
+    plain = load_fish(str(path))
+    path.write_text(path.read_text() + table)
+    own = load_fish(str(path))
+    figures = {"tag sideways": 4.0, "horn": 2.0, "stiffness": 10.0}
+    assert lab_of(own) == pytest.approx(figures) and lab_of(plain) == {}
+    assert digest(own) == digest(plain)
+    row = numbers(searched(population(np.random.default_rng(0), COUNT)), [NAME], RUN, lab_of(own))
+    first = row.margins[0]
+    assert first.lab == pytest.approx(2.0) and first.safety == pytest.approx(first.size / 2.0)
+
+
+@pytest.fixture(scope="module")
+def sideways(tmp_path_factory):
+    """Margins of the shipped policy for a tag glued sideways, by the command."""
+    out = tmp_path_factory.mktemp("margins") / "m"
+    words = ("margins", "pulley-fish-pool-generator", "--out", out, "--targets", 16)
+    done = tailbeat(*words, "--nuisances", "tag sideways", "--json", out.parent / "m.json")
+    assert done.returncode == 0, done.stderr
+    assert "tag sideways: measure the tag's place" in done.stdout
+    return out, words
+
+
+def test_a_tag_glued_sideways_stands_what_geometry_allows(sideways):
+    """A fish that puts its seen tag on the target misses with its true place by the offset: more
+    than 5 cm cannot be stood much, and the wider circle stands about its own 20 cm."""
+    out, _ = sideways
+    done = json.loads((out.parent / "m.json").read_text())
+    size = {(row["rest"], row["ring"]): row["size"] for row in done["margins"]}
+    assert 30 < size["alone", "arrived"] < 90 and 150 < size["alone", "near"] < 350
+    assert done["clean"]["arrived"] == 1.0 and done["thinnest"] == ["tag sideways"]
+    assert (out / "margins.png").stat().st_size > 5000
+
+
+def test_an_interrupted_run_goes_on_to_the_same_numbers(sideways):
+    """With the cells lost that halve the last doubling; a folder of other cells is refused, and nothing is rewritten."""
+    out, words = sideways
+    before = (out / "margins.json").read_text()
+    rows = json.loads((out / "cells.json").read_text())
+    doubled = [row for row in rows if np.log2(row["cell"]["factor"] or 1.0) % 1 == 0]
+    assert 4 < len(doubled) < len(rows)
+    (out / "cells.json").write_text(json.dumps(doubled))
+    assert tailbeat(*words, "--nuisances", "tag sideways").returncode == 0
+    assert (out / "margins.json").read_text() == before
+    assert "its cells have seed 0, not 1" in complaint(*words, "--seed", 1)
+    assert (out / "margins.json").read_text() == before
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--targets", 15), "--targets 15: give 16 or more."),
+        (("--nuisances", "hom"), "nuisance 'hom': allowed are horn,"),
+        (("--fish", "crank-fish"), "crank-fish"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_in_one_sentence(words, said, tmp_path):
+    given = ("margins", "pulley-fish-pool-generator", "--out", tmp_path / "m", *words)
+    assert said in complaint(*given) and not (tmp_path / "m").exists()
+
+
+def test_the_config_s_defaults_are_the_command_s():
+    assert MarginsConfig().targets == 40 and measured.BATCH * FEW < 1000
