@@ -120,6 +120,7 @@ def test_the_lab_s_own_figures_are_read_in_any_unit_and_change_no_digest(tmp_pat
     assert digest(own) == digest(plain)
     row = numbers(searched(population(np.random.default_rng(0), COUNT)), [NAME], RUN, lab_of(own))
     first = row.margins[0]
+    assert first.size is not None
     assert first.lab == pytest.approx(2.0) and first.safety == pytest.approx(first.size / 2.0)
 
 
@@ -146,7 +147,8 @@ def test_a_tag_glued_sideways_stands_what_geometry_allows(sideways):
 
 
 def test_an_interrupted_run_goes_on_to_the_same_numbers(sideways):
-    """With the cells lost that halve the last doubling; a folder of other cells is refused, and nothing is rewritten."""
+    """With the cells lost that halve the last doubling; a folder of other cells is refused, and
+    nothing is rewritten."""
     out, words = sideways
     before = (out / "margins.json").read_text()
     rows = json.loads((out / "cells.json").read_text())

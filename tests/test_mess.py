@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from support import complaint
+
 pytest.importorskip("gymnasium", reason="the train extra is not installed")
 
 from tailbeat.env import errors, randomize
@@ -21,9 +23,11 @@ from tailbeat.fish.store import load_fish
 from tailbeat.pool import mess
 from tailbeat.pool.dynamics import FADING
 from tailbeat.pool.plant import Surroundings, at_rest, build_plant, step_plant
+from tailbeat.pool.protocols import record_fluid
 from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water
 from tailbeat.pool.wear import Wear
+from tailbeat.recording import Recording
 
 FISH = load_fish("pulley-fish-pool")
 SOFT = load_fish("pulley-fish")  # its tendons are springs
@@ -264,6 +268,50 @@ def test_worn_fish_in_a_batch_swim_as_they_would_alone_and_so_do_parts_of_it():
     chosen = np.array([1, 2])
     some = plant.part(chosen)
     assert np.array_equal(step_plant(some, at_rest(some), command[:2], 10).q, together[chosen])
+
+
+# ---- recordings ---------------------------------------------------------------------------------
+
+
+def test_a_recording_in_a_messy_lab_is_off_by_what_the_lab_is_off():
+    """Of a still fish: the tag where it is glued, the shaft at its horn's angle."""
+    wrong = Errors(horn=0.1, encoder=0.02, ahead=0.02, left=0.01, askew=0.05, scale=0.03)
+    lab = mess.Lab(errors=wrong)
+    still = Recording("still", np.array([0.0, 1.0]), {"command_rad": np.array([-0.1, -0.1])})
+    clean, messy = (
+        next(record_fluid(FISH, 0, commands=[command], lab=own))
+        for own, command in ((mess.Lab(), zero(still)), (lab, still))
+    )
+    assert clean.meta["source"] != messy.meta["source"]
+    off = messy.columns["motor_angle_rad"] - clean.columns["motor_angle_rad"]
+    assert np.allclose(off, -0.1 + 0.02, atol=0.002)  # the shaft itself is at 0 in both
+    poses = [np.array([one.columns[c].mean() for c in ("x_m", "y_m", "yaw_rad")])
+             for one in (clean, messy)]  # fmt: skip
+    expected = errors.filmed(errors.rows([wrong]), poses[0][None])[0]
+    assert np.allclose(poses[1], expected, atol=2e-3)
+
+
+def test_a_late_and_hidden_camera_is_late_and_hidden_in_recordings():
+    beat = Recording("beat", np.arange(0, 8, 0.02), {"command_rad": beats(8.0)[::10]})
+    clean, late, dark = (
+        next(record_fluid(FISH, 0, commands=[beat], lab=mess.Lab(errors=wrong)))
+        for wrong in (errors.NONE, Errors(late=0.1), Errors(dark=0.3))
+    )
+    assert len(dark.time) < 0.9 * len(clean.time) and np.diff(dark.time).max() > 0.29
+    x = [one.columns["x_m"] for one in (clean, late)]
+    moved = slice(240, 400)  # steady
+    speed = np.polyfit(clean.time[moved], x[0][moved], 1)[0]
+    assert np.mean(x[0][moved] - x[1][moved]) == pytest.approx(0.1 * speed, rel=0.2)
+
+
+def zero(command):
+    return Recording(command.name, command.time, {"command_rad": 0 * command.time})
+
+
+def test_record_takes_a_level_and_refuses_others(tmp_path):
+    words = ("record", "check", "--fish", "pulley-fish", "--out", tmp_path / "a")
+    said = complaint(*words, "--mess", "dirty")
+    assert said.endswith("mess 'dirty': allowed are clean, everyday, rough, wrecked.")
 
 
 # ---- training -----------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """The pages of the site's reference, made from the code that they describe."""
 
-from reference import api, contract, fish, recording, verbs
+from reference import api, contract, fish, messy, recording, verbs
 
 INDEX = """# Reference
 
@@ -13,6 +13,7 @@ These pages are made from the code when the site is built.
 | [Recording](recording.md) | columns and metadata of a recording |
 | [Policy contract](contract.md) | the metadata in `policy.onnx` |
 | [Log](log.md) | the topics and fields of a swim's log |
+| [Messy pool](messy-pool.md) | every nuisance, with its everyday size and its source |
 | [Python](python.md) | every public name of `import tailbeat as tb` |
 """
 
@@ -26,5 +27,6 @@ def pages() -> dict[str, str]:
         "recording.md": recording.recording_page(),
         "contract.md": contract.contract_page(),
         "log.md": contract.log_page(),
+        "messy-pool.md": messy.messy_page(),
         "python.md": api.page(),
     }

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tailbeat.cli import output
-from tailbeat.cli.options import FishOption, JsonOption, SeedOption
+from tailbeat.cli.options import FishOption, JsonOption, MessOption, SeedOption
 from tailbeat.files import refuse_existing, write_json
 
 SourceOption = Annotated[
@@ -42,13 +42,14 @@ def record(
         list[Path] | None,
         typer.Option("--commands", help="Commands to play; default: the protocol's."),
     ] = None,
+    mess: MessOption = "clean",
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
     """Play a protocol in the virtual pool and record it as a lab would."""
     from tailbeat.pool import record as recorder
 
-    paths = recorder.record(kind, fish, out, seed, commands or ())
+    paths = recorder.record(kind, fish, out, seed, commands or (), mess)
     if json is not None:
         write_json(json, {"recordings": [str(path) for path in paths]})
     for path in paths:

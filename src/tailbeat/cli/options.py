@@ -47,6 +47,13 @@ ForceCamera = Annotated[
         help="With --imu none: swim a policy that was trained with an IMU.",
     ),
 ]
+MessOption = Annotated[
+    str,
+    typer.Option(
+        "--mess",
+        help="What the lab gets wrong: clean, everyday, rough or wrecked, drawn from the seed.",
+    ),
+]
 PageOption = Annotated[str, typer.Option("--page", help="host:port of the operator page.")]
 TargetOption = Annotated[str, typer.Option("--target", help="Place of the target: x,y [m].")]
 TourJson = Annotated[

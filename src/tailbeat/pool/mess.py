@@ -94,6 +94,14 @@ class Lab:
     tether: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
+AS_DESCRIBED = Lab()
+
+
+def on_the_bench(wear: Wear) -> Wear:
+    """The wear of a tail that a test bench's own drive turns, without the servo's."""
+    return replace(wear, gain=1.0, limit=1.0, delay=0.0, fade=0.0)
+
+
 def level(name: str) -> Sizes:
     """Sizes of a named level. Raises BadInput."""
     if name not in LEVELS:

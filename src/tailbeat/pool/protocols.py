@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from tailbeat.env import errors
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish, Servo, ends_of
 from tailbeat.fish.show import shaft_stiffness
@@ -28,6 +29,7 @@ from tailbeat.identify.protocol import (
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.identify.shaft import mean_held
 from tailbeat.link.places import LENGTH, POOL, WIDTH
+from tailbeat.pool.mess import AS_DESCRIBED, Lab, in_lab, on_the_bench
 from tailbeat.pool.plant import (
     Surroundings,
     Swum,
@@ -65,6 +67,7 @@ def record_tail(
     sensors: Sensors | None = None,
     water: Water = WATER,
     commands: Sequence[Recording] = (),
+    lab: Lab = AS_DESCRIBED,
 ) -> Iterator[Recording]:
     """Record sweep and slow pull in air: `angle_rad` and `torque_nm` of the shaft. Without
     `sensors` the torque cell suits the fish's tail."""
@@ -74,18 +77,19 @@ def record_tail(
     for number, command in enumerate(_checked(fish, played)):
         rng = np.random.default_rng([seed, number])
         smooth = _smooth(command, 0.001)
-        swum = _play(fish, smooth, _air(water), Surroundings(held=True), DRIVE, 0.001)
+        own = replace(lab, wear=on_the_bench(lab.wear))
+        swum = _play(fish, smooth, _air(water), Surroundings(held=True), DRIVE, 0.001, lab=own)
         time = clock(float(swum.time[-1]), sensors.bench_rate, sensors.jitter, rng)
         labels = command.labels.get("condition", np.full(command.time.size, command.name))
         label = labels[_in_force(command, time)]
         columns = {
-            "angle_rad": encoder(_at(swum, swum.q[0, :, 3], time)),
+            "angle_rad": encoder(_read(swum, time, lab)),
             # the torque of a step is that at its middle
             "torque_nm": torque_cell(
                 np.interp(time, swum.time[1:] - swum.time[1] / 2, swum.torque[0, 1:]), sensors, rng
             ),
         }
-        yield Recording(command.name, time, columns, _meta(water), {"condition": label})
+        yield Recording(command.name, time, columns, _meta(water, lab), {"condition": label})
 
 
 def record_servo(
@@ -94,6 +98,7 @@ def record_servo(
     sensors: Sensors = SENSORS,
     water: Water = WATER,
     commands: Sequence[Recording] = (),
+    lab: Lab = AS_DESCRIBED,
 ) -> Iterator[Recording]:
     """Record the servo with its tail in air: `command_rad` as sent, `angle_rad` as read, at the
     same times."""
@@ -103,9 +108,9 @@ def record_servo(
         time = clock(float(command.time[-1]), sensors.loop_rate, sensors.jitter, rng)
         sent = np.interp(time, command.time, command.columns["command_rad"])
         passes = Recording(command.name, time, {"command_rad": sent})
-        swum = _play(fish, passes, _air(water), Surroundings(held=True), None, SERVO_DT)
-        columns = {"command_rad": sent, "angle_rad": encoder(_at(swum, swum.q[0, :, 3], time))}
-        yield Recording(command.name, time, columns, {**_meta(water), "load": "tail"})
+        swum = _play(fish, passes, _air(water), Surroundings(held=True), None, SERVO_DT, lab=lab)
+        columns = {"command_rad": sent, "angle_rad": encoder(_read(swum, time, lab))}
+        yield Recording(command.name, time, columns, {**_meta(water, lab), "load": "tail"})
 
 
 def record_fluid(
@@ -114,6 +119,7 @@ def record_fluid(
     sensors: Sensors = SENSORS,
     water: Water = WATER,
     commands: Sequence[Recording] = (),
+    lab: Lab = AS_DESCRIBED,
 ) -> Iterator[Recording]:
     """Record free swims along the pool, from rest or launched: encoder and tag at the frames'
     times.
@@ -129,18 +135,20 @@ def record_fluid(
         begin = _begin(fish, command, 0.0 if launch is None else launch[0])
         start = np.array([[begin, side[0], side[1] / 2]])
         around = Surroundings(walls=POOL)
-        swum = _play(fish, command, water, around, None, DT, start, launch)
+        swum = _play(fish, command, water, around, None, DT, start, launch, lab)
         pose = tracked_pose(fish, swum.q[0, :, :3])
         seconds = _until_wall(swum.time, pose)
-        seen = frames(seconds, sensors, rng)
+        seen = _lit(frames(seconds, sensors, rng), lab, rng)
         loop = clock(seconds, sensors.loop_rate, sensors.jitter, rng)
-        angle = np.interp(seen, loop, encoder(_at(swum, swum.q[0, :, 3], loop)))
-        late = np.clip(seen + sensors.stamp_noise * rng.normal(size=seen.size), 0, seconds)
-        poses = camera(np.stack([_at(swum, c, late) for c in pose.T], axis=1), sensors, rng)
+        angle = np.interp(seen, loop, encoder(_read(swum, loop, lab)))
+        exposed = seen + sensors.stamp_noise * rng.normal(size=seen.size) - lab.errors.late
+        late = np.clip(exposed, 0, seconds)
+        true = np.stack([_at(swum, c, late) for c in pose.T], axis=1)
+        poses = camera(errors.filmed(errors.rows([lab.errors]), true), sensors, rng)
         columns = dict(zip(("x_m", "y_m", "yaw_rad"), poses.T, strict=True))
         columns = {"motor_angle_rad": angle, **columns}
         stated = {} if launch is None else {LAUNCH: command.meta[LAUNCH]}
-        yield Recording(command.name, seen, columns, {**_meta(water), **stated})
+        yield Recording(command.name, seen, columns, {**_meta(water, lab), **stated})
 
 
 def record_check(
@@ -149,11 +157,12 @@ def record_check(
     sensors: Sensors = SENSORS,
     water: Water = WATER,
     commands: Sequence[Recording] = (),
+    lab: Lab = AS_DESCRIBED,
 ) -> Iterator[Recording]:
     """Record free swims unlike the protocol's (`identify.check_swims`), as `record_fluid` does;
     another seed plays other commands."""
     played = commands or tuple(check_swims(fish, limits(fish), seed=seed).values())
-    return record_fluid(fish, seed, sensors, water, played)
+    return record_fluid(fish, seed, sensors, water, played, lab)
 
 
 def _swims(fish: Fish) -> list[Recording]:
@@ -200,12 +209,16 @@ def _play(
     dt: float,
     start: Array | None = None,
     launch: Array | None = None,
+    lab: Lab = AS_DESCRIBED,
 ) -> Swum:
-    """Play a command recording to its end; each setpoint is held until the next. `launch` (3,) is
-    the head's velocity at the start, in the fish frame. A small fish may need a step shorter than
-    `dt`. Raises BadInput for a swim that diverges at every step."""
+    """Play a command recording to its end, in a lab; each setpoint is held until the next.
+
+    `launch` (3,) is the head's velocity at the start, in the fish frame. A small fish may need a
+    step shorter than `dt`. Raises BadInput for a swim that diverges at every step.
+    """
+    flow, place = in_lab(lab, water, around)
     for step in dt / 2.0 ** np.arange(HALVED):
-        plant = build_plant(fish, [water], servo, [around], float(step))
+        plant = build_plant(fish, [flow], servo, [place], float(step), [lab.wear])
         state = at_rest(plant, start)
         if launch is not None:
             cos, sin = np.cos(state.q[0, 2]), np.sin(state.q[0, 2])
@@ -213,7 +226,7 @@ def _play(
             state.v[0, :3] = cos * surge - sin * sway, sin * surge + cos * sway, turn
         edges = np.asarray(step * np.arange(int(command.time[-1] / step) + 3), dtype=np.float64)
         held = mean_held(command.time, command.columns["command_rad"], edges)
-        swum = step_plant(plant, state, held[None])
+        swum = step_plant(plant, state, held[None] + lab.errors.horn)
         if not swum.lost.any():
             return swum
     raise BadInput(
@@ -239,11 +252,27 @@ def _at(swum: Swum, values: Array, time: Array) -> Array:
     return np.asarray(CubicSpline(swum.time, values)(np.minimum(time, swum.time[-1])))
 
 
+def _read(swum: Swum, time: Array, lab: Lab) -> Array:
+    """Angles of the shaft as the servo counts them."""
+    return _at(swum, swum.q[0, :, 3], time) - lab.errors.horn + lab.errors.encoder
+
+
+def _lit(seen: Array, lab: Lab, rng: np.random.Generator) -> Array:
+    """Times of frames without those of a lab's dark bursts; always the first."""
+    if not lab.errors.dark:
+        return seen
+    dark = errors.dark_steps(lab.errors.dark, int(seen[-1] / errors.PERIOD) + 1, rng)
+    lit = ~dark[(seen / errors.PERIOD).astype(int)]
+    lit[0] = True
+    return seen[lit]
+
+
 def _until_wall(time: Array, pose: Array) -> float:
     """Time [s] until the tag comes within the margin of a wall, or the whole time."""
     near = np.maximum(np.abs(pose[:, 0]) - LENGTH / 2, np.abs(pose[:, 1]) - WIDTH / 2) > -MARGIN
     return float(time[np.argmax(near)] if near.any() else time[-1])
 
 
-def _meta(water: Water) -> dict[str, str]:
-    return {"source": "tailbeat virtual pool", "water": fingerprint([water])}
+def _meta(water: Water, lab: Lab) -> dict[str, str]:
+    where = "tailbeat virtual pool" if lab == AS_DESCRIBED else "tailbeat virtual pool, messy"
+    return {"source": where, "water": fingerprint([water])}

@@ -6,6 +6,7 @@ from pathlib import Path
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.protocol import present_name
+from tailbeat.pool.mess import draw, level
 from tailbeat.pool.protocols import record_check, record_fluid, record_servo, record_tail
 from tailbeat.recording import Recording, read_recording, write_recording
 
@@ -17,16 +18,25 @@ RECORDERS: dict[str, Callable[..., Iterator[Recording]]] = {
 }
 
 
-def record(kind: str, fish: str, out: Path, seed: int, commands: Sequence[Path] = ()) -> list[Path]:
+def record(
+    kind: str,
+    fish: str,
+    out: Path,
+    seed: int,
+    commands: Sequence[Path] = (),
+    mess: str = "clean",
+) -> list[Path]:
     """Play a protocol, or given commands, in the virtual pool. Writes its recordings and returns
-    their paths. Raises BadInput."""
+    their paths. With `mess` a level of `pool.mess`, all are of one lab, drawn from the seed: that
+    of the first swim of `evaluate --tasks messy`. Raises BadInput."""
     if kind not in RECORDERS:
         raise BadInput(f"record {kind!r}: allowed are {', '.join(RECORDERS)}.")
     if any(present_name(path.stem).startswith(f"{kind}-") for path in out.glob("*.csv")):
         raise BadInput(f"{out}: {kind} recordings exist already; give an empty folder.")
     paths = []
     given = [read_recording(path) for path in commands]
-    for recording in RECORDERS[kind](load_fish(fish), seed, commands=given):
+    lab = draw(level(mess), [seed, 0])
+    for recording in RECORDERS[kind](load_fish(fish), seed, commands=given, lab=lab):
         paths.append(out / f"{recording.name}.csv")
         write_recording(recording, paths[-1])
     return paths
