@@ -73,6 +73,13 @@ def train(
     ] = 0.0,
     physics: PhysicsOption = "ranges",
     imu: SeenImu = None,
+    mess: Annotated[
+        str,
+        typer.Option(
+            help="What robots get wrong in training, up to a level's sizes: clean, everyday, rough"
+            " or wrecked."
+        ),
+    ] = "clean",
     stage: Annotated[
         str | None, typer.Option(help="Stage to continue in; default: the checkpoint's.")
     ] = None,
@@ -83,6 +90,7 @@ def train(
         refuse_existing(json)
     need_training()
     from tailbeat.fish.store import load_fish, with_servo
+    from tailbeat.pool.mess import level, widths
     from tailbeat.report.learning_figures import courses
     from tailbeat.train.config import RunConfig, action_space
     from tailbeat.train.recipes import recipe_of
@@ -94,7 +102,8 @@ def train(
         space = action_space(actions, described, binds or chosen.binds, floor)
         draws = _draws(fish) if physics == "posterior" else None
         told = described, out, chosen, space, seed, hours, device
-        run = RunConfig(*told, draws=draws, yaw_rate=_source(imu) or "imu")
+        wrong = None if mess == "clean" else widths(level(mess))
+        run = RunConfig(*told, draws=draws, yaw_rate=_source(imu) or "imu", errors=wrong)
         room = run.recipe.buffer_bytes / 1e6
         output.say(f"replay buffer: {room:.0f} MB in memory and in every checkpoint")
         course = learn(run, resume, report, stage)

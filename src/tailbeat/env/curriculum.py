@@ -15,6 +15,7 @@ from tailbeat.control.actions import ActionSpace
 from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.policy import Contract
 from tailbeat.env import randomize
+from tailbeat.env.errors import Errors
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel, motion_filter
 from tailbeat.env.task import Settings, Task, sized
@@ -26,7 +27,7 @@ FASTEST = 0.25  # m/s of moving targets: two thirds of the fish's speed (chosen)
 FOLLOWED = 30.0  # s of an episode with moving targets (chosen)
 FAR = 12.0  # m from the start at which a fish that follows a target is lost (chosen)
 PROMOTED = 0.95  # rolling success rate for promotion (paper)
-Figures = TypeVar("Figures", SensorModel, Randomisation)
+Figures = TypeVar("Figures", SensorModel, Randomisation, Errors)
 RATES = ("frame_rate",)  # numbers of a sensor model that are not errors
 
 

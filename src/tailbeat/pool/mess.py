@@ -126,6 +126,14 @@ def check(sizes: Sizes) -> None:
             )
 
 
+def widths(sizes: Sizes) -> Errors:
+    """Half widths for a training of what a robot has wrong: of all errors but those of the camera's
+    frame, in which relabelled targets would be wrong."""
+    check(sizes)
+    size = {one.name: sizes.get(one.name, 0.0) * UNITS[one.unit] for one in NUISANCES}
+    return replace(_errors(size, size), scale=0.0, turn=0.0, lens=0.0)
+
+
 def fingerprint() -> str:
     """Hash of the sizes and levels."""
     what = [[astuple(one) for one in NUISANCES], LEVELS, BURSTS, FADING, EDGE]

@@ -15,6 +15,7 @@ from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from tailbeat.control.actions import PERIOD
 from tailbeat.env import curriculum, rendering
 from tailbeat.env.assess import Summary, Swims, assess, joined
+from tailbeat.env.errors import Errors
 from tailbeat.env.vector_env import FishVecEnv
 from tailbeat.env.world import World
 from tailbeat.files import BadInput
@@ -193,6 +194,7 @@ class TrainingCallback(BaseCallback):
             "seed": self.run.seed,
             "recipe": self.run.recipe.name,
             "physics": self.run.record().physics,
+            "errors": _widths(self.run.errors),
             "updates": self.model._n_updates,
             "control_steps": self.progress.control_steps,
             "hours": round(self.progress.seconds / 3600, 3),
@@ -270,3 +272,9 @@ def _fraction(judged: list[bool]) -> float:
 
 def _mean(values: list[float]) -> float:
     return float(np.mean(values)) if values else float("nan")
+
+
+def _widths(errors: Errors | None) -> str:
+    """Half widths of what robots had wrong in training, in SI."""
+    given = {} if errors is None else {name: w for name, w in vars(errors).items() if w}
+    return ", ".join(f"{name} {width:.3g}" for name, width in given.items()) or "none"

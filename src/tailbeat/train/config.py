@@ -13,7 +13,8 @@ from torch import cuda
 from tailbeat.control.actions import ActionSpace, Direct, Filtered, Turning, generator
 from tailbeat.control.camera_yaw import Source
 from tailbeat.control.measure import PAPER, Measure
-from tailbeat.env.curriculum import settings_of
+from tailbeat.env.curriculum import scaled, settings_of
+from tailbeat.env.errors import Errors
 from tailbeat.env.measured import measure_of
 from tailbeat.env.task import Settings, check_settings
 from tailbeat.files import BadInput, leaves, write_json
@@ -29,8 +30,8 @@ WORKING_SET = 1.5e9  # bytes for torch, engine and 64 fish without the buffer (m
 @dataclass(frozen=True)
 class RunRecord:
     """Contents of `run.json`: the fish's name and digest, action space, recipe, seed, what the
-    physics are drawn from (`ranges` or `posterior` with its digest), the fish's measure, and the
-    source of the yaw rate."""
+    physics are drawn from (`ranges` or `posterior` with its digest), the fish's measure, the
+    source of the yaw rate, and the half widths of what a robot has wrong (None: nothing)."""
 
     fish: str
     fish_digest: str
@@ -40,6 +41,7 @@ class RunRecord:
     physics: str = "ranges"
     measure: Measure = field(default_factory=Measure)
     yaw_rate: Source = "imu"
+    errors: Errors | None = None
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,8 @@ class RunConfig:
     is the most time of this session, `checkpoint_minutes` the time between two checkpoints.
     `device` is cpu or cuda. `measure` is that of the fish; `measured_run` takes it. `yaw_rate` is
     the source of the yaw rate that the policy sees: imu, or camera for a robot without an IMU.
+    `errors` are half widths of what each episode's robot has wrong, in full once all noise is; None
+    without.
     """
 
     fish: Fish
@@ -64,6 +68,7 @@ class RunConfig:
     draws: Array | None = field(default=None, compare=False)
     measure: Measure = field(default_factory=Measure)
     yaw_rate: Source = "imu"
+    errors: Errors | None = None
 
     @property
     def discount(self) -> float:
@@ -76,9 +81,10 @@ class RunConfig:
 
     def settings(self, stage: int) -> Settings:
         """The environment's settings in a stage."""
-        recipe = self.recipe
+        recipe, share = self.recipe, self.recipe.stages[stage].noise
         found = settings_of(recipe.stages[stage], self.space(), recipe.task, self.measure)
-        return replace(found, draws=self.draws, yaw_rate=self.yaw_rate)
+        wrong = scaled(self.errors, share) if self.errors is not None and share else None
+        return replace(found, draws=self.draws, yaw_rate=self.yaw_rate, errors=wrong)
 
     def record(self) -> RunRecord:
         """What must be equal when the run is resumed."""
@@ -92,6 +98,7 @@ class RunConfig:
             _physics(self.draws),
             self.measure,
             self.yaw_rate,
+            self.errors,
         )
 
 
@@ -184,6 +191,7 @@ def _check_same(run: RunConfig) -> None:
         raise BadInput(f"{path}: not readable JSON; the run cannot be resumed.") from None
     if held.get("actions.kind") == "generator":
         held.setdefault("actions.floor", 0.0)  # older runs have no floor
+    held.setdefault("errors", None)
     held.setdefault("physics", "ranges")  # and no posterior
     held.setdefault("yaw_rate", "imu")  # and an IMU
     held.setdefault("recipe.greedy", run.recipe.greedy)  # and no verdict by greedy swims
