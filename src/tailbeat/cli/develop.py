@@ -7,7 +7,14 @@ import typer
 
 from tailbeat.cli import output, results
 from tailbeat.cli.extras import need_camera, need_robot
-from tailbeat.cli.options import JsonOption, PageOption, PoolFish, SeedOption, TargetOption
+from tailbeat.cli.options import (
+    JsonOption,
+    MessOption,
+    PageOption,
+    PoolFish,
+    SeedOption,
+    TargetOption,
+)
 from tailbeat.files import BadInput, refuse_existing, write_json
 from tailbeat.link.places import TARGET
 
@@ -32,6 +39,7 @@ def emulate(
     ] = "",
     imu: Annotated[str, typer.Option("--imu", help="IMU: bno055 or bno085.")] = "bno055",
     page: PageOption = "",
+    mess: MessOption = "clean",
     seed: SeedOption = 0,
 ) -> None:
     """Emulate servo, IMU and camera of a fish in real time. Servo and IMU are on pseudo-terminals.
@@ -42,7 +50,7 @@ def emulate(
     from tailbeat.emulators import serve
 
     say = lambda line: print(line, flush=True)  # noqa: E731
-    devices = serve.Emulated(fish, target, seed, imu, start)
+    devices = serve.Emulated(fish, target, seed, imu, start, mess)
     if camera is not None:
         serve.filmed_rig(devices, camera, say)
     elif key is not None:

@@ -17,6 +17,7 @@ from tailbeat.cli.options import (
     ForceCamera,
     ImuPort,
     JsonOption,
+    MessOption,
     PageOption,
     PathLaps,
     PathOption,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from tailbeat.evaluate.swim import Swum
 
 EMULATED = "pulley-fish"  # fish of emulated devices, unless another is given
-Asked = tuple[str, str, str | None, int, int]  # policy, pool's fish, twin, targets, seed
+Asked = tuple[str, str, str | None, int, int, str]  # policy, pool's fish, twin, targets, seed, mess
 Devices = AbstractContextManager[tuple[Ports, Path]]  # where the devices are, and the key's file
 
 
@@ -78,6 +79,7 @@ def swim(
     speed: PathSpeed = None,
     laps: PathLaps = None,
     seconds: PathSeconds = None,
+    mess: MessOption = "clean",
     seed: SeedOption = 0,
     out: Annotated[Path, typer.Option(help="Folder of the report, film, log and summary.")] = Path(
         "runs"
@@ -95,6 +97,8 @@ def swim(
     asked = path_asked(path, speed, laps, seconds)
     if asked is not None and fish is not None:
         raise BadInput("--fish: without a policy it follows no --path; leave --fish out.")
+    if mess != "clean" and (asked is not None or fish is not None):
+        raise BadInput(f"--mess {mess}: only tours and the page swim in a messy lab; leave it out.")
     if fish is not None:
         _open_loop(fish, out, json)
     elif asked is not None:
@@ -103,11 +107,11 @@ def swim(
         _follow(FollowConfig(policy or FOLLOWS, asked, pool_fish, twin, seed), direct, out, json)
     elif headless or direct or not sys.stdout.isatty():
         swum = (_direct if direct else _live)(
-            (policy or SHIPPED, pool_fish, twin, targets, seed), out
+            (policy or SHIPPED, pool_fish, twin, targets, seed, mess), out
         )
         _tour(swum, out, json)
     elif json is None:
-        _attend(policy or FOLLOWS, pool_fish, twin, seed, page, out)
+        _attend((policy or FOLLOWS, pool_fish, twin, 1, seed, mess), page, out)
     else:
         raise BadInput("--json: without --headless a swim has no result; add --headless.")
 
@@ -123,13 +127,13 @@ def _open_loop(fish: str, out: Path, json: Path | None) -> None:
         write_json(json, done)
 
 
-def _attend(policy: str, fish: str, twin: str | None, seed: int, page: str, out: Path) -> None:
+def _attend(asked: Asked, page: str, out: Path) -> None:
     """Follow the target that the operator drags, until Ctrl-C. Only a log is written."""
     need_robot()
     need_camera()
     from tailbeat.evaluate.swim import SwimConfig, attended
 
-    log = attended(SwimConfig(policy, fish, twin, 1, seed), page, out, output.say)
+    log = attended(SwimConfig(*asked), page, out, output.say)
     output.say(f"log: {log}; `tailbeat export {log} --out swim.csv` makes a recording of it")
 
 

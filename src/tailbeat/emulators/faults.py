@@ -20,6 +20,7 @@ import numpy as np
 
 from tailbeat.emulators import rig as bench
 from tailbeat.emulators.line import close_line, open_line
+from tailbeat.emulators.plant_shaft import PlantShaft
 from tailbeat.emulators.rig import Rig
 from tailbeat.emulators.servo import Dynamixel
 from tailbeat.fish.description import Fish
@@ -242,7 +243,7 @@ def serve_broken(pipe: Connection, fish: Fish, key: bytes, folder: Path) -> None
     whether torque is on; ("end",) closes the rig.
     """
     timing.claim(timing.BESIDE)
-    warm = bench.PlantShaft(fish=fish)  # compiled once, before anyone waits for it
+    warm = PlantShaft(fish=fish)  # compiled once, before anyone waits for it
     warm.advance(0.0, 0.01)
     _ = warm.pose
     gc.freeze()

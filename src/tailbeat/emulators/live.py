@@ -115,7 +115,7 @@ def started(words: list[str], log: Path, heard: bool = False, alive: str = "") -
 class Chain:
     """Who swims: the policy, the fish and the seed of the emulated devices. Host and port of the
     page, and the folder of the log and of every process's output. `start`: pose of the tag at the
-    start, as `emulate --start` takes it; "": the pool's middle."""
+    start, as `emulate --start` takes it; "": the pool's middle. `mess`: what the lab gets wrong."""
 
     policy: str
     fish: str
@@ -123,6 +123,7 @@ class Chain:
     page: str
     out: Path
     start: str = ""
+    mess: str = "clean"
 
 
 def bench(chain: Chain, folder: Path, stack: ExitStack) -> tuple[Part, Any]:
@@ -130,6 +131,7 @@ def bench(chain: Chain, folder: Path, stack: ExitStack) -> tuple[Part, Any]:
     BadInput."""
     words = ["emulate", "--fish", chain.fish, "--camera", str(folder / "camera.sock")]
     words += ["--seed", str(chain.seed), f"--target={ASIDE}", f"--start={chain.start}"]
+    words += ["--mess", chain.mess]
     part = stack.enter_context(started(words, chain.out / "emulate.log", heard=True))
     assert part.process.stdout is not None
     ready, _, _ = select.select([part.process.stdout], [], [], START)

@@ -16,6 +16,7 @@ from tailbeat.link.addresses import address
 from tailbeat.link.datagrams import read_key
 from tailbeat.link.places import place, pose
 from tailbeat.operator.client import announce, open_page, turn
+from tailbeat.pool.mess import Lab, draw, level
 from tailbeat.processes import told_to_end
 from tailbeat.robot import timing
 
@@ -25,13 +26,20 @@ Say = Callable[[str], None]
 @dataclass(frozen=True)
 class Emulated:
     """Emulated devices: of which `fish`, with the target at `target`, drawn from `seed`, with which
-    `imu`; the tag starts at `start`, x,y,heading [m, m, deg]; default: the pool's middle."""
+    `imu`. The tag starts at `start`, x,y,heading [m, m, deg]; default: the pool's middle. `mess`:
+    what the lab gets wrong."""
 
     fish: str
     target: str
     seed: int
     imu: str = "bno055"
     start: str = ""
+    mess: str = "clean"
+
+    @property
+    def lab(self) -> Lab:
+        """What is wrong with it, drawn from the seed. Raises BadInput."""
+        return draw(level(self.mess), [self.seed, 0])
 
 
 def rig(devices: Emulated, key: Path, robot: str, page: str, say: Say) -> None:
@@ -41,7 +49,7 @@ def rig(devices: Emulated, key: Path, robot: str, page: str, say: Say) -> None:
     start = _start(devices)
     described, secret = load_fish(devices.fish), read_key(key)
     client = open_page(page)
-    made = bench.open_rig(described, secret, there, aim, devices.seed, devices.imu)
+    made = bench.open_rig(described, secret, there, aim, devices.seed, devices.imu, devices.lab)
     if start is not None:
         made.shaft.put(start)
     ended = told_to_end()
@@ -67,10 +75,10 @@ def filmed_rig(devices: Emulated, camera: Path, say: Say) -> None:
     """Serve emulated devices with a camera at a socket instead of poses, until told to stop; `say`
     gets the ports as one line of JSON. Raises BadInput."""
     described, aim = load_fish(devices.fish), place(devices.target)
-    start = _start(devices)
+    start, lab = _start(devices), devices.lab
     bench.imu_of(described, devices.imu)  # refused before the camera starts
     eye = start_camera(camera, Filming(seed=devices.seed))
-    made = bench.open_filmed_rig(described, eye, aim, devices.imu)
+    made = bench.open_filmed_rig(described, eye, aim, devices.seed, devices.imu, lab)
     if start is not None:
         made.shaft.put(start)
     ended = told_to_end()

@@ -17,6 +17,7 @@ from tailbeat.evaluate.tour import Tour, tour
 from tailbeat.evaluate.trial import Pool, Progress
 from tailbeat.files import BadInput
 from tailbeat.operator.tour import TargetResult, draw_targets
+from tailbeat.pool.mess import draw, level
 
 Say = Callable[[str], None]
 Counting = Callable[[], AbstractContextManager[Progress]]  # shows a progress bar
@@ -25,13 +26,15 @@ Counting = Callable[[], AbstractContextManager[Progress]]  # shows a progress ba
 @dataclass(frozen=True)
 class SwimConfig:
     """A `policy` (name or file) swims as the pool's `fish` to `targets` targets, drawn from `seed`.
-    `twin` names the fish that it was trained on, if that is not a shipped one."""
+    `twin` names the fish that it was trained on, if that is not a shipped one. `mess`: what the lab
+    gets wrong, a level of `pool.mess`; the lab is drawn from the seed."""
 
     policy: str
     fish: str = "pulley-fish"
     twin: str | None = None
     targets: int = 8
     seed: int = 0
+    mess: str = "clean"
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,8 @@ def direct(config: SwimConfig, counting: Counting) -> Swum:
     BadInput."""
     loaded, where, drawn = _entered(config)
     with counting() as progress:
-        swum = tour(loaded, where.fish, where.waters[0], drawn, config.seed, progress)
+        lab = draw(level(config.mess), [config.seed, 0])
+        swum = tour(loaded, where.fish, where.waters[0], drawn, config.seed, progress, lab)
     return Swum(swum, loaded, where, config)
 
 
@@ -72,7 +76,7 @@ def live(config: SwimConfig, out: Path, say: Say) -> Swum:
     loaded, where, drawn = _entered(config)
     log, seen = log_in(out), out / "tour.json"
     seen.unlink(missing_ok=True)
-    chain = Chain(config.policy, config.fish, config.seed, "127.0.0.1:0", out)
+    chain = Chain(config.policy, config.fish, config.seed, "127.0.0.1:0", out, mess=config.mess)
     swim(chain, config.targets, say)
     toured = read_record(Toured, seen)
     arrival = where.measure.arrival
@@ -87,7 +91,7 @@ def attended(config: SwimConfig, page: str, out: Path, say: Say) -> Path:
 
     _entered(config)
     log = log_in(out)
-    swim(Chain(config.policy, config.fish, config.seed, page, out), 0, say)
+    swim(Chain(config.policy, config.fish, config.seed, page, out, mess=config.mess), 0, say)
     return log
 
 
@@ -104,6 +108,7 @@ def _entered(config: SwimConfig) -> tuple[Policy, Pool, NDArray[float64]]:
     """Check the configuration; returns the policy, the pool and the targets. Raises BadInput."""
     if not 1 <= config.targets <= 100:
         raise BadInput(f"--targets {config.targets}: allowed are 1 to 100.")
+    level(config.mess)
     loaded = load_policy(config.policy)
     given = EvaluationConfig(config.fish, config.twin, "full", episodes=2, seed=config.seed)
     measure = loaded.contract.measure

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.measure import PATIENCE
 from tailbeat.control.policy import Policy, decide
+from tailbeat.env import errors
 from tailbeat.env.task import Task, settings_for, sized
 from tailbeat.env.world import World
 from tailbeat.evaluate.trial import Progress
 from tailbeat.fish.description import Fish
 from tailbeat.link.places import POOL
 from tailbeat.operator.tour import TargetResult
+from tailbeat.pool.mess import AS_DESCRIBED, Lab, in_lab
 from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water
@@ -51,18 +53,27 @@ class Tour:
 
 
 def tour(
-    policy: Policy, fish: Fish, water: Water, targets: Array, seed: int, progress: Progress
+    policy: Policy,
+    fish: Fish,
+    water: Water,
+    targets: Array,
+    seed: int,
+    progress: Progress,
+    lab: Lab = AS_DESCRIBED,
 ) -> Tour:
-    """Swim to each target until it is reached or its time is over; start in the pool's middle."""
+    """Swim to each target until it is reached or its time is over, in a lab; start in the pool's
+    middle."""
     m = policy.contract.measure
     task = sized(Task(seconds=PATIENCE * len(targets)), m)
     held = policy.contract
     settings = replace(settings_for(held), task=task)
-    simulator = PoolSimulator(fish, [water], [Surroundings(walls=WALLS)])
-    world, choose = World(fish, settings, [seed], simulator=simulator), partial(decide, policy)
+    flow, around = in_lab(lab, water, Surroundings(walls=WALLS))
+    simulator = PoolSimulator(fish, [flow], [around], wear=[lab.wear])
+    world = World(fish, settings, [seed], simulator=simulator, wrong=[lab.errors])
+    choose = partial(decide, policy)
     shape, pose, goal, ends = [], [], [], []
     world.reset()
-    world.seen.frames[..., 3:5] = targets[0]
+    world.seen.frames[..., 3:5] = errors.seen(world.wrong, targets[:1])
     seen = world.reset(np.zeros(1, bool))
     for number, place in enumerate(targets):
         world.target[0], nearest = place, np.inf
