@@ -50,8 +50,8 @@ def evaluate(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Evaluate a policy in the virtual pool: targets, disturbances, tracks, out of
-    distribution, messy labs. The same command resumes an interrupted evaluation."""
+    """Evaluate a policy in the virtual pool: targets, disturbances, tracks, messy labs. The same
+    command resumes an interrupted evaluation."""
     if json is not None:
         refuse_existing(json)
     from tailbeat.control.policy import load_policy

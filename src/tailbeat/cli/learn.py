@@ -47,6 +47,21 @@ BindsOption = Annotated[
 ]
 
 
+TrainedServo = Annotated[
+    str | None, typer.Option(help="Servo of the fish to train with; default: its own.")
+]
+FloorOption = Annotated[
+    float, typer.Option(help="Lowest fundamental of the generator [Hz]; with 0 it can stop.")
+]
+TrainedMess = Annotated[
+    str,
+    typer.Option(
+        help="What robots get wrong in training, up to a level's sizes: clean, everyday, rough or"
+        " wrecked."
+    ),
+]
+
+
 def train(
     fish: FishOption,
     out: Annotated[Path, typer.Option("--out", help="Folder of the run.")],
@@ -64,22 +79,12 @@ def train(
     ] = 12.0,
     resume: Annotated[bool, typer.Option(help="Continue from the checkpoint in --out.")] = False,
     device: Annotated[str, typer.Option(help="Device of the updates: cpu or cuda.")] = "cpu",
-    servo: Annotated[
-        str | None, typer.Option(help="Servo of the fish to train with; default: its own.")
-    ] = None,
+    servo: TrainedServo = None,
     binds: BindsOption = None,
-    floor: Annotated[
-        float, typer.Option(help="Lowest fundamental of the generator [Hz]; with 0 it can stop.")
-    ] = 0.0,
+    floor: FloorOption = 0.0,
     physics: PhysicsOption = "ranges",
     imu: SeenImu = None,
-    mess: Annotated[
-        str,
-        typer.Option(
-            help="What robots get wrong in training, up to a level's sizes: clean, everyday, rough"
-            " or wrecked."
-        ),
-    ] = "clean",
+    mess: TrainedMess = "clean",
     stage: Annotated[
         str | None, typer.Option(help="Stage to continue in; default: the checkpoint's.")
     ] = None,
@@ -102,7 +107,7 @@ def train(
         space = action_space(actions, described, binds or chosen.binds, floor)
         draws = _draws(fish) if physics == "posterior" else None
         told = described, out, chosen, space, seed, hours, device
-        wrong = None if mess == "clean" else widths(level(mess))
+        wrong = widths(level(mess)) if mess != "clean" else None
         run = RunConfig(*told, draws=draws, yaw_rate=_source(imu) or "imu", errors=wrong)
         room = run.recipe.buffer_bytes / 1e6
         output.say(f"replay buffer: {room:.0f} MB in memory and in every checkpoint")

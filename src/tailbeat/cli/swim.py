@@ -42,6 +42,9 @@ Asked = tuple[str, str, str | None, int, int, str]  # policy, pool's fish, twin,
 Devices = AbstractContextManager[tuple[Ports, Path]]  # where the devices are, and the key's file
 
 
+OwnPage = Annotated[
+    str, typer.Option("--page", help="host:port of the operator page; not used by a tour.")
+]
 SwimPolicy = Annotated[
     str | None,
     typer.Option(
@@ -71,9 +74,7 @@ def swim(
             help="As --headless, but faster: simulate in process, without emulated devices.",
         ),
     ] = False,
-    page: Annotated[
-        str, typer.Option("--page", help="host:port of the operator page; not used by a tour.")
-    ] = "127.0.0.1:8080",
+    page: OwnPage = "127.0.0.1:8080",
     targets: Annotated[int, typer.Option(help="Number of random targets of a tour.")] = 8,
     path: PathOption = None,
     speed: PathSpeed = None,

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Verb:
-    """`name` as typed, `place` as `module:function` in this room, the first sentence of its help,
-    an example of its words."""
+    """`name` as typed, `place` as `module:function`, first sentence of its help, an example."""
 
     name: str
     place: str
@@ -142,8 +141,7 @@ PANELS = {
         Verb(
             "evaluate",
             "evaluate:evaluate",
-            "Evaluate a policy in the virtual pool: targets, disturbances, tracks,"
-            " out of distribution, messy labs.",
+            "Evaluate a policy in the virtual pool: targets, disturbances, tracks, messy labs.",
             "runs/mine/policy.onnx --fish pulley-fish --twin mine.toml --out runs/evaluation",
         ),
         Verb(
@@ -156,7 +154,7 @@ PANELS = {
             "margins",
             "margins:margins",
             "Measure how much of each thing that labs get wrong a policy stands.",
-            "runs/mine/policy.onnx --fish pulley-fish --twin mine.toml --out runs/margins",
+            "runs/mine/policy.onnx --out runs/margins",
         ),
         Verb(
             "zoo",

@@ -19,6 +19,9 @@ from tailbeat.fish.twin import Twin
 Array = NDArray[np.float64]
 
 
+PUSH_STEPS = 10  # control steps that a pulse lasts
+
+
 @dataclass(frozen=True)
 class Randomisation:
     """Half widths of uniform draws, as fractions of the nominal value unless a unit is given."""
@@ -170,3 +173,12 @@ def refresh(physics: Physics, fish: NDArray[np.int64]) -> None:
     # the engine overwrites what `compile_twin` had changed
     physics.fields["geom_fluid"][fish, :, 6:] = physics.nominal["geom_fluid"][:, 6:]
     physics.fields["tendon_invweight0"][fish] *= physics.twin.taut_share
+
+
+def pulses(ranges: Randomisation, steps: int, rng: np.random.Generator) -> Array:
+    """Force pulses (steps, 2) [N] on the head, for an episode."""
+    begins = rng.uniform(size=steps) < ranges.push_share
+    force = np.zeros((steps, 2))
+    for first in np.flatnonzero(begins):
+        force[first : first + PUSH_STEPS] = ranges.push * rng.normal(size=2)
+    return force

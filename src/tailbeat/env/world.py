@@ -15,9 +15,8 @@ from tailbeat.control import actions as act
 from tailbeat.control import motion
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import COMMANDS, Samples, observe
-from tailbeat.env import errors, reward, sensors, target_paths
+from tailbeat.env import errors, randomize, reward, sensors, target_paths
 from tailbeat.env.errors import Errors
-from tailbeat.env.randomize import Randomisation
 from tailbeat.env.reward import Terms
 from tailbeat.env.simulator import Flags, Simulator, TwinSimulator
 from tailbeat.env.task import Scene, Settings, check_settings
@@ -27,7 +26,6 @@ from tailbeat.identify.runs import tracked_pose
 
 Array = NDArray[np.float64]
 EVERY = slice(None)
-PUSH_STEPS = 10  # control steps that a pulse lasts
 # A fish has followed if it was beside its target, this far over its reach, for a fraction of the
 # steps that count; none do for some seconds after a target appears (chosen).
 BESIDE, KEPT, SETTLING = 0.4, 0.8, 8.0
@@ -139,7 +137,7 @@ class World:
             self.simulator.qpos[fish, :3] = start
             self.simulator.qvel[fish, :3] = self.scene.velocity[fish]
         self._draw_path(fish, rng)
-        self.pushes[fish] = _pulses(settings.physics, self.steps_per_episode, rng)
+        self.pushes[fish] = randomize.pulses(settings.physics, self.steps_per_episode, rng)
         if settings.errors is not None:
             self.wrong[fish] = errors.rows([errors.draw(settings.errors, rng)])[0]
         elif not self.fixed:
@@ -293,12 +291,3 @@ class World:
         counts = self.here * PERIOD > SETTLING * self.settings.measure.time
         self.counted, self.near = self.counted + counts, self.near + (beside & counts)
         return np.asarray((self.near >= KEPT * self.counted) & (self.counted > 0))
-
-
-def _pulses(ranges: Randomisation, steps: int, rng: np.random.Generator) -> Array:
-    """Force pulses (steps, 2) [N] on the head."""
-    begins = rng.uniform(size=steps) < ranges.push_share
-    force = np.zeros((steps, 2))
-    for first in np.flatnonzero(begins):
-        force[first : first + PUSH_STEPS] = ranges.push * rng.normal(size=2)
-    return force

@@ -7,16 +7,20 @@ Every cell has the same targets, waters, noise, sides and directions. Sizes doub
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from tailbeat.control.policy import Policy, decide
 from tailbeat.env.task import Scene
 from tailbeat.env.world import seeds_from
+from tailbeat.evaluate import store
 from tailbeat.evaluate.scenes import grid
 from tailbeat.evaluate.trial import Condition, Pool, in_labs, swim
+from tailbeat.files import write_json
 from tailbeat.pool import mess
 
 Array = NDArray[np.float64]
@@ -24,6 +28,7 @@ Rest = Literal["alone", "everyday"]  # what all other nuisances are
 Ring = Literal["arrived", "near"]  # 5 cm and 20 cm, of the paper's fish
 RESTS: tuple[Rest, ...] = ("alone", "everyday")
 RINGS: tuple[Ring, ...] = ("arrived", "near")
+CELLS = "cells.json"
 ENOUGH = 0.75  # success rate below which a size is too much (an outside audit's)
 FIRST, LEAST = 2.0, 0.25  # times the everyday size: the first and the smallest that are tried
 CLOSE = 2**0.25 + 1e-6  # the last bracket's ends, one over the other
@@ -164,3 +169,28 @@ def _condition(pool: Pool, which: NDArray[np.int64]) -> Condition:
     chosen = Scene(*(values[which] for values in vars(scene).values()))
     water = tuple(pool.waters[i % len(pool.waters)] for i in which)
     return pool.condition("margins", chosen, water=water)
+
+
+# ---- on disk ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Row:
+    """A cell on disk."""
+
+    cell: Cell
+    hits: Hits
+
+
+def keep_cells(out: Path, table: Table) -> None:
+    """Write all cells, in one file."""
+    rows = [Row(cell, hits) for cell, hits in sorted(table.items(), key=lambda item: item[0])]
+    write_json(out / CELLS, rows, overwrite=True)
+
+
+def read_cells(out: Path) -> dict[Cell, Hits]:
+    """The cells of a folder; none if it has none. Raises BadInput."""
+    if not (out / CELLS).is_file():
+        return {}
+    rows = TypeAdapter(list[Row]).validate_python(store.read_json(out / CELLS))
+    return {row.cell: row.hits for row in rows}

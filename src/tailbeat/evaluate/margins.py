@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter
 
 from tailbeat.control.policy import Policy, as_text
 from tailbeat.evaluate import store
@@ -29,7 +28,9 @@ from tailbeat.evaluate.margin_cells import (
     Table,
     bracket,
     following,
+    keep_cells,
     largest,
+    read_cells,
     swum,
     tried_of,
 )
@@ -43,7 +44,7 @@ from tailbeat.pool.mess import BY_NAME
 
 BATCH = 60  # cells in one batch
 DRAWS = 1000  # of the bootstrap over targets
-CELLS, RUN = "cells.json", "margins-run.json"
+RUN = "margins-run.json"
 Report = Callable[[str, int, int], None]  # what, cells done, cells known of
 
 
@@ -189,28 +190,6 @@ def next_cells(names: Sequence[str], table: Table, count: int) -> list[Cell]:
         for ring in RINGS
     )
     return list(dict.fromkeys(cell for cell in found if cell is not None))
-
-
-@dataclass(frozen=True)
-class Row:
-    """A cell on disk."""
-
-    cell: Cell
-    hits: Hits
-
-
-def keep_cells(out: Path, table: Table) -> None:
-    """Write all cells, in one file."""
-    rows = [Row(cell, hits) for cell, hits in sorted(table.items(), key=lambda item: item[0])]
-    write_json(out / CELLS, rows, overwrite=True)
-
-
-def read_cells(out: Path) -> dict[Cell, Hits]:
-    """The cells of a folder; none if it has none. Raises BadInput."""
-    if not (out / CELLS).is_file():
-        return {}
-    rows = TypeAdapter(list[Row]).validate_python(store.read_json(out / CELLS))
-    return {row.cell: row.hits for row in rows}
 
 
 # ---- numbers ------------------------------------------------------------------------------------
