@@ -1,0 +1,54 @@
+"""Read a robot's logs for what its swims alone tell (`identify.offsets`)."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tailbeat.files import BadInput
+from tailbeat.identify.offsets import Logged, Offsets, offsets
+from tailbeat.robot.log import read_log, read_notes
+
+NEEDED = (
+    "time_s", "x_m", "y_m", "yaw_rad", "pose_age_s", "yaw_rate_rad_s", "motor_angle_rad",
+    "motor_velocity_rad_s",
+)  # fmt: skip
+SAME = ("fish_digest", "policy_sha256", "calibration")  # of all logs of one robot
+SWIMS = "run"  # state in which the policy swims
+
+
+def offsets_of(paths: Sequence[Path]) -> Offsets:
+    """Offsets of one robot from its logs. Raises BadInput for logs of two robots, without poses, or
+    too short."""
+    _check_same(paths)
+    return offsets([logged(path) for path in paths])
+
+
+def logged(path: Path) -> Logged:
+    """The swimming part of a log. Raises BadInput."""
+    rows = [row for row in read_log(path).rows if row.get("state") == SWIMS]
+    whole = [row for row in rows if all(row.get(name) is not None for name in NEEDED)]
+    if len(whole) < 2:
+        lacking = [name for name in NEEDED if all(row.get(name) is None for row in rows)]
+        what = f"no row has {lacking[0]}" if rows and lacking else f"{len(whole)} rows are complete"
+        raise BadInput(
+            f"{path}: {len(rows)} rows while its policy swims, but {what}; give a log of a swim"
+            f" with camera, servo and yaw rate."
+        )
+    table = np.array([[row[name] for name in NEEDED] for row in whole], float)
+    table = table[np.argsort(table[:, 0], kind="stable")]
+    time, x, y, yaw, age, rate, angle, speed = table.T
+    return Logged(time, time - age, np.column_stack([x, y, yaw]), rate, angle, speed)
+
+
+def _check_same(paths: Sequence[Path]) -> None:
+    """Raises BadInput if logs are of different fish, policies or calibrations."""
+    first = read_notes(paths[0])
+    for path in paths[1:]:
+        notes = read_notes(path)
+        for name in SAME:
+            if name in first and name in notes and first[name] != notes[name]:
+                raise BadInput(
+                    f"{path}: its {name} is {notes[name]}, that of {paths[0]} is {first[name]};"
+                    f" give logs of one fish, policy and calibration."
+                )
