@@ -26,7 +26,7 @@ def margins_figure(found: Margins, path: Path, overwrite: bool = False) -> None:
         axes.set(title=heading, xscale="log", xlabel="size stood over the lab's, or everyday")
     figure.axes[0].set_yticks(range(len(names)), names)
     figure.axes[0].invert_yaxis()
-    figure.axes[1].legend(loc="lower right")
+    figure.axes[1].legend(loc="upper right")
     with new_file(path, overwrite) as beside:
         figure.savefig(beside, dpi=130)
 
