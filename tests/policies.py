@@ -4,5 +4,7 @@ from pathlib import Path
 
 from tailbeat.control.policy import shipped
 
-KEPT = Path(__file__).parents[1] / "examples" / "policies"
-POLICIES = {path.stem: path for path in (*shipped().values(), *sorted(KEPT.glob("*.onnx")))}
+EXAMPLES = Path(__file__).parents[1] / "examples"
+KEPT = EXAMPLES / "policies"
+MESSY = sorted((EXAMPLES / "policies-messy").glob("*.onnx"))
+POLICIES = {path.stem: path for path in (*shipped().values(), *sorted(KEPT.glob("*.onnx")), *MESSY)}

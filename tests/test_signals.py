@@ -174,8 +174,8 @@ def test_tendons_that_are_cut_on_a_tour_are_told_within_three_seconds(known):
     def go(seen):
         steps[0] += 1
         if steps[0] == round(CUT / PERIOD):
-            tendon = world.simulator.plant.chain.tendon
-            tendon["stiffness"][0] = tendon["damping"][0] = 0.0
+            tendon = world.simulator.plant.own.tendon
+            tendon["stiffness"][:] = tendon["damping"][:] = 0.0
         return decide(POLICY, seen)
 
     rows = expect.rows(known, tours(go, world, 3))

@@ -15,7 +15,12 @@ import onnxruntime
 from tailbeat.control.policy import KEY
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("src/tailbeat/fish/models", "src/tailbeat/control/policies", "examples/policies")
+FOLDERS = (
+    "src/tailbeat/fish/models",
+    "src/tailbeat/control/policies",
+    "examples/policies",
+    "examples/policies-messy",
+)
 # Fields of a fish that no result depends on.
 WORDS = ("summary", "source", "hardware", "flooded")
 
