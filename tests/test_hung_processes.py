@@ -198,10 +198,13 @@ def test_a_swim_whose_station_hangs_is_ended_in_a_sentence(station):
 def test_a_swim_whose_station_hangs_is_interrupted_by_ctrl_c(station, monkeypatch):
     part, beats = station
     monkeypatch.setattr(live, "HUNG", 60.0)
+    # a shell starts what runs in its background without Ctrl-C
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     os.kill(part.process.pid, signal.SIGSTOP)
     Timer(1.0, signal.raise_signal, [signal.SIGINT]).start()
     with pytest.raises(KeyboardInterrupt):
         live._listen(part, (), beats, print)
+    signal.signal(signal.SIGINT, before)
     assert part.process.returncode == -signal.SIGKILL
 
 
