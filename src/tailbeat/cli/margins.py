@@ -50,11 +50,9 @@ def margins(
 def _print(done: "Margins") -> None:
     """A row per nuisance, the thinnest first; then the three that matter most."""
     from tailbeat.evaluate.advice import ADVICE
+    from tailbeat.evaluate.margins import by_safety
 
-    rows = sorted(
-        (row for row in done.margins if (row.rest, row.ring) == ("everyday", "arrived")),
-        key=lambda row: row.safety,
-    )
+    rows = by_safety(done.margins)
     output.tables({"margins: sizes with fewer than 75 % reached": [_row(done, r) for r in rows]})
     rate = f"{100 * done.clean.arrived:.0f} and {100 * done.everyday.arrived:.0f} %"
     output.say(f"reached in the clean pool, and with everything everyday: {rate} at 5 cm")

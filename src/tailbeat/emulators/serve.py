@@ -16,7 +16,7 @@ from tailbeat.link.addresses import address
 from tailbeat.link.datagrams import read_key
 from tailbeat.link.places import place, pose
 from tailbeat.operator.client import announce, open_page, turn
-from tailbeat.pool.mess import Lab, draw, level
+from tailbeat.pool.mess import Lab, lab_at
 from tailbeat.processes import told_to_end
 from tailbeat.robot import timing
 
@@ -39,7 +39,7 @@ class Emulated:
     @property
     def lab(self) -> Lab:
         """What is wrong with it, drawn from the seed. Raises BadInput."""
-        return draw(level(self.mess), [self.seed, 0])
+        return lab_at(self.mess, self.seed)
 
 
 def rig(devices: Emulated, key: Path, robot: str, page: str, say: Say) -> None:

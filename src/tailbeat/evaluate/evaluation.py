@@ -157,7 +157,7 @@ def describe(policy: Policy, pool: Pool) -> RunDescription:
     """Description of an evaluation; a folder holds one."""
     contract = policy.contract
     return RunDescription(
-        policy=hashlib.sha256(as_text(contract).encode()).hexdigest()[:16],
+        policy=policy_digest(policy),
         actions=contract.actions.kind,
         band=contract.band,
         training=contract.training,
@@ -173,6 +173,11 @@ def describe(policy: Policy, pool: Pool) -> RunDescription:
         measure=pool.measure,
         mess=mess.fingerprint(),
     )
+
+
+def policy_digest(policy: Policy) -> str:
+    """Digest of a policy's contract, by which a folder of runs knows it again."""
+    return hashlib.sha256(as_text(policy.contract).encode()).hexdigest()[:16]
 
 
 def counts(pool: Pool) -> dict[str, int]:

@@ -4,7 +4,6 @@ For every nuisance of `pool.mess`, the size at which success at 5 cm, and at 20 
 of the targets: alone, and with all others at their everyday sizes.
 """
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.control.policy import Policy, as_text
+from tailbeat.control.policy import Policy
 from tailbeat.evaluate import store
-from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
+from tailbeat.evaluate.evaluation import EvaluationConfig, policy_digest, pool_of
 from tailbeat.evaluate.margin_cells import (
     BASES,
     ENOUGH,
@@ -117,8 +116,8 @@ def margins(policy: Policy, config: MarginsConfig, out: Path, report: Report) ->
     unknown.
     """
     names = _names(config)
-    pool = pool_of(policy, EvaluationConfig(config.fish, config.twin, episodes=config.targets))
-    pool = Pool(**{**vars(pool), "seed": config.seed})
+    given = EvaluationConfig(config.fish, config.twin, episodes=config.targets, seed=config.seed)
+    pool = pool_of(policy, given)
     wanted = _described(policy, pool)
     _begin(out, wanted)
     table = read_cells(out)
@@ -136,9 +135,8 @@ def _names(config: MarginsConfig) -> tuple[str, ...]:
 
 
 def _described(policy: Policy, pool: Pool) -> MarginsRun:
-    text = hashlib.sha256(as_text(policy.contract).encode()).hexdigest()[:16]
-    fish = pool.fish
-    return MarginsRun(text, fish.name, digest(fish), mess.fingerprint(), pool.count, pool.seed)
+    own, fish = policy_digest(policy), pool.fish
+    return MarginsRun(own, fish.name, digest(fish), mess.fingerprint(), pool.count, pool.seed)
 
 
 def _begin(out: Path, wanted: MarginsRun) -> None:
@@ -212,19 +210,21 @@ def numbers(
         for rest in RESTS
         for ring in RINGS
     ]
-    thin = sorted(
-        (row for row in rows if (row.rest, row.ring) == ("everyday", "arrived")),
-        key=lambda row: row.safety,
-    )
     return Margins(
         run=run,
         clean=_base("alone", table),
         everyday=_base("everyday", table),
         margins=tuple(rows),
-        thinnest=tuple(row.nuisance for row in thin[:3]),
+        thinnest=tuple(row.nuisance for row in by_safety(rows)[:3]),
         cells=len(table),
         swims=sum(len(hits.arrived) for hits in table.values()),
     )
+
+
+def by_safety(rows: Sequence[Margin]) -> list[Margin]:
+    """The margins of arriving among everyday nuisances, the thinnest first."""
+    own = (row for row in rows if (row.rest, row.ring) == ("everyday", "arrived"))
+    return sorted(own, key=lambda row: row.safety)
 
 
 def _base(rest: Rest, table: Table) -> SuccessRates:

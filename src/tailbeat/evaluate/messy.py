@@ -8,7 +8,7 @@ from tailbeat.evaluate.rates import ConditionResult, against
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.scenes import grid
 from tailbeat.evaluate.trial import Condition, Pool, in_labs
-from tailbeat.pool.mess import LEVELS, draw, level
+from tailbeat.pool.mess import LEVELS, lab_at
 
 PREFIX = "messy: "
 CLEAN = f"{PREFIX}clean"
@@ -22,7 +22,7 @@ def conditions(pool: Pool) -> list[Condition]:
     return [
         in_labs(
             pool.condition(f"{PREFIX}{name}", scene),
-            [draw(level(name), [pool.seed, i]) for i in range(pool.count)],
+            [lab_at(name, pool.seed, i) for i in range(pool.count)],
         )
         for name in LEVELS
     ]

@@ -17,7 +17,7 @@ from tailbeat.evaluate.tour import Tour, tour
 from tailbeat.evaluate.trial import Pool, Progress
 from tailbeat.files import BadInput
 from tailbeat.operator.tour import TargetResult, draw_targets
-from tailbeat.pool.mess import draw, level
+from tailbeat.pool.mess import lab_at, level
 
 Say = Callable[[str], None]
 Counting = Callable[[], AbstractContextManager[Progress]]  # shows a progress bar
@@ -63,7 +63,7 @@ def direct(config: SwimConfig, counting: Counting) -> Swum:
     BadInput."""
     loaded, where, drawn = _entered(config)
     with counting() as progress:
-        lab = draw(level(config.mess), [config.seed, 0])
+        lab = lab_at(config.mess, config.seed)
         swum = tour(loaded, where.fish, where.waters[0], drawn, config.seed, progress, lab)
     return Swum(swum, loaded, where, config)
 

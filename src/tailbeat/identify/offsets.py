@@ -160,13 +160,14 @@ def _motion(piece: Logged, width: int) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """Normal equations of a fit, a block of time each: (b, p, p) and (b, p)."""
+    """Normal equations of a fit, a block of time each: (b, p, p), and (b, p) or, with r right
+    sides, (b, p, r)."""
 
     matrix: Array
     right: Array
 
     def solved(self, drawn: NDArray[np.int64]) -> Array:
-        """Coefficients (p,) over the drawn blocks."""
+        """Coefficients (p,) or (p, r) over the drawn blocks."""
         matrix, right = self.matrix[drawn].sum(axis=0), self.right[drawn].sum(axis=0)
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
 
@@ -196,9 +197,10 @@ def _estimates(pieces: Sequence[Logged], slow: int, noise: int, beat: int) -> tu
 
 def _values(fits: Sequence[Array], speed: float) -> Array:
     """The numbers of `KINDS` from the coefficients of `MADE`."""
-    lateral, forward, crossed, shaft, gyro = fits
+    lateral, within, shaft, gyro = fits
     askew = -lateral[0]
-    sideways = -(forward[0] - askew * crossed[0])
+    forward, crossed = within[0]
+    sideways = -(forward - askew * crossed)
     straight = -(shaft[2] + shaft[3] * speed) / (shaft[0] + shaft[1] * speed)
     return np.array([askew, sideways, straight, gyro[0], gyro[1], lateral[4], lateral[5]])
 
@@ -222,23 +224,14 @@ def _averaged(one: Logged, slow: int) -> tuple[Array, Array, Array]:
     return _smooth(ahead, slow), _smooth(left, slow), np.gradient(_smooth(yaw, slow), STEP)
 
 
-def _within(one: Logged, noise: int, beat: int) -> tuple[Array, Array, Array, Array]:
-    """Forward speed, sideways speed and turning within a beat, and the turning over a beat."""
+def _within(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
+    """Speeds forward and sideways within a beat, two right sides: of a tag beside the midline, of a
+    turn. Of the sideways speed, a turned tag shows a part ahead."""
     ahead, left, turning = _motion(one, noise)
     over = [_smooth(c, beat) for c in (ahead, left, turning)]
-    return ahead - over[0], left - over[1], turning - over[2], over[2]
-
-
-def _forward(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
-    """Forward speed within a beat: of a tag beside the midline, of a turn."""
-    ahead, left, turning, over = _within(one, noise, beat)
-    return [c[edge:-edge] for c in (turning, turning * over, left * over)], ahead[edge:-edge]
-
-
-def _crossed(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
-    """The same for the sideways speed, of which a turned tag shows a part ahead."""
-    _, left, turning, over = _within(one, noise, beat)
-    return [c[edge:-edge] for c in (turning, turning * over, left * over)], left[edge:-edge]
+    ahead, left, turning = ahead - over[0], left - over[1], turning - over[2]
+    columns = [turning, turning * over[2], left * over[2]]
+    return [c[edge:-edge] for c in columns], np.column_stack([ahead, left])[edge:-edge]
 
 
 def _beating(one: Logged, slow: int) -> Array:
@@ -262,4 +255,4 @@ def _gyro(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
     return [c[edge:-edge] for c in columns], off[edge:-edge]
 
 
-MADE = (_lateral, _forward, _crossed, _shaft, _gyro)
+MADE = (_lateral, _within, _shaft, _gyro)

@@ -1,8 +1,8 @@
 """The messy pool: what labs get wrong, each with an everyday size and its source.
 
 A `Lab` is one drawing of it: one robot in one pool, constant over its swims. All is off by default.
-The sizes are a lab's and do not grow with the fish. Frozen by `fingerprint`, before any policy was
-tried in them.
+The sizes are a lab's and do not grow with the fish. They are frozen by `fingerprint`;
+docs/explain/messy-labs.md says what was swum before.
 """
 
 import hashlib
@@ -126,11 +126,16 @@ def check(sizes: Sizes) -> None:
             )
 
 
+def _si(sizes: Sizes) -> Sizes:
+    """Sizes of all nuisances in SI. Raises BadInput."""
+    check(sizes)
+    return {one.name: sizes.get(one.name, 0.0) * UNITS[one.unit] for one in NUISANCES}
+
+
 def widths(sizes: Sizes) -> Errors:
     """Half widths for a training of what a robot has wrong: of all errors but those of the camera's
     frame, in which relabelled targets would be wrong."""
-    check(sizes)
-    size = {one.name: sizes.get(one.name, 0.0) * UNITS[one.unit] for one in NUISANCES}
+    size = _si(sizes)
     return replace(_errors(size, size), scale=0.0, turn=0.0, lens=0.0)
 
 
@@ -143,11 +148,10 @@ def fingerprint() -> str:
 def draw(sizes: Sizes, seed: Sequence[int]) -> Lab:
     """A lab whose nuisances have these sizes. Sides and directions are drawn from `seed`, the same
     at every size."""
-    check(sizes)
+    size = _si(sizes)
     rng, count = np.random.default_rng(seed), len(NUISANCES)
     side = dict(zip(BY_NAME, rng.choice([-1.0, 1.0], count).tolist(), strict=True))
     angle = dict(zip(BY_NAME, rng.uniform(-np.pi, np.pi, count).tolist(), strict=True))
-    size = {one.name: sizes.get(one.name, 0.0) * UNITS[one.unit] for one in NUISANCES}
     either = {name: side[name] * size[name] for name in BY_NAME}
     factor = {name: (1 + size[name]) ** side[name] for name in BY_NAME}
     flow = _steady(size["current"], angle["current"])
@@ -158,6 +162,11 @@ def draw(sizes: Sizes, seed: Sequence[int]) -> Lab:
     return Lab(
         _wear(size, either, factor), _errors(size, either), factor["added mass"], flow, tether
     )
+
+
+def lab_at(name: str, seed: int, number: int = 0) -> Lab:
+    """The lab of a level for a swim of this number, drawn from the seed. Raises BadInput."""
+    return draw(level(name), [seed, number])
 
 
 def _wear(size: Sizes, either: Sizes, factor: Sizes) -> Wear:

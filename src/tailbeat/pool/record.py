@@ -6,7 +6,7 @@ from pathlib import Path
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.protocol import present_name
-from tailbeat.pool.mess import draw, level
+from tailbeat.pool.mess import lab_at
 from tailbeat.pool.protocols import record_check, record_fluid, record_servo, record_tail
 from tailbeat.recording import Recording, read_recording, write_recording
 
@@ -35,7 +35,7 @@ def record(
         raise BadInput(f"{out}: {kind} recordings exist already; give an empty folder.")
     paths = []
     given = [read_recording(path) for path in commands]
-    lab = draw(level(mess), [seed, 0])
+    lab = lab_at(mess, seed)
     for recording in RECORDERS[kind](load_fish(fish), seed, commands=given, lab=lab):
         paths.append(out / f"{recording.name}.csv")
         write_recording(recording, paths[-1])

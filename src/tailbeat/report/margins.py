@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tailbeat.evaluate.margins import Margin, Margins
+from tailbeat.evaluate.margins import Margin, Margins, by_safety
 from tailbeat.files import new_file
 from tailbeat.report.style import LIMIT, NEARLY, REACHED, styled
 
@@ -17,7 +17,7 @@ HEADINGS = {"alone": "alone", "everyday": "all others everyday"}
 @styled
 def margins_figure(found: Margins, path: Path, overwrite: bool = False) -> None:
     """Factor of safety of every nuisance, alone and with all others everyday; thinnest on top."""
-    names = _order(found)
+    names = [row.nuisance for row in by_safety(found.margins)]
     figure = Figure(figsize=(10, 1.4 + 0.24 * len(names)), layout="constrained")
     for axes, (rest, heading) in zip(
         figure.subplots(1, 2, sharey=True), HEADINGS.items(), strict=True
@@ -29,12 +29,6 @@ def margins_figure(found: Margins, path: Path, overwrite: bool = False) -> None:
     figure.axes[1].legend(loc="upper right")
     with new_file(path, overwrite) as beside:
         figure.savefig(beside, dpi=130)
-
-
-def _order(found: Margins) -> list[str]:
-    """Nuisances, the thinnest first, arriving among everyday ones."""
-    own = [row for row in found.margins if (row.rest, row.ring) == ("everyday", "arrived")]
-    return [row.nuisance for row in sorted(own, key=lambda row: row.safety)]
 
 
 def _draw(axes: Axes, rows: list[Margin], names: list[str]) -> None:
