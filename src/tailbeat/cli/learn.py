@@ -1,6 +1,6 @@
 """Train, inspect, compare and try policies."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -85,6 +85,12 @@ def train(
     physics: PhysicsOption = "ranges",
     imu: SeenImu = None,
     mess: TrainedMess = "clean",
+    velocities: Annotated[
+        bool,
+        typer.Option(
+            help="The policy also observes filtered velocities, its own and the target's."
+        ),
+    ] = False,
     stage: Annotated[
         str | None, typer.Option(help="Stage to continue in; default: the checkpoint's.")
     ] = None,
@@ -109,6 +115,7 @@ def train(
         told = described, out, chosen, space, seed, hours, device
         wrong = widths(level(mess)) if mess != "clean" else None
         run = RunConfig(*told, draws=draws, yaw_rate=_source(imu) or "imu", errors=wrong)
+        run = replace(run, velocities=velocities)
         room = run.recipe.buffer_bytes / 1e6
         output.say(f"replay buffer: {room:.0f} MB in memory and in every checkpoint")
         course = learn(run, resume, report, stage)

@@ -82,8 +82,13 @@ def settings_of(
         sensors=scaled(SensorModel(), stage.noise),
         physics=randomize.sized(scaled(Randomisation(), stage.physics), measure),
         measure=measure,
-        motion=motion.sized(motion_filter(), measure) if task.follow else None,
+        motion=velocity_filter(measure) if task.follow else None,
     )
+
+
+def velocity_filter(measure: Measure) -> motion.MotionFilter:
+    """The filter of observed velocities, in a fish's measure."""
+    return motion.sized(motion_filter(), measure)
 
 
 def trained_speed(contract: Contract) -> float:

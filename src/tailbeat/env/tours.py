@@ -12,7 +12,7 @@ from tailbeat.control.observation import table
 from tailbeat.control.policy import Contract
 from tailbeat.env import randomize
 from tailbeat.env.assess import Decide
-from tailbeat.env.curriculum import MOVING
+from tailbeat.env.curriculum import MOVING, trained_speed
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.task import Settings, settings_for, sized
 from tailbeat.env.world import World
@@ -40,8 +40,8 @@ class Tours:
 def settings(contract: Contract, seconds: float) -> Settings:
     """The settings of a policy's tours, with moving targets if it follows: all noise, all
     randomisation, no end but the time [s]."""
-    own = settings_for(contract)
-    task = own.task if contract.motion is None else sized(MOVING, contract.measure)
+    own, follows = settings_for(contract), trained_speed(contract) > 0
+    task = sized(MOVING, contract.measure) if follows else own.task
     physics = randomize.sized(Randomisation(), contract.measure)
     return replace(own, task=replace(task, seconds=seconds, limit=FAR), physics=physics)
 

@@ -13,7 +13,7 @@ from torch import cuda
 from tailbeat.control.actions import ActionSpace, Direct, Filtered, Turning, generator
 from tailbeat.control.camera_yaw import Source
 from tailbeat.control.measure import PAPER, Measure
-from tailbeat.env.curriculum import scaled, settings_of
+from tailbeat.env.curriculum import scaled, settings_of, velocity_filter
 from tailbeat.env.errors import Errors
 from tailbeat.env.measured import measure_of
 from tailbeat.env.task import Settings, check_settings
@@ -42,6 +42,7 @@ class RunRecord:
     measure: Measure = field(default_factory=Measure)
     yaw_rate: Source = "imu"
     errors: Errors | None = None
+    velocities: bool = False
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ class RunConfig:
     `device` is cpu or cuda. `measure` is that of the fish; `measured_run` takes it. `yaw_rate` is
     the source of the yaw rate that the policy sees: imu, or camera for a robot without an IMU.
     `errors` are half widths of what each episode's robot has wrong, in full once all noise is; None
-    without.
+    without. With `velocities` the policy also observes filtered velocities, its own and the
+    target's, as a policy that follows always does.
     """
 
     fish: Fish
@@ -69,6 +71,7 @@ class RunConfig:
     measure: Measure = field(default_factory=Measure)
     yaw_rate: Source = "imu"
     errors: Errors | None = None
+    velocities: bool = False
 
     @property
     def discount(self) -> float:
@@ -83,6 +86,8 @@ class RunConfig:
         """The environment's settings in a stage."""
         recipe, share = self.recipe, self.recipe.stages[stage].noise
         found = settings_of(recipe.stages[stage], self.space(), recipe.task, self.measure)
+        if self.velocities:
+            found = replace(found, motion=velocity_filter(self.measure))
         wrong = scaled(self.errors, share) if self.errors is not None and share else None
         return replace(found, draws=self.draws, yaw_rate=self.yaw_rate, errors=wrong)
 
@@ -99,6 +104,7 @@ class RunConfig:
             self.measure,
             self.yaw_rate,
             self.errors,
+            self.velocities,
         )
 
 
@@ -192,6 +198,7 @@ def _check_same(run: RunConfig) -> None:
     if held.get("actions.kind") == "generator":
         held.setdefault("actions.floor", 0.0)  # older runs have no floor
     held.setdefault("errors", None)
+    held.setdefault("velocities", False)
     held.setdefault("physics", "ranges")  # and no posterior
     held.setdefault("yaw_rate", "imu")  # and an IMU
     held.setdefault("recipe.greedy", run.recipe.greedy)  # and no verdict by greedy swims
