@@ -14,6 +14,7 @@ from tailbeat.report.tables import as_rows
 
 if TYPE_CHECKING:
     from tailbeat.control.camera_yaw import Source
+    from tailbeat.env.errors import Errors
 
 PhysicsOption = Annotated[
     Literal["ranges", "posterior"],
@@ -61,6 +62,11 @@ TrainedMess = Annotated[
     ),
 ]
 
+SeesVelocities = Annotated[
+    bool,
+    typer.Option(help="The policy also observes filtered velocities, its own and the target's."),
+]
+
 
 def train(
     fish: FishOption,
@@ -85,12 +91,7 @@ def train(
     physics: PhysicsOption = "ranges",
     imu: SeenImu = None,
     mess: TrainedMess = "clean",
-    velocities: Annotated[
-        bool,
-        typer.Option(
-            help="The policy also observes filtered velocities, its own and the target's."
-        ),
-    ] = False,
+    velocities: SeesVelocities = False,
     stage: Annotated[
         str | None, typer.Option(help="Stage to continue in; default: the checkpoint's.")
     ] = None,
@@ -101,7 +102,6 @@ def train(
         refuse_existing(json)
     need_training()
     from tailbeat.fish.store import load_fish, with_servo
-    from tailbeat.pool.mess import level, widths
     from tailbeat.report.learning_figures import courses
     from tailbeat.train.config import RunConfig, action_space
     from tailbeat.train.recipes import recipe_of
@@ -113,9 +113,8 @@ def train(
         space = action_space(actions, described, binds or chosen.binds, floor)
         draws = _draws(fish) if physics == "posterior" else None
         told = described, out, chosen, space, seed, hours, device
-        wrong = widths(level(mess)) if mess != "clean" else None
-        run = RunConfig(*told, draws=draws, yaw_rate=_source(imu) or "imu", errors=wrong)
-        run = replace(run, velocities=velocities)
+        run = RunConfig(*told, draws=draws, errors=_wrong(mess), velocities=velocities)
+        run = replace(run, yaw_rate=_source(imu) or "imu")
         room = run.recipe.buffer_bytes / 1e6
         output.say(f"replay buffer: {room:.0f} MB in memory and in every checkpoint")
         course = learn(run, resume, report, stage)
@@ -128,6 +127,13 @@ def train(
         write_json(json, asdict(done) | {"folder": str(done.folder), "policy": str(done.policy)})
     if not done.finished:
         raise typer.Exit(1)
+
+
+def _wrong(mess: str) -> "Errors | None":
+    """Half widths of what robots get wrong at a level; None for the clean one. Raises BadInput."""
+    from tailbeat.pool.mess import level, widths
+
+    return None if mess == "clean" else widths(level(mess))
 
 
 def _draws(fish: str) -> Any:
