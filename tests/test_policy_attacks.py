@@ -132,7 +132,7 @@ def outer(size: int, steps: int = 0) -> onnx.ModelProto:
 
 def test_a_network_that_takes_too_long_is_given_up(tmp_path, monkeypatch):
     """Between two layers, and not after the last."""
-    path = saved(tmp_path, outer(600, steps=14))
+    path = saved(tmp_path, outer(600, steps=56))
 
     def worked(refusal: str) -> float:
         began = time.thread_time()
