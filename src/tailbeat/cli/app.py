@@ -23,6 +23,7 @@ LISTS = {
 }
 LISTS |= {"--servo": "speed-map", "--tasks": "evaluate", "--only": "faults zoo"}
 LISTS |= {"--against": "coverage", "--fitted-on": "predict", "--nuisances": "margins"}
+LISTS |= {"--log": "refine"}
 
 
 def spread_lists(arguments: list[str]) -> list[str]:

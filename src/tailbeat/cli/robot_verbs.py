@@ -94,6 +94,12 @@ ROBOT = {
             "swim1.mcap swim2.mcap swim3.mcap",
         ),
         Verb(
+            "refine",
+            "refine:refine",
+            "Correct a policy by what its robot's swims show to be constant and wrong.",
+            "runs/mine/policy.onnx --log swim1.mcap swim2.mcap swim3.mcap --out refined",
+        ),
+        Verb(
             "film",
             "check:film",
             "Render a film of a run in three dimensions from its log.",

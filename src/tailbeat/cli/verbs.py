@@ -147,6 +147,12 @@ PANELS = {
             "runs/mine/policy.onnx --out runs/margins",
         ),
         Verb(
+            "rehearse",
+            "rehearse:rehearse",
+            "Rehearse in messy labs what refining a policy from its logs would gain.",
+            "runs/mine/policy.onnx --mess rough --labs 4",
+        ),
+        Verb(
             "zoo",
             "zoo:zoo",
             "Take eight fish of all sizes from a wrong first guess to targets in the pool.",

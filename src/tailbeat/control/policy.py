@@ -27,6 +27,8 @@ from tailbeat.control.actions import (
     check_space,
 )
 from tailbeat.control.camera_yaw import Source
+from tailbeat.control.corrections import Corrections
+from tailbeat.control.corrections import from_contract as corrections_from
 from tailbeat.control.expected import KEY as EXPECTED
 from tailbeat.control.expected import Expected
 from tailbeat.control.expected import read as read_expected
@@ -38,7 +40,13 @@ from tailbeat.files import BadInput, leaves
 
 Single = NDArray[np.float32]
 VERSIONS = (1, 2)  # 2: the policy sees velocities, and the contract has their filter
-LATER = {"description", "measure", "yaw_rate", "motion"}  # fields that older files lack
+LATER = {
+    "description",
+    "measure",
+    "yaw_rate",
+    "motion",
+    "corrections",
+}  # fields that older files lack
 KEY = "tailbeat"  # of the file's metadata
 SPACES = {"generator": Generator, "direct": Direct, "filtered": Filtered, "turning": Turning}
 
@@ -74,6 +82,8 @@ class Contract:
     """Source of the yaw rate, "imu" or "camera". Without it in the file it is the IMU."""
     motion: MotionFilter | None = None
     """Constants of the filter of velocities, in version 2; None in version 1, which has none."""
+    corrections: Corrections | None = None
+    """Errors of the one robot that it swims on, by `tailbeat refine`; None for any robot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +113,16 @@ def as_text(contract: Contract) -> str:
         del content["description"], content["measure"]  # an older file stays as it was
     if contract.motion is None:
         del content["motion"]
+    if contract.corrections is None:
+        del content["corrections"]
     if contract.yaw_rate == "imu":
         del content["yaw_rate"]  # so does a file of before this field
     return json.dumps({"contract": content, "digests": _digests(content)}, sort_keys=True)
+
+
+def contract_digest(contract: Contract) -> str:
+    """Digest of a contract, by which runs and refined policies know a policy again."""
+    return hashlib.sha256(as_text(contract).encode()).hexdigest()[:16]
 
 
 def _digests(content: dict[str, Any]) -> dict[str, str]:
@@ -214,6 +231,7 @@ def _built(content: dict[str, Any]) -> Contract:
     content["band"] = (low, high)
     content["golden"] = tuple(tuple(side) for side in content["golden"])
     content["motion"] = checks.filter_from(content["version"], content.get("motion"))
+    content["corrections"] = corrections_from(content.get("corrections"))
     return Contract(**content)
 
 

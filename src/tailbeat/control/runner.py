@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tailbeat.control import actions as act
 from tailbeat.control import motion
 from tailbeat.control.actions import PERIOD, ActionState
+from tailbeat.control.corrections import corrected_frames, zero
 from tailbeat.control.motion import MotionState
 from tailbeat.control.observation import COMMANDS, Samples, observe
 from tailbeat.control.policy import Policy, decide
@@ -64,7 +65,7 @@ def steer(
 ) -> tuple[RunnerState, Decision]:
     """The next state and the decision. If an output of the network is not finite, the setpoint is
     NaN and the commands do not change: the caller must check for NaN."""
-    space = policy.contract.actions
+    space, readings = policy.contract.actions, _corrected(policy, readings)
     moved = _moved(policy, runner_state, readings)
     samples = Samples(
         np.array([readings.motor_angle]),
@@ -83,8 +84,22 @@ def steer(
     state = act.step(space, runner_state.state, np.asarray(action, float), policy.contract.period)
     newest = act.command(space, state)[:, None]
     commands = np.concatenate([newest, runner_state.commands[:, :-1]], axis=1)
-    setpoint = float(act.setpoint(space, state)[0])
+    setpoint = float(act.setpoint(space, state)[0]) + zero(policy.contract.corrections)
     return RunnerState(state, commands, moved), Decision(seen[0], action[0], setpoint)
+
+
+def _corrected(policy: Policy, readings: Readings) -> Readings:
+    """The readings without what is known to be wrong on this robot."""
+    known = policy.contract.corrections
+    if known is None:
+        return readings
+    gyro = known.yaw_rate if policy.contract.yaw_rate == "imu" else 0.0
+    return replace(
+        readings,
+        motor_angle=readings.motor_angle - known.shaft,
+        yaw_rate=readings.yaw_rate - gyro,
+        frames=corrected_frames(known, readings.frames),
+    )
 
 
 def _moved(policy: Policy, runner_state: RunnerState, readings: Readings) -> MotionState | None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tailbeat.control import camera_yaw
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.corrections import Corrections, corrected_frames
 from tailbeat.control.motion import MotionFilter
 
 Array = NDArray[np.float64]
@@ -203,6 +204,17 @@ def newest(state: SensorState, now: Array) -> Array:
     found = np.empty((len(now), 3, 6))
     _gather(state.frames, now, found)
     return found
+
+
+def corrected(known: Corrections | None, readings: Readings) -> Readings:
+    """Readings as a corrected policy gets them (None: as they are), as in `runner.steer`."""
+    if known is None:
+        return readings
+    return readings._replace(
+        motor_angle=readings.motor_angle - known.shaft,
+        yaw_rate=readings.yaw_rate - known.yaw_rate,
+        frames=corrected_frames(known, readings.frames),
+    )
 
 
 def camera_yaw_rate(state: SensorState, now: Array) -> Array:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, ActionSpace, Generator, Turning
 from tailbeat.control.camera_yaw import Source
+from tailbeat.control.corrections import Corrections
 from tailbeat.control.measure import ARRIVAL, PATIENCE, Measure
 from tailbeat.control.motion import MotionFilter
 from tailbeat.control.policy import Contract
@@ -82,14 +83,20 @@ class Settings:
     yaw_rate: Source = "imu"  # what the observed yaw rate comes from
     motion: MotionFilter | None = None  # of the observed velocities; None: they are not observed
     errors: Errors | None = None
+    corrections: Corrections | None = None  # of one robot; None: its readings stay as they are
 
 
 def settings_for(contract: Contract) -> Settings:
     """The settings that a policy's contract asks for: its actions, targets in its measure, the
-    source of its yaw rate, and the filter of its velocities."""
+    source of its yaw rate, the filter of its velocities, and the corrections of its robot."""
     measure = contract.measure
     found = Settings(contract.actions, sized(Task(), measure), measure=measure)
-    return replace(found, yaw_rate=contract.yaw_rate, motion=contract.motion)
+    return replace(
+        found,
+        yaw_rate=contract.yaw_rate,
+        motion=contract.motion,
+        corrections=contract.corrections,
+    )
 
 
 def sized(task: Task, measure: Measure) -> Task:

@@ -39,11 +39,12 @@ class Tours:
 
 def settings(contract: Contract, seconds: float) -> Settings:
     """The settings of a policy's tours, with moving targets if it follows: all noise, all
-    randomisation, no end but the time [s]."""
+    randomisation, no end but the time [s]; without the corrections of one robot."""
     own, follows = settings_for(contract), trained_speed(contract) > 0
     task = sized(MOVING, contract.measure) if follows else own.task
     physics = randomize.sized(Randomisation(), contract.measure)
-    return replace(own, task=replace(task, seconds=seconds, limit=FAR), physics=physics)
+    task = replace(task, seconds=seconds, limit=FAR)
+    return replace(own, task=task, physics=physics, corrections=None)
 
 
 def tours(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tailbeat.control import actions as act
 from tailbeat.control import motion
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.corrections import zero
 from tailbeat.control.observation import COMMANDS, Samples, observe
 from tailbeat.env import errors, randomize, reward, sensors, target_paths
 from tailbeat.env.errors import Errors
@@ -85,7 +86,8 @@ class World:
         self.state = act.reset(self.space, self.count)
         self.commands = np.zeros((self.count, COMMANDS, 2))
         self.every = np.arange(self.count)
-        self.frames = np.zeros((self.count, 3, 6))
+        self.frames = np.zeros((self.count, 3, 6))  # as the policy gets them
+        self.read = self._first_readings()  # the newest, before corrections
         self.motion = motion.begin(sensors.motion_filter(), self.frames)
         self.walls = np.array(settings.task.walls or (np.inf, np.inf)) / 2
 
@@ -118,7 +120,8 @@ class World:
                 self._begin(int(fish), self.rngs[fish])
             self.simulator.ready(chosen)
             self._clear(chosen)
-        readings = self._first_readings()
+        self.read = self._first_readings()
+        readings = sensors.corrected(self.settings.corrections, self.read)
         if chosen.size and self.settings.motion is not None:
             first = motion.begin(self.settings.motion, readings.frames)
             for held, new in zip(self.motion, first, strict=True):
@@ -199,13 +202,16 @@ class World:
         self.state = act.step(self.space, self.state, action, PERIOD)
         age, simulator = np.minimum(self.age, self.steps_per_episode - 1), self.simulator
         setpoint = act.setpoint(self.space, self.state)
-        wanted = setpoint if self.right else setpoint + self.wrong["horn"]
+        sent = setpoint + zero(self.settings.corrections)
+        wanted = sent if self.right else sent + self.wrong["horn"]
         lost = simulator.advance(wanted, self.pushes[self.every, age])
         self.pose = tracked_pose(self.fish, simulator.qpos[:, :3])
         was = self._move_targets()
         self.commands[:, 1:] = self.commands[:, :-1]
         self.commands[:, 0] = act.command(self.space, self.state)
-        readings = sensors.sense(self.settings.sensors, self.seen, age, self._moved(before, was))
+        moved = self._moved(before, was)
+        self.read = sensors.sense(self.settings.sensors, self.seen, age, moved)
+        readings = sensors.corrected(self.settings.corrections, self.read)
         if self.settings.motion is not None:
             self.motion = motion.update(self.settings.motion, self.motion, readings.frames, PERIOD)
         self.age = self.age + 1

@@ -107,7 +107,9 @@ def conditions_of(entrant: Entrant, field: Field) -> list[Condition]:
     full = replace(full, yaw_rate=contract.yaw_rate, motion=contract.motion)
     own = fish.servos[fish.servo]
     prompt = own.model_copy(update={"delay": 0.0})
-    found = [replace(full, name=TWIN, fish=entrant.twin, water=None), full]
+    twin = replace(full, name=TWIN, fish=entrant.twin, water=None)
+    full = replace(full, corrections=contract.corrections)
+    found = [twin, full]
     found += [
         replace(full, name=name, water=pools([water], n))
         for name, water in ablations().items()

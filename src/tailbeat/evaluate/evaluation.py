@@ -1,6 +1,5 @@
 """Evaluation of a policy in the pool: swim all trials into a folder, then read the numbers."""
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.control.policy import Policy, as_text, decide
+from tailbeat.control.policy import Policy, contract_digest, decide
 from tailbeat.evaluate import (
     disturb,
     fresh_recordings,
@@ -114,7 +113,8 @@ def pool_of(policy: Policy, config: EvaluationConfig) -> Pool:
     walls = config.walls or (POOL[0] * measure.reach, POOL[1] * measure.reach)
     found = Pool(own, trained, actions, waters, config.episodes, config.seed, walls, draws, measure)
     held = policy.contract
-    return replace(found, yaw_rate=held.yaw_rate, motion=held.motion)
+    found = replace(found, yaw_rate=held.yaw_rate, motion=held.motion)
+    return replace(found, corrections=held.corrections)
 
 
 def _draws(fish: str) -> NDArray[np.float64] | None:
@@ -157,7 +157,7 @@ def describe(policy: Policy, pool: Pool) -> RunDescription:
     """Description of an evaluation; a folder holds one."""
     contract = policy.contract
     return RunDescription(
-        policy=policy_digest(policy),
+        policy=contract_digest(contract),
         actions=contract.actions.kind,
         band=contract.band,
         training=contract.training,
@@ -173,11 +173,6 @@ def describe(policy: Policy, pool: Pool) -> RunDescription:
         measure=pool.measure,
         mess=mess.fingerprint(),
     )
-
-
-def policy_digest(policy: Policy) -> str:
-    """Digest of a policy's contract, by which a folder of runs knows it again."""
-    return hashlib.sha256(as_text(policy.contract).encode()).hexdigest()[:16]
 
 
 def counts(pool: Pool) -> dict[str, int]:

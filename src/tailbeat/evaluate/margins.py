@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.control.policy import Policy
+from tailbeat.control.policy import Policy, contract_digest
 from tailbeat.evaluate import store
-from tailbeat.evaluate.evaluation import EvaluationConfig, policy_digest, pool_of
+from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
 from tailbeat.evaluate.margin_cells import (
     BASES,
     ENOUGH,
@@ -135,7 +135,7 @@ def _names(config: MarginsConfig) -> tuple[str, ...]:
 
 
 def _described(policy: Policy, pool: Pool) -> MarginsRun:
-    own, fish = policy_digest(policy), pool.fish
+    own, fish = contract_digest(policy.contract), pool.fish
     return MarginsRun(own, fish.name, digest(fish), mess.fingerprint(), pool.count, pool.seed)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, ActionSpace
 from tailbeat.control.camera_yaw import Source
+from tailbeat.control.corrections import Corrections
 from tailbeat.control.measure import PATIENCE, Measure
 from tailbeat.control.motion import MotionFilter
 from tailbeat.env import randomize
@@ -45,7 +46,8 @@ class Condition:
     """n swims under one condition. Without `water` they are swum in the fish's own twin, with its
     `physics` randomised; `draws` as in `Settings`. `stop` ends a swim at its arrival. `physics` and
     `seconds` are those of the paper's fish, and are taken in the fish's own `measure`. `yaw_rate`
-    is the source of the policy's yaw rate, `motion` the filter of its velocities."""
+    is the source of the policy's yaw rate, `motion` the filter of its velocities, `corrections`
+    those of its robot."""
 
     name: str
     fish: Fish
@@ -64,6 +66,7 @@ class Condition:
     measure: Measure = field(default_factory=Measure)
     yaw_rate: Source = "imu"
     motion: MotionFilter | None = None
+    corrections: Corrections | None = None
 
     @property
     def count(self) -> int:
@@ -86,8 +89,9 @@ class Pool:
     """The pool for a policy.
 
     The pool's `fish` and `waters`; the `twin` that the policy was trained in; the `actions` of its
-    contract, which has the fish's `measure`, the source of the `yaw_rate` and the filter of
-    velocities, `motion`; `count` swims per condition, drawn from `seed`;
+    contract, which has the fish's `measure`, the source of the `yaw_rate`, the filter of
+    velocities, `motion`, and its robot's `corrections`, which swims in the twin do without;
+    `count` swims per condition, drawn from `seed`;
     `walls` (length, width) [m] of the walled trials, the paper's pool by default; `draws` of the
     twin's posterior as in `Settings` (None: it has none).
     """
@@ -103,12 +107,14 @@ class Pool:
     measure: Measure = field(default_factory=Measure)
     yaw_rate: Source = "imu"
     motion: MotionFilter | None = None
+    corrections: Corrections | None = None
 
     def condition(self, name: str, scene: Scene, **changed: Any) -> Condition:
         """A condition in the pool's waters, used in turn."""
         water = changed.pop("water", pools(self.waters, len(scene.start)))
         own = Condition(name, self.fish, scene, self.actions, water, measure=self.measure)
-        return replace(own, yaw_rate=self.yaw_rate, motion=self.motion, **changed)
+        own = replace(own, yaw_rate=self.yaw_rate, motion=self.motion)
+        return replace(own, corrections=self.corrections, **changed)
 
     def in_twin(self, name: str, scene: Scene, draws: Array | None = None) -> Condition:
         """The same swims in the twin, with all noise and randomisation; with `draws`, the water's
@@ -189,6 +195,7 @@ def _world(one: Condition, seeds: list[int]) -> World:
         measure=one.measure,
         yaw_rate=one.yaw_rate,
         motion=one.motion,
+        corrections=one.corrections,
     )
     return World(one.fish, settings, seeds, simulator=simulator, scene=one.scene, wrong=one.wrong)
 

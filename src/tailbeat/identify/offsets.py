@@ -31,7 +31,7 @@ class Logged:
 
     `time` [s] of the samples and `pose_time` of the newest pose at each; `pose` (k, 3): x, y [m]
     and heading [rad] in the pool; `yaw_rate` [rad/s] of the gyro; `angle` [rad] and `speed` [rad/s]
-    of the shaft, as it counts them.
+    of the shaft, as it counts them, and its `command` [rad].
     """
 
     time: Array
@@ -40,6 +40,7 @@ class Logged:
     yaw_rate: Array
     angle: Array
     speed: Array
+    command: Array
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,7 @@ KINDS = (
     ("tag askew", "deg", 180 / np.pi, 2.0, 1.2, "the tag is turned by this, left positive"),
     ("tag sideways", "mm", 1e3, 12.0, 1.7, "the tag is this far left of the midline"),
     ("shaft at straight", "deg", 180 / np.pi, 4.0, 1.3, "mean angle of the shaft, going straight"),
+    ("command at straight", "deg", 180 / np.pi, 4.0, 1.3, "mean command, going straight"),
     (
         "gyro bias",
         "rad/s",
@@ -135,7 +137,8 @@ def _pieces(swim: Logged) -> list[Logged]:
         time = np.arange(at[first], at[last - 1], STEP)
         own = np.column_stack([pose[first:last, :2], np.unwrap(pose[first:last, 2])])
         poses = np.column_stack([np.interp(time, at[first:last], c) for c in own.T])
-        rest = (np.interp(time, swim.time, c) for c in (swim.yaw_rate, swim.angle, swim.speed))
+        signals = swim.yaw_rate, swim.angle, swim.speed, swim.command
+        rest = (np.interp(time, swim.time, c) for c in signals)
         found.append(Logged(time - swim.time[0], time, poses, *rest))
     return found
 
@@ -197,12 +200,12 @@ def _estimates(pieces: Sequence[Logged], slow: int, noise: int, beat: int) -> tu
 
 def _values(fits: Sequence[Array], speed: float) -> Array:
     """The numbers of `KINDS` from the coefficients of `MADE`."""
-    lateral, within, shaft, gyro = fits
+    lateral, within, shaft, setpoint, gyro = fits
     askew = -lateral[0]
     forward, crossed = within[0]
     sideways = -(forward - askew * crossed)
-    straight = -(shaft[2] + shaft[3] * speed) / (shaft[0] + shaft[1] * speed)
-    return np.array([askew, sideways, straight, gyro[0], gyro[1], lateral[4], lateral[5]])
+    straight = [-(c[2] + c[3] * speed) / (c[0] + c[1] * speed) for c in (shaft, setpoint)]
+    return np.array([askew, sideways, *straight, gyro[0], gyro[1], lateral[4], lateral[5]])
 
 
 Columns = tuple[list[Array], Array]
@@ -241,7 +244,17 @@ def _beating(one: Logged, slow: int) -> Array:
 
 def _shaft(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
     """Turning over a beat: of the shaft's mean angle, the more the faster it beats."""
-    mean, beating = _smooth(one.angle, slow), _beating(one, slow)
+    return _turning(one, one.angle, slow, edge)
+
+
+def _setpoint(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
+    """The same of the mean command: a wrong encoder does not change it."""
+    return _turning(one, one.command, slow, edge)
+
+
+def _turning(one: Logged, angle: Array, slow: int, edge: int) -> Columns:
+    """Turning over a beat: of a mean angle, the more the faster the shaft beats."""
+    mean, beating = _smooth(angle, slow), _beating(one, slow)
     turning = np.gradient(_smooth(one.pose[:, 2], slow), STEP)
     columns = [mean, mean * beating, np.ones_like(mean), beating]
     return [c[edge:-edge] for c in columns], turning[edge:-edge]
@@ -255,4 +268,4 @@ def _gyro(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
     return [c[edge:-edge] for c in columns], off[edge:-edge]
 
 
-MADE = (_lateral, _within, _shaft, _gyro)
+MADE = (_lateral, _within, _shaft, _setpoint, _gyro)

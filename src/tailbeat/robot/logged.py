@@ -1,5 +1,6 @@
 """Read a robot's logs for what its swims alone tell (`identify.offsets`)."""
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from tailbeat.robot.log import read_log, read_notes
 
 NEEDED = (
     "time_s", "x_m", "y_m", "yaw_rad", "pose_age_s", "yaw_rate_rad_s", "motor_angle_rad",
-    "motor_velocity_rad_s",
+    "motor_velocity_rad_s", "command_rad",
 )  # fmt: skip
 SAME = ("fish_digest", "policy_sha256", "calibration")  # of all logs of one robot
 SWIMS = "run"  # state in which the policy swims
@@ -37,8 +38,20 @@ def logged(path: Path) -> Logged:
         )
     table = np.array([[row[name] for name in NEEDED] for row in whole], float)
     table = table[np.argsort(table[:, 0], kind="stable")]
-    time, x, y, yaw, age, rate, angle, speed = table.T
-    return Logged(time, time - age, np.column_stack([x, y, yaw]), rate, angle, speed)
+    time, x, y, yaw, age, *rest = table.T
+    return Logged(time, time - age, np.column_stack([x, y, yaw]), *rest)
+
+
+def check_swum_by(paths: Sequence[Path], policy: Path) -> None:
+    """Raises BadInput for a log of another policy than the file."""
+    ours = hashlib.sha256(policy.read_bytes()).hexdigest()
+    for path in paths:
+        theirs = read_notes(path).get("policy_sha256", "unknown")
+        if theirs != ours:
+            raise BadInput(
+                f"{path}: its policy_sha256 is {theirs[:12]}, that of {policy} is {ours[:12]}; give"
+                f" the policy that swam."
+            )
 
 
 def _check_same(paths: Sequence[Path]) -> None:

@@ -1,0 +1,71 @@
+"""Rehearse in messy labs what refining a policy from its logs would gain."""
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tailbeat.cli import output, progress
+from tailbeat.cli.extras import need_training
+from tailbeat.cli.options import JsonOption, PolicyFile, PoolFish, SeedOption, TwinOption
+from tailbeat.files import refuse_existing, write_json
+
+if TYPE_CHECKING:
+    from tailbeat.evaluate.rehearsal import LabResult, Rehearsal
+
+
+def rehearse(
+    policy: PolicyFile,
+    fish: PoolFish = "pulley-fish",
+    twin: TwinOption = None,
+    mess: Annotated[str, typer.Option(help="everyday, rough or wrecked.")] = "rough",
+    labs: Annotated[int, typer.Option(help="Number of labs, each one robot in one pool.")] = 10,
+    targets: Annotated[int, typer.Option(help="Targets in each lab.")] = 16,
+    swims: Annotated[int, typer.Option(help="Logged swims of a minute before refining.")] = 3,
+    rounds: Annotated[int, typer.Option(help="How often to swim and refine.")] = 1,
+    walls: Annotated[
+        bool, typer.Option(help="Logged swims in the pool; else in open water.")
+    ] = True,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Rehearse the day after in messy labs: swim, refine from the logs, swim again. Beside it stand
+    the policy as it is, and one with corrections that nobody can know."""
+    if json is not None:
+        refuse_existing(json)
+    need_training()
+    from tailbeat.control.policy import load_policy
+    from tailbeat.evaluate.rehearsal import RehearsalConfig
+    from tailbeat.evaluate.rehearsal import rehearse as swim
+
+    config = RehearsalConfig(
+        fish, twin, mess, labs, targets, swims, rounds=rounds, walled=walls, seed=seed
+    )
+    with progress.counting() as count:
+        done = swim(load_policy(policy), config, count)
+    _print(done)
+    if json is not None:
+        write_json(json, done)
+
+
+def _print(done: "Rehearsal") -> None:
+    rows = [_row(number, one) for number, one in enumerate(done.labs)]
+    output.tables({f"targets reached of {done.config.targets}": rows})
+    for what, rate in (
+        ("as it is", done.before),
+        ("refined", done.after),
+        ("with true corrections", done.true),
+    ):
+        share, low, high = (100 * one for one in rate)
+        output.say(f"{what}: {share:.0f} % of targets within 5 cm ({low:.0f} to {high:.0f} %)")
+    held = [one.held for lab in done.labs for one in lab.estimates]
+    output.say(f"95 % intervals that hold the lab's own value: {sum(held)} of {len(held)}")
+
+
+def _row(number: int, one: "LabResult") -> dict[str, Any]:
+    return {
+        "lab": number,
+        "as it is": one.before,
+        "refined": ", ".join(map(str, one.after)),
+        "true corrections": one.true,
+        **{f"{e.name} [{e.unit}]": f"{e.value:.2g} ({e.truth:.2g})" for e in one.estimates},
+    }

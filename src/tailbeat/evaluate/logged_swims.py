@@ -1,0 +1,99 @@
+"""Swims of a policy as its robot logs them, each in its own messy lab: what `refine` reads."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.control import actions as act
+from tailbeat.control.actions import PERIOD
+from tailbeat.control.corrections import zero
+from tailbeat.control.policy import Policy, decide
+from tailbeat.env.task import Task, settings_for
+from tailbeat.env.world import World, seeds_from
+from tailbeat.evaluate.scenes import CLEAR
+from tailbeat.fish.description import Fish
+from tailbeat.identify.offsets import Logged
+from tailbeat.pool.mess import Lab, in_lab
+from tailbeat.pool.plant import Surroundings
+from tailbeat.pool.simulator import PoolSimulator
+from tailbeat.pool.water import Water
+
+Array = NDArray[np.float64]
+FAR = 1000.0  # m, beyond which a swim would end
+PATIENCE = 20.0  # s for a target of the paper's fish, then the next one
+
+
+@dataclass(frozen=True, eq=False)
+class Swims:
+    """Logged swims in the order of their labs, and the mean bias [rad/s] that each swim's gyro
+    really had, with its own noise and drift."""
+
+    logged: tuple[Logged, ...]
+    yaw_rate_bias: Array
+
+
+def swims(
+    policy: Policy,
+    fish: Fish,
+    labs: Sequence[tuple[Lab, Water]],
+    seconds: float,
+    seed: int,
+    walls: tuple[float, float] | None = None,
+) -> Swims:
+    """One swim of `seconds` in each lab, from the pool's middle from target to target; within
+    `walls` (length, width) [m], or in open water to targets around the fish."""
+    pairs = [in_lab(lab, water, Surroundings(walls=walls)) for lab, water in labs]
+    waters, around = zip(*pairs, strict=True)
+    simulator = PoolSimulator(fish, waters, around, wear=[lab.wear for lab, _ in labs])
+    settings = settings_for(policy.contract)
+    settings = replace(settings, task=Task(seconds=seconds + PERIOD, limit=FAR))
+    wrong = [lab.errors for lab, _ in labs]
+    seeds = seeds_from(seed, len(labs))
+    world = World(fish, settings, seeds, simulator=simulator, wrong=wrong)
+    table = _swum(world, policy, np.random.default_rng(seed), walls)
+    half = np.array([world.seen.bias + world.seen.drift * seconds / 2 / PERIOD])[0]
+    return Swims(tuple(_logged(table[:, :, i]) for i in range(world.count)), half)
+
+
+def _swum(
+    world: World, policy: Policy, rng: np.random.Generator, walls: tuple[float, float] | None
+) -> Array:
+    """Rows (k, 9, n): what the loops of n robots read and sent in every step."""
+    choose, rows = partial(decide, policy), []
+    wait = PATIENCE * policy.contract.measure.time
+    seen, due = world.reset(), np.zeros(world.count)
+    for step in range(world.steps_per_episode - 1):
+        new = due <= step
+        world.target[new] = _targets(world, int(new.sum()), new, rng, walls)
+        done = world.step(np.asarray(choose(seen), dtype=np.float64))
+        seen, now = done.observation, (step + 1) * PERIOD
+        due = np.where(new, step + wait / PERIOD, np.where(done.reached, step, due))
+        read = world.read
+        frame = np.array(read.frames[:, 0])
+        sent = act.setpoint(world.space, world.state) + zero(policy.contract.corrections)
+        row = [np.full(world.count, now), now - frame[:, 5], *frame[:, :3].T, read.yaw_rate]
+        rows.append(np.array([*row, read.motor_angle, read.motor_velocity, sent]))
+    return np.array(rows)
+
+
+def _targets(
+    world: World,
+    count: int,
+    which: NDArray[np.bool_],
+    rng: np.random.Generator,
+    walls: tuple[float, float] | None,
+) -> Array:
+    """New targets (count, 2) [m]: inside the walls, or around the fish."""
+    if walls is None:
+        reach = 1.5 * world.settings.measure.reach
+        return np.asarray(world.pose[which, :2] + rng.uniform(-reach, reach, (count, 2)))
+    half = np.array(walls) / 2 - CLEAR * world.settings.measure.reach
+    return np.asarray(rng.uniform(-half, half, (count, 2)))
+
+
+def _logged(table: Array) -> Logged:
+    time, pose_time, x, y, yaw, *rest = np.array(table.T)
+    return Logged(time, pose_time, np.column_stack([x, y, yaw]), *rest)

@@ -1,0 +1,214 @@
+"""A policy refined from its robot's logs: corrections undo what is wrong, robot and environment
+apply them alike, and labs that nobody tuned for are swum better after it."""
+
+import hashlib
+import json
+import re
+from copy import deepcopy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from support import complaint, tailbeat
+from written_logs import write_logs
+
+pytest.importorskip("gymnasium", reason="the train extra is not installed")
+pytest.importorskip("onnx", reason="the train extra is not installed")
+
+from tailbeat.control.corrections import Corrections, corrected_frames
+from tailbeat.control.policy import as_text, contract_digest, decide, load_policy, shipped
+from tailbeat.control.runner import Readings, begin, steer
+from tailbeat.env.errors import NONE, Errors
+from tailbeat.env.task import Task, settings_for
+from tailbeat.env.world import World
+from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
+from tailbeat.evaluate.logged_swims import swims
+from tailbeat.evaluate.rehearsal import RehearsalConfig, rehearse_lab
+from tailbeat.files import BadInput
+from tailbeat.fish.store import load_fish
+from tailbeat.identify.offsets import offsets
+from tailbeat.pool import mess
+from tailbeat.pool.plant import Surroundings
+from tailbeat.pool.simulator import PoolSimulator
+from tailbeat.pool.water import ensemble
+from tailbeat.train.refine import corrected, write
+
+NAME = "pulley-fish-pool-generator"
+FISH, POLICY = load_fish("pulley-fish"), load_policy(NAME)
+WRONG = Errors(horn=0.2, encoder=-0.1, left=0.03, askew=-0.3, yaw_rate_bias=0.4)
+KNOWN = Corrections(askew=-0.3, left=0.03, shaft=-0.3, setpoint=-0.2, yaw_rate=0.4)
+
+
+def world(corrections, wrong, seeds=(5,)):
+    pool = PoolSimulator(FISH, ensemble(len(seeds), 0), [Surroundings()] * len(seeds))
+    settings = replace(settings_for(POLICY.contract), task=Task(seconds=9), corrections=corrections)
+    return World(FISH, settings, list(seeds), simulator=pool, wrong=[wrong] * len(seeds))
+
+
+def swum(own):
+    """Poses (k, n, 3) and actions of a closed loop of four seconds."""
+    seen, poses, actions = own.reset(), [], []
+    for _ in range(200):
+        actions.append(decide(POLICY, seen))
+        seen = own.step(np.asarray(actions[-1], float)).observation
+        poses.append(own.pose.copy())
+    return np.array(poses), np.array(actions)
+
+
+def test_a_robot_whose_errors_are_all_corrected_swims_as_one_without_errors():
+    """In the unsteady water, with all noise. Uncorrected it ends somewhere else."""
+    (right, _), (mended, _), (wrong, _) = map(
+        swum, (world(None, NONE), world(KNOWN, WRONG), world(None, WRONG))
+    )
+    assert np.abs(mended - right).max() < 2e-3  # frames are kept in single precision
+    assert np.abs(wrong - right).max() > 0.1
+
+
+def test_mirrored_corrections_correct_a_mirrored_frame():
+    """The tag's place is turned with the fish's heading, not with the tag's own."""
+    frames = np.array([[[1.0, 2.0, 0.7, 0.0, 0.0, 0.04]]])
+    mirror = np.array([1, -1, -1, 1, -1, 1.0])
+    known = Corrections(askew=0.3, left=0.02)
+    other = Corrections(askew=-0.3, left=-0.02)
+    found = corrected_frames(known, frames)
+    np.testing.assert_allclose(corrected_frames(other, frames * mirror), found * mirror)
+    heading = 0.7 - 0.3
+    left = 0.02 * np.array([-np.sin(heading), np.cos(heading)])
+    np.testing.assert_allclose(found[0, 0, :3], [*(frames[0, 0, :2] - left), heading])
+    assert frames[0, 0, 2] == 0.7  # what was read stays
+
+
+def test_the_robot_corrects_as_the_environment_does_to_the_bit(monkeypatch):
+    policy = replace(POLICY, contract=replace(POLICY.contract, corrections=KNOWN))
+    own, sent = world(KNOWN, WRONG), []
+    advance = own.simulator.advance
+
+    def keep(wanted, pushes):
+        sent.append(float(wanted[0]))
+        return advance(wanted, pushes)
+
+    monkeypatch.setattr(own.simulator, "advance", keep)
+    seen, kept = own.reset(), [deepcopy(own.read)]
+    for _ in range(150):
+        seen = own.step(np.asarray(decide(policy, seen), float)).observation
+        kept.append(deepcopy(own.read))
+    course = begin(policy)
+    for read, setpoint in zip(kept, sent, strict=False):
+        values = read.motor_angle, read.motor_velocity, read.yaw_rate
+        course, decision = steer(
+            policy, course, Readings(*(float(v[0]) for v in values), read.frames[0])
+        )
+        assert decision.setpoint + WRONG.horn == setpoint
+    assert np.ptp(sent) > 0.5
+
+
+# ---- from logs ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def made():
+    """A rough lab and two swims in it, in open water."""
+    lab, water = mess.draw(mess.level("rough"), [2026, 4]), ensemble(16, 0)[3]
+    return lab, swims(POLICY, FISH, [(lab, water)] * 2, 40.0, 11).logged
+
+
+@pytest.fixture
+def logs(made, tmp_path):
+    sha = hashlib.sha256(shipped()[NAME].read_bytes()).hexdigest()
+    digest = POLICY.contract.fish_digest
+    return write_logs(made[1], tmp_path, policy_sha256=sha, fish_digest=digest)
+
+
+def test_a_refined_file_has_the_same_network_and_signals_and_names_its_parent(logs, tmp_path):
+    out = tmp_path / "refined"
+    done = tailbeat("refine", NAME, "--log", *logs, "--out", out, "--json", tmp_path / "r.json")
+    assert done.returncode == 0, done.stderr
+    new = load_policy(out / "policy.onnx")
+    assert new.contract.corrections.parent == contract_digest(POLICY.contract)
+    assert replace(new.contract, corrections=None) == POLICY.contract
+    assert new.expected == POLICY.expected
+    said = json.loads((out / "refined.json").read_text())
+    assert said == json.loads((tmp_path / "r.json").read_text())
+    assert [row["name"] for row in said["changes"]] == [
+        "tag askew", "tag sideways", "shaft at straight", "command at straight", "gyro bias",
+    ]  # fmt: skip
+    assert "not told by swims alone: tag ahead" in done.stdout
+    assert "exists" in complaint("refine", NAME, "--log", *logs, "--out", out)
+
+
+def test_what_is_found_replaces_an_earlier_correction(made):
+    """A log has the readings as they came, whatever corrected them."""
+    found = offsets(made[1])
+    first, _ = corrected(POLICY.contract, found)
+    again, changes = corrected(replace(POLICY.contract, corrections=first), found)
+    assert replace(again, parent="") == replace(first, parent="")
+    assert all(one.before == pytest.approx(one.after) for one in changes)
+    assert again.parent != first.parent
+
+
+def test_a_value_in_doubt_is_believed_in_part(made):
+    found = offsets(made[1])
+    rows = {row.name: row for row in found.offsets}
+    _, changes = corrected(POLICY.contract, found)
+    for one in changes:
+        assert abs(one.after) <= abs(rows[one.name].value)
+        if not rows[one.name].told:
+            assert "in doubt" in one.why
+    wide = replace(
+        found, offsets=tuple(replace(row, interval=(-900.0, 900.0)) for row in found.offsets)
+    )
+    assert all(
+        abs(one.after) < 0.05 * abs(one.found) + 1e-9 for one in corrected(POLICY.contract, wide)[1]
+    )
+
+
+def test_a_policy_without_a_gyro_keeps_its_rates(made):
+    blind = replace(POLICY.contract, yaw_rate="camera")
+    assert corrected(blind, offsets(made[1]))[0].yaw_rate == 0.0
+
+
+def test_refining_brings_back_the_targets_of_a_rough_lab():
+    """The first of ten labs in which the policy reaches fewer than half of its targets, beside
+    itself and the corrections that nobody can know."""
+    config = RehearsalConfig(targets=8, walled=False, seed=26)
+    pool = pool_of(POLICY, EvaluationConfig(episodes=config.targets))
+    done = rehearse_lab(POLICY, pool, config, 9)
+    assert done.before <= 4
+    assert done.after[-1] >= done.before + 3, done
+    assert done.after[-1] >= done.true - 1, done
+    assert sum(one.held for one in done.estimates) >= 2, done
+
+
+# ---- what is refused ----------------------------------------------------------------------------
+
+
+def test_logs_of_another_policy_and_offsets_beyond_a_lab_are_refused(made, logs, tmp_path):
+    out = tmp_path / "refined"
+    other = write_logs(made[1][:1], tmp_path / "other", policy_sha256="beef", fish_digest="x")
+    said = complaint("refine", NAME, "--log", *other, "--out", out)
+    assert "its policy_sha256 is beef" in said and "give the policy that swam" in said
+    found = offsets(made[1])
+    far = tuple(replace(row, value=400.0, interval=(399.0, 401.0)) for row in found.offsets)
+    with pytest.raises(BadInput, match=r"correction askew = 6\.9"):
+        corrected(POLICY.contract, replace(found, offsets=far))
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [({"askew": 3.0}, "correction askew = 3.0"), ({"left": "x"}, "correction left = 'x'"),
+     ({"yaw_rate": True}, "correction yaw_rate = True"), ({"parent": 3}, "corrections {")],
+)  # fmt: skip
+def test_corrections_that_no_lab_has_are_refused_on_loading(changed, said, tmp_path):
+    odd = replace(POLICY.contract, corrections=replace(KNOWN, **changed))
+    with pytest.raises(BadInput, match=re.escape(said)):
+        write(shipped()[NAME], odd, tmp_path / "odd.onnx")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_contract_without_corrections_is_written_as_before():
+    assert "corrections" not in as_text(POLICY.contract)
+    assert contract_digest(POLICY.contract) != contract_digest(
+        replace(POLICY.contract, corrections=Corrections())
+    )
