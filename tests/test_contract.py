@@ -17,6 +17,7 @@ import onnx
 from policies import POLICIES
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, Direct, Generator
+from tailbeat.control.contract_diff import differences
 from tailbeat.control.measure import PAPER
 from tailbeat.control.observation import TABLE, Samples, observe, scales
 from tailbeat.control.policy import (
@@ -25,7 +26,6 @@ from tailbeat.control.policy import (
     as_text,
     check_fits,
     decide,
-    differences,
     load_policy,
     measure_in,
     shipped,

@@ -24,7 +24,7 @@ from tailbeat.env.task import Task, settings_for
 from tailbeat.env.world import World
 from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
 from tailbeat.evaluate.logged_swims import swims
-from tailbeat.evaluate.rehearsal import RehearsalConfig, rehearse_lab
+from tailbeat.evaluate.refinement import RefinementConfig, refine_in_lab
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.offsets import offsets
@@ -171,9 +171,9 @@ def test_a_policy_without_a_gyro_keeps_its_rates(made):
 def test_refining_brings_back_the_targets_of_a_rough_lab():
     """The first of ten labs in which the policy reaches fewer than half of its targets, beside
     itself and the corrections that nobody can know."""
-    config = RehearsalConfig(targets=8, walled=False, seed=26)
+    config = RefinementConfig(targets=8, walled=False, seed=26)
     pool = pool_of(POLICY, EvaluationConfig(episodes=config.targets))
-    done = rehearse_lab(POLICY, pool, config, 9)
+    done = refine_in_lab(POLICY, pool, config, 9)
     assert done.before <= 4
     assert done.after[-1] >= done.before + 3, done
     assert done.after[-1] >= done.true - 1, done

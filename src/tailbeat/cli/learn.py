@@ -158,7 +158,8 @@ def diff(
     json: JsonOption = None,
 ) -> None:
     """List the fields in which two policies' contracts differ. Exit code 1 if any does."""
-    from tailbeat.control.policy import differences, load_policy
+    from tailbeat.control.contract_diff import differences
+    from tailbeat.control.policy import load_policy
 
     found = differences(load_policy(first).contract, load_policy(second).contract)
     rows = [asdict(one) for one in found]

@@ -22,9 +22,9 @@ def refine(
     out: Annotated[Path, typer.Option("--out", help="Folder of the corrected policy.")],
     json: JsonOption = None,
 ) -> None:
-    """Correct a policy by what its robot's swims show to be constant and wrong: tag, shaft, gyro.
-    The network stays; the new file corrects readings and setpoints, on this robot alone. What the
-    swims cannot tell is kept as it was, and said."""
+    """Correct a policy by what its robot's swims show to be constant and wrong. These are the
+    tag, the shaft and the gyro. The network stays; the new file corrects readings and setpoints, on
+    this robot alone. Of what the swims do not tell well, a part is corrected, and said."""
     if json is not None:
         refuse_existing(json)
     need_training()

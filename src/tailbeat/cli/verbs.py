@@ -147,9 +147,9 @@ PANELS = {
             "runs/mine/policy.onnx --out runs/margins",
         ),
         Verb(
-            "rehearse",
-            "rehearse:rehearse",
-            "Rehearse in messy labs what refining a policy from its logs would gain.",
+            "refinement",
+            "refinement:refinement",
+            "Measure in messy labs what refining a policy from its logs gains.",
             "runs/mine/policy.onnx --mess rough --labs 4",
         ),
         Verb(

@@ -36,7 +36,7 @@ from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.motion import MotionFilter
 from tailbeat.control.network_file import check_network
 from tailbeat.control.observation import Entry, table
-from tailbeat.files import BadInput, leaves
+from tailbeat.files import BadInput
 
 Single = NDArray[np.float32]
 VERSIONS = (1, 2)  # 2: the policy sees velocities, and the contract has their filter
@@ -278,24 +278,3 @@ def refuse(wrong: list[str]) -> None:
 
 def _range(band: tuple[float, float]) -> str:
     return f"{band[0]:g}-{band[1]:g}"
-
-
-@dataclass(frozen=True)
-class Difference:
-    """A field in which two contracts differ: its dotted name and its two values."""
-
-    field: str
-    a: Any
-    b: Any
-
-
-def differences(a: Contract, b: Contract) -> list[Difference]:
-    """Every field in which two contracts differ, nested fields by dotted name. A field that one
-    contract lacks is None there."""
-    left, right = (leaves("", asdict(contract)) for contract in (a, b))
-    names = sorted(set(left) | set(right))
-    return [
-        Difference(name, left.get(name), right.get(name))
-        for name in names
-        if left.get(name) != right.get(name)
-    ]

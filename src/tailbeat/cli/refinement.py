@@ -1,4 +1,4 @@
-"""Rehearse in messy labs what refining a policy from its logs would gain."""
+"""Measure in messy labs what refining a policy from its logs gains."""
 
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,10 +10,10 @@ from tailbeat.cli.options import JsonOption, PolicyFile, PoolFish, SeedOption, T
 from tailbeat.files import refuse_existing, write_json
 
 if TYPE_CHECKING:
-    from tailbeat.evaluate.rehearsal import LabResult, Rehearsal
+    from tailbeat.evaluate.refinement import LabResult, Refinement
 
 
-def rehearse(
+def refinement(
     policy: PolicyFile,
     fish: PoolFish = "pulley-fish",
     twin: TwinOption = None,
@@ -28,16 +28,17 @@ def rehearse(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Rehearse the day after in messy labs: swim, refine from the logs, swim again. Beside it stand
-    the policy as it is, and one with corrections that nobody can know."""
+    """Measure in messy labs what refining a policy from its logs gains. It swims, is refined, and
+    swims again. Beside it stand the policy as it is, and one with corrections that nobody can
+    know."""
     if json is not None:
         refuse_existing(json)
     need_training()
     from tailbeat.control.policy import load_policy
-    from tailbeat.evaluate.rehearsal import RehearsalConfig
-    from tailbeat.evaluate.rehearsal import rehearse as swim
+    from tailbeat.evaluate.refinement import RefinementConfig
+    from tailbeat.evaluate.refinement import refinement as swim
 
-    config = RehearsalConfig(
+    config = RefinementConfig(
         fish, twin, mess, labs, targets, swims, rounds=rounds, walled=walls, seed=seed
     )
     with progress.counting() as count:
@@ -47,7 +48,7 @@ def rehearse(
         write_json(json, done)
 
 
-def _print(done: "Rehearsal") -> None:
+def _print(done: "Refinement") -> None:
     rows = [_row(number, one) for number, one in enumerate(done.labs)]
     output.tables({f"targets reached of {done.config.targets}": rows})
     for what, rate in (

@@ -1,4 +1,4 @@
-"""Rehearse the day after in messy labs of the virtual pool: swim, refine, swim again.
+"""What refining a policy from its logs gains, measured in messy labs of the virtual pool.
 
 Each lab is one robot in one pool. Its policy swims to targets as it is, swims logged laps, is
 refined from these as `tailbeat refine` does, and swims to the same targets again. Beside it swims a
@@ -31,8 +31,8 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class RehearsalConfig:
-    """What to rehearse: the pool's `fish` and the policy's `twin` as in `EvaluationConfig`; a level
+class RefinementConfig:
+    """Where to measure: the pool's `fish` and the policy's `twin` as in `EvaluationConfig`; a level
     of `mess`, or sizes of nuisances; `labs` of it, `targets` in each; `swims` logged swims of
     `seconds`, in the paper's pool or in open water (`walled`), before each of `rounds`."""
 
@@ -77,27 +77,27 @@ class LabResult:
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class Refinement:
     """All labs, `targets` targets each, and the fractions of all targets that were reached, with
     95 % intervals over targets."""
 
-    config: RehearsalConfig
+    config: RefinementConfig
     labs: tuple[LabResult, ...]
     before: tuple[float, float, float]
     after: tuple[float, float, float]
     true: tuple[float, float, float]
 
 
-def rehearse(policy: Policy, config: RehearsalConfig, progress: Progress) -> Rehearsal:
-    """Rehearse in every lab. Raises BadInput for a policy that does not fit the pool's fish."""
+def refinement(policy: Policy, config: RefinementConfig, progress: Progress) -> Refinement:
+    """Measure in every lab. Raises BadInput for a policy that does not fit the pool's fish."""
     _check(config)
     pool = pool_of(policy, EvaluationConfig(config.fish, config.twin, episodes=config.targets))
     found = []
     for number in range(config.labs):
-        found.append(rehearse_lab(policy, pool, config, number))
+        found.append(refine_in_lab(policy, pool, config, number))
         progress("labs", number + 1, config.labs)
     total = config.labs * config.targets
-    return Rehearsal(
+    return Refinement(
         config,
         tuple(found),
         _rate(sum(one.before for one in found), total),
@@ -106,15 +106,15 @@ def rehearse(policy: Policy, config: RehearsalConfig, progress: Progress) -> Reh
     )
 
 
-def _check(config: RehearsalConfig) -> None:
+def _check(config: RefinementConfig) -> None:
     least = {"labs": 1, "targets": 2, "swims": 1, "rounds": 1}
     for name, low in least.items():
         if getattr(config, name) < low:
             raise BadInput(f"--{name} {getattr(config, name)}: give {low} or more.")
 
 
-def rehearse_lab(policy: Policy, pool: Pool, config: RehearsalConfig, number: int) -> LabResult:
-    """Rehearse with one robot in one pool. Its lab is none that `evaluate` swims in."""
+def refine_in_lab(policy: Policy, pool: Pool, config: RefinementConfig, number: int) -> LabResult:
+    """Swim, refine and swim again with one robot in one pool. `evaluate` swims in other labs."""
     sizes = mess.level(config.mess) if isinstance(config.mess, str) else config.mess
     lab = mess.draw(sizes, [config.seed, number, 1])
     water = pool.waters[number % len(pool.waters)]
@@ -143,7 +143,7 @@ def _offsets(
     pool: Pool,
     lab: Lab,
     water: Water,
-    config: RehearsalConfig,
+    config: RefinementConfig,
     which: tuple[int, int],
 ) -> tuple[Offsets, float]:
     """What logged swims tell, and the mean bias of the gyros in them."""
