@@ -3,9 +3,11 @@
 import contextlib
 import os
 import re
+import shlex
 import signal
 import subprocess
 import time
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,7 @@ pytest.importorskip("cv2", reason="the robot extra is not installed")
 
 from psutil import NoSuchProcess, Process, process_iter
 
-from support import command, until
+from support import command, complaint, until
 from tailbeat.cli import progress
 from tailbeat.evaluate import swim
 from tailbeat.evaluate.live_swim import tour_of
@@ -69,6 +71,14 @@ def test_the_log_is_read_for_the_targets_that_were_swum_to_alone(swum):
 
 def test_the_log_s_head_names_the_calibration_of_the_station_s_camera(swum):
     assert re.fullmatch("sha256 [0-9a-f]{64}", read_notes(swum[0] / "swim.mcap")["calibration"])
+
+
+def test_the_page_offers_the_command_that_corrects_the_policy(swum, tmp_path):
+    """As it stands it reads this swim's log, which is too short to tell anything."""
+    found = re.search("<pre>tailbeat (.*)</pre>", (swum[0] / "report.html").read_text())
+    assert found
+    said = complaint(*shlex.split(unescape(found[1])), cwd=tmp_path)
+    assert "s of swimming with poses; give 20 s or more" in said
 
 
 def verbs(of: Path) -> set[str]:

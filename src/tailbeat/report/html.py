@@ -16,10 +16,10 @@ from tailbeat.report.tables import as_cell
 
 @dataclass(frozen=True)
 class Block:
-    """A block of a section: `rows` of a table, the `text` of a heading or warning, or the base64
-    `data` of a picture (SVG) or film (MP4)."""
+    """A block of a section: `rows` of a table, the `text` of a heading, warning or command, or the
+    base64 `data` of a picture (SVG) or film (MP4)."""
 
-    kind: Literal["table", "heading", "warning", "picture", "film"]
+    kind: Literal["table", "heading", "warning", "command", "picture", "film"]
     text: str = ""
     rows: tuple[Mapping[str, Any], ...] = ()
     data: str = ""

@@ -1,5 +1,6 @@
 """Picture, film and page of a tour of targets. Draws what was swum; computes nothing."""
 
+import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,8 +69,16 @@ def write(
     blocks = (shown, drawn, html.table(rows(data.targets)))
     origin = html.values({**vars(data.provenance), **data.training})
     sections = [Section("The swim", blocks), Section("Provenance", (origin,))]
+    if data.log is not None:
+        sections.insert(1, Section("Correct the policy by this swim", (_refine(data),)))
     html.write(out, sections, data, f"{own.name} in the virtual pool")
     return data
+
+
+def _refine(data: TourReport) -> Block:
+    """The command that corrects the policy by the swim's log."""
+    words = ("tailbeat", "refine", data.policy, "--log", str(data.log), "--out", "refined")
+    return Block("command", shlex.join(words))
 
 
 def _film(swum: Swum, path: Path, seconds: float, progress: Progress) -> Block:
