@@ -121,6 +121,12 @@ PANELS = {
             "runs/mine/policy.onnx --fish mine.toml --targets 200",
         ),
         Verb(
+            "policy rule",
+            "rule:rule",
+            "Write the policy of a hand-made steering rule, to compare learned ones with.",
+            "--fish mine.toml --out rule.onnx",
+        ),
+        Verb(
             "policy expect",
             "learn:expect",
             "Write into a policy's file what its swims look like to the robot's own sensors.",

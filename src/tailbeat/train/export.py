@@ -35,9 +35,16 @@ def export(model: SAC, run: RunConfig, seen: Single, training: Facts, path: Path
     `seen` (k, 24 or 28) are observations of real swims, from which the golden ones are taken.
     `training` says how the policy was trained. Raises BadInput.
     """
-    fish, measure, filtered = run.fish, run.measure, run.settings(0).motion
     golden = seen[np.linspace(0, len(seen) - 1, GOLDEN).astype(int)]
-    contract = Contract(
+    contract = contract_of(run, golden, act(model, golden), training)
+    return save(as_onnx(model, contract), path)
+
+
+def contract_of(run: RunConfig, seen: Single, actions: Single, training: Facts) -> Contract:
+    """The contract of a run's policy, with golden observations (k, 24 or 28) and its actions (k,
+    size) for them."""
+    fish, measure, filtered = run.fish, run.measure, run.settings(0).motion
+    return Contract(
         version=1 if filtered is None else 2,
         fish=fish.name,
         fish_digest=digest(fish),
@@ -46,14 +53,18 @@ def export(model: SAC, run: RunConfig, seen: Single, training: Facts, path: Path
         observation=table(measure, run.yaw_rate, filtered is not None),
         actions=run.space(),
         training={**training, "versions": versions()},
-        golden=(tuple(golden.tolist()), tuple(act(model, golden).tolist())),
+        golden=(tuple(seen.tolist()), tuple(actions.tolist())),
         description=fish.model_dump(mode="json"),
         measure=measure,
         yaw_rate=run.yaw_rate,
         motion=filtered,
     )
+
+
+def save(model: onnx.ModelProto, path: Path) -> Policy:
+    """Write a policy's file, overwriting one, and read it back. Raises BadInput."""
     with new_file(path, overwrite=True) as beside:
-        onnx.save(as_onnx(model, contract), str(beside))
+        onnx.save(model, str(beside))
     return load_policy(path)
 
 
@@ -89,7 +100,7 @@ def as_onnx(model: SAC, contract: Contract) -> onnx.ModelProto:
         last = index == len(layers) - 1
         name = "action" if last else f"h{index}"
         nodes.append(helper.make_node("Tanh" if last else "Relu", [f"z{index}"], [name]))
-    return _model(nodes, weights, len(contract.observation), len(layers[-1].bias), contract)
+    return model_of(nodes, weights, len(layers[-1].bias), contract)
 
 
 def _close_up(extractor: Any) -> tuple[list[Any], list[Any], str]:
@@ -108,9 +119,11 @@ def _close_up(extractor: Any) -> tuple[list[Any], list[Any], str]:
     return nodes, weights, "features"
 
 
-def _model(
-    nodes: list[Any], weights: list[Any], inputs: int, outputs: int, contract: Contract
+def model_of(
+    nodes: list[Any], weights: list[Any], outputs: int, contract: Contract
 ) -> onnx.ModelProto:
+    """A network from `observation` to so many outputs, `action`, with its contract."""
+    inputs = len(contract.observation)
     seen = helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["n", inputs])
     action = helper.make_tensor_value_info("action", TensorProto.FLOAT, ["n", outputs])
     graph = helper.make_graph(nodes, "policy", [seen], [action], weights)

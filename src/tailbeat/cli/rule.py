@@ -1,0 +1,37 @@
+"""Write the policy of a hand-made steering rule."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tailbeat.cli import output, progress
+from tailbeat.cli.extras import need_training
+from tailbeat.cli.options import FishOption, JsonOption, SeedOption
+from tailbeat.files import refuse_existing, write_json
+
+
+def rule(
+    fish: FishOption,
+    out: Annotated[Path, typer.Option("--out", help="Policy to write, .onnx.")],
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Write the policy of a hand-made steering rule, to compare learned ones with. Its tail beats
+    steadily, and its centre turns towards the target. The best frequency, stroke and gain of twelve
+    are chosen in the twin. It is a policy like any other: evaluate it, swim it, refine it."""
+    if json is not None:
+        refuse_existing(json)
+    need_training()
+    from tailbeat.fish.store import load_fish
+    from tailbeat.train.config import RunConfig
+    from tailbeat.train.rule import make
+
+    with progress.counting() as count:
+        done = make(RunConfig(load_fish(fish), out.parent, seed=seed), out, count)
+    output.tables({"best rule, as actions": [asdict(done.rule)]})
+    share = f"{100 * done.reached:.0f} % of {done.targets} targets in the twin"
+    output.say(f"{share}, median {done.median_seconds:.1f} s; policy: {done.policy}")
+    if json is not None:
+        write_json(json, done)

@@ -1,0 +1,121 @@
+"""A hand-made steering rule as a policy: the naive baseline beside every learned one.
+
+The tail beats at one frequency with one stroke, and its centre follows the tangent of half the
+target's bearing: centre = gain tan(beta / 2), bounded. Frequency, stroke and gain are the best of a
+small grid in the twin, as one would choose them by hand. Ours.
+"""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+from onnx import helper, numpy_helper
+
+from tailbeat.control.actions import Generator
+from tailbeat.env.assess import Decide, Swims, assess
+from tailbeat.env.world import World
+from tailbeat.files import BadInput, refuse_existing
+from tailbeat.train.config import RunConfig, measured_run
+from tailbeat.train.export import GOLDEN, contract_of, model_of, save
+
+Single = NDArray[np.float32]
+Progress = Callable[[str, int, int], None]
+DISTANCE, AHEAD, LEFT = 12, 13, 14  # of the target in the newest frame, in the observation
+BEHIND = (
+    1.05  # times the distance, for 1 in tan(beta / 2) = sin / (1 + cos): finite straight behind
+)
+LEAST = 1e-3  # added below, for a target at the tag
+FREQUENCIES, STROKES, GAINS = (0.0, 0.5), (0.6, 1.0), (3.0, 6.0, 12.0)  # of actions (chosen)
+TUNED, TRIED = 64, 250  # targets to choose by, and others to report
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Constants of the rule, as actions: of the frequency and the first harmonic, in [-1, 1], and
+    of the centre over tan(beta / 2)."""
+
+    frequency: float
+    stroke: float
+    gain: float
+
+
+@dataclass(frozen=True)
+class RuleResult:
+    """The best rule, and what it reaches of other targets in the twin, with all noise, within
+    +-180 deg: a fraction, and the median time of arrivals [s]."""
+
+    policy: str
+    rule: Rule
+    targets: int
+    reached: float
+    median_seconds: float
+
+
+def make(run: RunConfig, path: Path, progress: Progress) -> RuleResult:
+    """Choose the best rule for a run's fish, and write it as a policy. Raises BadInput for actions
+    that are no generator, or a file that exists."""
+    refuse_existing(path)
+    run = measured_run(run)
+    if not isinstance(run.space(), Generator):
+        raise BadInput(f"{run.fish.name}: the steering rule needs a generator, so a pulley.")
+    rules = [Rule(*one) for one in product(FREQUENCIES, STROKES, GAINS)]
+    scored = []
+    for number, rule in enumerate(rules, 1):
+        scored.append(_score(_swum(rule, run, TUNED, run.seed)))
+        progress("rules", number, len(rules))
+    best = rules[max(range(len(rules)), key=scored.__getitem__)]
+    swims = _swum(best, run, TRIED, run.seed + 1)
+    seen = swims.seen[np.linspace(0, len(swims.seen) - 1, GOLDEN).astype(int)]
+    done = swims.summary()
+    facts: dict[str, str | int | float] = {"recipe": "steering rule", "seed": run.seed}
+    facts |= {"stage": "rule", "reached": done.reached, **asdict(best)}
+    contract = contract_of(run, seen, rule_of(best)(seen), facts)
+    save(model_of(*_layers(best, len(contract.observation)), 6, contract), path)
+    return RuleResult(str(path), best, done.targets, done.reached, done.median_seconds)
+
+
+def rule_of(rule: Rule) -> Decide:
+    """The rule as a function of observations (n, 24)."""
+
+    def decide(seen: Single) -> Single:
+        action = np.zeros((len(seen), 6), np.float32)
+        below = BEHIND * seen[:, DISTANCE] + seen[:, AHEAD] + LEAST
+        action[:, 1] = np.clip(rule.gain * seen[:, LEFT] / below, -1.0, 1.0)
+        action[:, 0], action[:, 2] = rule.frequency, rule.stroke
+        return action
+
+    return decide
+
+
+def _swum(rule: Rule, run: RunConfig, targets: int, seed: int) -> Swims:
+    """Swims of a rule in the run's last stage: all noise, targets all around."""
+    last = run.settings(len(run.recipe.stages) - 1)
+    settings = replace(last, task=replace(last.task, arc=np.pi))
+    return assess(rule_of(rule), lambda seeds: World(run.fish, settings, seeds), targets, seed)
+
+
+def _score(swims: Swims) -> tuple[float, float]:
+    """How good swims are: the fraction reached, then the speed of all."""
+    return float(swims.reached.mean()), -float(np.mean(swims.seconds))
+
+
+def _layers(rule: Rule, inputs: int) -> tuple[list[onnx.NodeProto], list[onnx.TensorProto]]:
+    """Nodes and weights of the rule: two rows of the observation, their ratio, the action."""
+    above, below = np.zeros((1, inputs)), np.zeros((1, inputs))
+    above[0, LEFT], below[0, DISTANCE], below[0, AHEAD] = rule.gain, BEHIND, 1.0
+    centre = np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]]).T
+    rest = [rule.frequency, 0.0, rule.stroke, 0.0, 0.0, 0.0]
+    held = {"above": above, "below": below, "least": [LEAST], "low": -1.0, "high": 1.0,
+            "centre": centre, "rest": rest}  # fmt: skip
+    nodes = [
+        helper.make_node("Gemm", ["observation", "above"], ["numerator"], transB=1),
+        helper.make_node("Gemm", ["observation", "below", "least"], ["denominator"], transB=1),
+        helper.make_node("Div", ["numerator", "denominator"], ["tangent"]),
+        helper.make_node("Clip", ["tangent", "low", "high"], ["bounded"]),
+        helper.make_node("Gemm", ["bounded", "centre", "rest"], ["action"], transB=1),
+    ]
+    return nodes, [numpy_helper.from_array(np.array(v, np.float32), k) for k, v in held.items()]

@@ -1,0 +1,77 @@
+"""The hand-made steering rule: its file is its formula, it turns towards the target, and it reaches
+targets that it was not chosen by. It is what a learned policy has to beat."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from support import complaint
+
+pytest.importorskip("torch", reason="the train extra is not installed")
+pytest.importorskip("onnx", reason="the train extra is not installed")
+
+from tailbeat.control.policy import decide, load_policy
+from tailbeat.evaluate.reach import TrialConfig, try_policy
+from tailbeat.fish.store import load_fish
+from tailbeat.train import rule as rules
+from tailbeat.train.config import RunConfig
+from tailbeat.train.rule import Rule, make, rule_of
+
+FISH = "pulley-fish-pool"
+ONE = Rule(0.2, 0.6, 6.0)
+
+
+def seen(distance, bearing):
+    """An observation (1, 24) of a target at a distance [m] and a bearing [rad]."""
+    found = np.zeros((1, 24), np.float32)
+    found[0, 12:15] = np.array([1.0, np.cos(bearing), np.sin(bearing)]) * distance / 2
+    return found
+
+
+@pytest.mark.parametrize("bearing", [0.0, 0.05, 1.0, 2.0, 3.1])
+def test_the_centre_is_the_tangent_of_half_the_bearing_and_bounded(bearing):
+    action = rule_of(Rule(0.2, 0.6, 0.3))(seen(1.5, bearing))[0]
+    exact = 0.3 * np.tan(bearing / 2)
+    assert 0.9 * min(exact, 0.3) <= action[1] + 1e-3 <= min(exact, 1.0) + 2e-3  # finite behind
+    if bearing <= 1.0:
+        assert action[1] == pytest.approx(exact, rel=0.04, abs=1e-3)
+    assert action[[0, 2]] == pytest.approx([0.2, 0.6]) and not action[3:].any()
+    mirrored = rule_of(Rule(0.2, 0.6, 0.3))(seen(1.5, -bearing))[0]
+    assert mirrored[1] == -action[1]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A rule of one candidate, for the time that twelve take."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (("FREQUENCIES", (0.0,)), ("STROKES", (0.6,)), ("GAINS", (1.0, 12.0))):
+            patch.setattr(rules, name, value)
+        patch.setattr(rules, "TRIED", 60)
+        path = tmp_path_factory.mktemp("rule") / "rule.onnx"
+        return path, make(RunConfig(load_fish(FISH), Path("unused")), path, lambda *_: None)
+
+
+def test_the_file_is_the_formula_and_names_its_constants(made):
+    path, done = made
+    policy = load_policy(path)
+    rng = np.random.default_rng(0)
+    many = np.concatenate([seen(d, b) for d, b in rng.uniform([0.02, -3], [3, 3], (200, 2))])
+    np.testing.assert_allclose(decide(policy, many), rule_of(done.rule)(many), atol=1e-5)
+    assert policy.contract.training["recipe"] == "steering rule"
+    assert policy.contract.training["gain"] == done.rule.gain
+
+
+def test_the_better_of_two_gains_is_chosen_and_reaches_other_targets(made):
+    """A gain of 1 turns too slowly: in the twin it reaches a tenth of the targets."""
+    path, done = made
+    assert done.rule.gain == 12.0 and done.reached > 0.9
+    found = try_policy(str(path), FISH, TrialConfig(arc=180, targets=60, seed=99))
+    assert found.reached > 0.9
+
+
+def test_a_crank_and_a_file_that_exists_are_refused(made, tmp_path):
+    path, _ = made
+    assert "exists" in complaint("policy", "rule", "--fish", FISH, "--out", path)
+    said = complaint("policy", "rule", "--fish", "crank-fish", "--out", tmp_path / "r.onnx")
+    assert "needs a generator" in said and not list(tmp_path.iterdir())
