@@ -177,6 +177,12 @@ PANELS = {
             "--fish pulley-fish --twin mine.toml --out limits",
         ),
         Verb(
+            "first-day",
+            "first_day:first_day",
+            "Write a page to print before the first day at the pool.",
+            "runs/mine/policy.onnx --evaluation runs/messy --margins runs/margins --out first-day",
+        ),
+        Verb(
             "report",
             "evaluate:report",
             "Write a page of a folder's numbers and figures, with the paper's for comparison.",

@@ -1,0 +1,73 @@
+"""The page that a lab prints before its first day: it says what was measured, and names the command
+for what was not."""
+
+import re
+from html import unescape
+
+import pytest
+
+from support import complaint, tailbeat
+
+pytest.importorskip("gymnasium", reason="the train extra is not installed")
+
+from tailbeat.control.policy import contract_digest, load_policy
+from tailbeat.evaluate.margin_cells import BASES, RESTS, Cell, Hits
+from tailbeat.evaluate.margins import Margins, MarginsRun, numbers
+from tailbeat.files import write_json
+from tailbeat.pool.mess import BY_NAME, fingerprint
+from tailbeat.robot import findings
+
+NAME = "pulley-fish-pool-generator"
+DIGEST = contract_digest(load_policy(NAME).contract)
+
+
+def margins(folder, digest):
+    """Margins of a made policy that stands three times everyday of every nuisance, and once of an
+    askew tag."""
+    run = MarginsRun(digest, "pulley-fish", "x", fingerprint(), 16, 0)
+    stood = {name: 1.0 if name == "tag askew" else 3.0 for name in BY_NAME}
+    table = {base: Hits((True,) * 16, (True,) * 16) for base in BASES.values()}
+    for name, most in stood.items():
+        for rest in RESTS:
+            for factor in (1.0, 2.0, 4.0):
+                hit = (factor <= most,) * 16
+                table[Cell(name, rest, factor)] = Hits(hit, hit)
+    found: Margins = numbers(table, tuple(BY_NAME), run, {})
+    write_json(folder / "margins.json", found)
+    return found
+
+
+def text_of(folder):
+    return unescape(re.sub("<[^>]+>", " ", (folder / "report.html").read_text()))
+
+
+def test_the_page_names_what_nobody_measured_and_every_check(tmp_path):
+    done = tailbeat("first-day", NAME, "--out", tmp_path / "page")
+    assert done.returncode == 0, done.stderr
+    text = text_of(tmp_path / "page")
+    assert "tailbeat evaluate POLICY --tasks messy" in text
+    assert "tailbeat margins POLICY" in text
+    assert "<img" in (tmp_path / "page" / "report.html").read_text()
+    assert all(check in text for check in findings.ADVICE)
+    assert re.search(r"numbers that the recordings decide\s+\d+ of 18", text)
+    assert "exists" in complaint("first-day", NAME, "--out", tmp_path / "page")
+
+
+def test_the_page_shows_the_thinnest_margin_first_and_what_widens_it(tmp_path):
+    found = margins(tmp_path / "margins", DIGEST)
+    assert found.thinnest[0] == "tag askew"
+    out = tmp_path / "page"
+    done = tailbeat("first-day", NAME, "--out", out, "--margins", tmp_path / "margins")
+    assert done.returncode == 0, done.stderr
+    text = text_of(out)
+    first = text.index("tag askew: tag glued")
+    assert all(first <= text.index(f"{name}: {one.what}") for name, one in BY_NAME.items())
+    assert "glue the tag along a straight edge" in text
+
+
+def test_measurements_of_another_policy_are_refused(tmp_path):
+    margins(tmp_path / "margins", "another")
+    words = ("first-day", NAME, "--out", tmp_path / "page")
+    said = complaint(*words, "--margins", tmp_path / "margins")
+    assert "of another policy (another, not " in said
+    assert not (tmp_path / "page").exists()
