@@ -370,3 +370,11 @@ def test_each_episode_of_a_training_draws_its_own_errors_alone_as_in_a_batch():
 def test_what_no_lab_can_have_is_refused(make, match):
     with pytest.raises(BadInput, match=match):
         make()
+
+
+def test_the_benchmark_swims_every_level_and_compares_it_with_the_clean_one(monkeypatch):
+    for name, value in (("FISH", 2), ("STEPS", 3), ("REPEATS", 1)):
+        monkeypatch.setattr(messy, name, value)
+    found = messy.messy_bench()
+    assert [row.labs for row in found] == list(mess.LEVELS)
+    assert found[0].over_clean == 1.0 and all(row.per_core > 0 for row in found)

@@ -9,6 +9,7 @@ from tailbeat.benchmarks.step import PoolRow, StepRow
 
 if TYPE_CHECKING:  # they need extras
     from tailbeat.benchmarks.environment import EnvironmentRow, PeerRow
+    from tailbeat.benchmarks.messy import MessyRow
     from tailbeat.benchmarks.physics import PhysicsRow
     from tailbeat.benchmarks.punctuality import PunctualityRow
     from tailbeat.benchmarks.update import UpdateRow
@@ -25,14 +26,15 @@ class VisionBenchmark:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """Speeds on a `machine`: step of each fish, pool, vision, ways to step the physics, environment
-    by number of fish and compared with SB3's (`peers`), training updates, the robot's `loop` alone
-    and beside busy programs. Empty or None where an extra is missing."""
+    """Speeds on a `machine`: step of each fish, pool, vision, `messy` labs, ways to step the
+    physics, environment by number of fish and compared with SB3's (`peers`), training updates, the
+    robot's `loop` alone and beside busy programs. Empty or None where an extra is missing."""
 
     machine: str
     fish: tuple[StepRow, ...]
     pool: tuple[PoolRow, ...]
     vision: VisionBenchmark | None = None
+    messy: "tuple[MessyRow, ...]" = ()
     physics: "tuple[PhysicsRow, ...]" = ()
     env: "tuple[EnvironmentRow, ...]" = ()
     peers: "PeerRow | None" = None
@@ -64,9 +66,10 @@ def _with_vision(found: Benchmark) -> Benchmark:
 
 def _with_learning(found: Benchmark) -> Benchmark:
     from tailbeat.benchmarks.environment import env_bench
+    from tailbeat.benchmarks.messy import messy_bench
     from tailbeat.benchmarks.physics import physics_bench
     from tailbeat.benchmarks.update import update_bench
 
-    physics = physics_bench()
+    found, physics = replace(found, messy=messy_bench()), physics_bench()
     env, peers = env_bench()
     return replace(found, physics=physics, env=env, peers=peers, update=update_bench())

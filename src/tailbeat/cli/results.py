@@ -104,6 +104,7 @@ def benched(result: "Benchmark") -> None:
         })  # fmt: skip
     peers = [] if result.peers is None else [result.peers]
     tables({
+        "virtual pool: labs with all sensors": as_rows(result.messy),
         "physics: a control step": as_rows(result.physics),
         "environment": as_rows(result.env, "pairs"),
         "against SB3": as_rows(peers),
