@@ -13,6 +13,7 @@ from support import complaint
 
 pytest.importorskip("gymnasium", reason="the train extra is not installed")
 
+from tailbeat.benchmarks import messy
 from tailbeat.env import errors, randomize
 from tailbeat.env.errors import Errors
 from tailbeat.env.sensors import SensorModel, quiet
