@@ -12,6 +12,7 @@ from written_logs import write_logs
 pytest.importorskip("gymnasium", reason="the train extra is not installed")
 
 from tailbeat.control.policy import load_policy
+from tailbeat.evaluate.logged_swims import LogConfig
 from tailbeat.evaluate.logged_swims import swims as log_swims
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
@@ -30,7 +31,7 @@ def swum(labs, seed):
     biases that their gyros really had."""
     waters = ensemble(16, 0)
     each = [(lab, waters[i % 16]) for i, lab in enumerate(labs) for _ in range(SWIMS)]
-    done = log_swims(POLICY, FISH, each, SECONDS, seed)
+    done = log_swims(POLICY, FISH, each, LogConfig(SECONDS, seed))
     own = [done.logged[k * SWIMS : (k + 1) * SWIMS] for k in range(len(labs))]
     return own, done.yaw_rate_bias.reshape(-1, SWIMS).mean(axis=1)
 

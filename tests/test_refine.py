@@ -22,9 +22,8 @@ from tailbeat.control.runner import Readings, begin, steer
 from tailbeat.env.errors import NONE, Errors
 from tailbeat.env.task import Task, settings_for
 from tailbeat.env.world import World
-from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
-from tailbeat.evaluate.logged_swims import swims
-from tailbeat.evaluate.refinement import RefinementConfig, refine_in_lab
+from tailbeat.evaluate.logged_swims import LogConfig, swims
+from tailbeat.evaluate.refinement import RefinementConfig, over_labs, refinement
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.offsets import offsets
@@ -110,7 +109,7 @@ def test_the_robot_corrects_as_the_environment_does_to_the_bit(monkeypatch):
 def made():
     """A rough lab and two swims in it, in open water."""
     lab, water = mess.draw(mess.level("rough"), [2026, 4]), ensemble(16, 0)[3]
-    return lab, swims(POLICY, FISH, [(lab, water)] * 2, 40.0, 11).logged
+    return lab, swims(POLICY, FISH, [(lab, water)] * 2, LogConfig(40.0, 11)).logged
 
 
 @pytest.fixture
@@ -170,14 +169,29 @@ def test_a_policy_without_a_gyro_keeps_its_rates(made):
 
 def test_refining_brings_back_the_targets_of_a_rough_lab():
     """The first of ten labs in which the policy reaches fewer than half of its targets, beside
-    itself and the corrections that nobody can know."""
-    config = RefinementConfig(targets=8, walled=False, seed=26)
-    pool = pool_of(POLICY, EvaluationConfig(episodes=config.targets))
-    done = refine_in_lab(POLICY, pool, config, 9)
-    assert done.before <= 4
-    assert done.after[-1] >= done.before + 3, done
-    assert done.after[-1] >= done.true - 1, done
-    assert sum(one.held for one in done.estimates) >= 2, done
+    itself and the corrections that nobody can know. The lab after it needs none."""
+    config = RefinementConfig(labs=2, targets=6, walled=False, seed=26, first=9)
+    done = refinement(POLICY, config, lambda *_: None)
+    bad, _ = done.labs
+    assert bad.after[-1] >= bad.before + 2, done
+    assert bad.after[-1] >= bad.true - 1, done
+    assert done.gain[1] <= done.gain[0] <= done.gain[2] and done.gain[0] > 0
+    held = [one.held for lab in done.labs for one in lab.estimates]
+    assert sum(held) >= 4, done
+
+
+def test_intervals_over_labs_hold_the_mean_of_labs_as_often_as_they_say():
+    """Labs differ: 20 of them, each all reached or none, 400 times. Counting targets as if each
+    were on its own would give intervals of half the width."""
+    rng, held, naive = np.random.default_rng(5), 0, 0
+    for _ in range(400):
+        labs = rng.choice([0.0, 0.5, 1.0], size=20, p=[0.3, 0.1, 0.6])
+        value, low, high = over_labs(labs)
+        held += low <= 0.65 <= high
+        half = 1.96 * np.sqrt(value * (1 - value) / 80)  # 4 targets each
+        naive += abs(value - 0.65) <= half
+    assert 0.90 <= held / 400 <= 0.985
+    assert naive / 400 < 0.8
 
 
 # ---- what is refused ----------------------------------------------------------------------------

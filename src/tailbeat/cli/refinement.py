@@ -18,8 +18,8 @@ def refinement(
     fish: PoolFish = "pulley-fish",
     twin: TwinOption = None,
     mess: Annotated[str, typer.Option(help="everyday, rough or wrecked.")] = "rough",
-    labs: Annotated[int, typer.Option(help="Number of labs, each one robot in one pool.")] = 10,
-    targets: Annotated[int, typer.Option(help="Targets in each lab.")] = 16,
+    labs: Annotated[int, typer.Option(help="Number of labs, each one robot in one pool.")] = 40,
+    targets: Annotated[int, typer.Option(help="Targets in each lab.")] = 4,
     swims: Annotated[int, typer.Option(help="Logged swims of a minute before refining.")] = 3,
     rounds: Annotated[int, typer.Option(help="How often to swim and refine.")] = 1,
     walls: Annotated[
@@ -51,13 +51,15 @@ def refinement(
 def _print(done: "Refinement") -> None:
     rows = [_row(number, one) for number, one in enumerate(done.labs)]
     output.tables({f"targets reached of {done.config.targets}": rows})
-    for what, rate in (
+    for what, share in (
         ("as it is", done.before),
         ("refined", done.after),
         ("with true corrections", done.true),
+        ("gain of refining", done.gain),
+        ("gain of true corrections", done.most),
     ):
-        share, low, high = (100 * one for one in rate)
-        output.say(f"{what}: {share:.0f} % of targets within 5 cm ({low:.0f} to {high:.0f} %)")
+        value, low, high = (100 * one for one in share)
+        output.say(f"{what}: {value:.0f} % of targets within 5 cm ({low:.0f} to {high:.0f} %)")
     held = [one.held for lab in done.labs for one in lab.estimates]
     output.say(f"95 % intervals that hold the lab's own value: {sum(held)} of {len(held)}")
 

@@ -5,6 +5,7 @@ robot's log keeps the readings as they came. Needs only numpy.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -58,6 +59,13 @@ def check(corrections: Corrections) -> None:
             raise ValueError(f"correction {name} = {value!r}; allowed is {-most:.3g} to {most:.3g}")
 
 
+def stacked(each: Sequence[Corrections]) -> Corrections:
+    """The corrections of n robots as one record of arrays (n,), for a batch of them."""
+    names = [one.name for one in fields(Corrections) if one.name != "parent"]
+    arrays: dict[str, Any] = {k: np.array([getattr(one, k) for one in each]) for k in names}
+    return Corrections(**arrays)
+
+
 def zero(corrections: Corrections | None) -> float:
     """Setpoint [rad] with which a robot goes straight, as far as it is known."""
     return 0.0 if corrections is None else corrections.setpoint
@@ -66,8 +74,9 @@ def zero(corrections: Corrections | None) -> float:
 def corrected_frames(corrections: Corrections, frames: Array) -> Array:
     """Frames (n, k, 6), see `observation.Samples`, of a tag that is straight and on the midline."""
     found = np.array(frames, dtype=np.float64)
-    yaw = found[..., 2] - corrections.askew
-    found[..., 0] += corrections.left * np.sin(yaw)
-    found[..., 1] -= corrections.left * np.cos(yaw)
+    askew, left = (np.reshape(one, (-1, 1)) for one in (corrections.askew, corrections.left))
+    yaw = found[..., 2] - askew  # of one robot, or of each in a batch
+    found[..., 0] += left * np.sin(yaw)
+    found[..., 1] -= left * np.cos(yaw)
     found[..., 2] = yaw
     return found

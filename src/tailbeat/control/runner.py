@@ -98,7 +98,7 @@ def _corrected(policy: Policy, readings: Readings) -> Readings:
         readings,
         motor_angle=readings.motor_angle - known.shaft,
         yaw_rate=readings.yaw_rate - gyro,
-        frames=corrected_frames(known, readings.frames),
+        frames=corrected_frames(known, readings.frames[None])[0],
     )
 
 

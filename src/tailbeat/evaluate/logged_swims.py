@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD
-from tailbeat.control.corrections import zero
+from tailbeat.control.corrections import Corrections, zero
 from tailbeat.control.policy import Policy, decide
 from tailbeat.env.task import Task, settings_for
 from tailbeat.env.world import World, seeds_from
@@ -35,26 +35,36 @@ class Swims:
     yaw_rate_bias: Array
 
 
+@dataclass(frozen=True)
+class LogConfig:
+    """Swims of `seconds`, drawn from `seed`: within `walls` (length, width) [m], or in open water
+    to targets around the fish; with these `corrections` of one robot or of each (None: those of
+    the policy)."""
+
+    seconds: float
+    seed: int
+    walls: tuple[float, float] | None = None
+    corrections: Corrections | None = None
+
+
 def swims(
-    policy: Policy,
-    fish: Fish,
-    labs: Sequence[tuple[Lab, Water]],
-    seconds: float,
-    seed: int,
-    walls: tuple[float, float] | None = None,
+    policy: Policy, fish: Fish, labs: Sequence[tuple[Lab, Water]], config: LogConfig
 ) -> Swims:
-    """One swim of `seconds` in each lab, from the pool's middle from target to target; within
-    `walls` (length, width) [m], or in open water to targets around the fish."""
-    pairs = [in_lab(lab, water, Surroundings(walls=walls)) for lab, water in labs]
-    waters, around = zip(*pairs, strict=True)
-    simulator = PoolSimulator(fish, waters, around, wear=[lab.wear for lab, _ in labs])
+    """One swim in each lab, from the pool's middle from target to target."""
+    around = Surroundings(walls=config.walls)
+    waters, places = zip(*(in_lab(lab, water, around) for lab, water in labs), strict=True)
+    simulator = PoolSimulator(fish, waters, places, wear=[lab.wear for lab, _ in labs])
     settings = settings_for(policy.contract)
-    settings = replace(settings, task=Task(seconds=seconds + PERIOD, limit=FAR))
+    settings = replace(
+        settings,
+        task=Task(seconds=config.seconds + PERIOD, limit=FAR),
+        corrections=config.corrections or settings.corrections,
+    )
     wrong = [lab.errors for lab, _ in labs]
-    seeds = seeds_from(seed, len(labs))
+    seeds = seeds_from(config.seed, len(labs))
     world = World(fish, settings, seeds, simulator=simulator, wrong=wrong)
-    table = _swum(world, policy, np.random.default_rng(seed), walls)
-    half = np.array([world.seen.bias + world.seen.drift * seconds / 2 / PERIOD])[0]
+    table = _swum(world, policy, np.random.default_rng(config.seed), config.walls)
+    half = np.array(world.seen.bias + world.seen.drift * config.seconds / 2 / PERIOD)
     return Swims(tuple(_logged(table[:, :, i]) for i in range(world.count)), half)
 
 
@@ -73,7 +83,7 @@ def _swum(
         due = np.where(new, step + wait / PERIOD, np.where(done.reached, step, due))
         read = world.read
         frame = np.array(read.frames[:, 0])
-        sent = act.setpoint(world.space, world.state) + zero(policy.contract.corrections)
+        sent = act.setpoint(world.space, world.state) + zero(world.settings.corrections)
         row = [np.full(world.count, now), now - frame[:, 5], *frame[:, :3].T, read.yaw_rate]
         rows.append(np.array([*row, read.motor_angle, read.motor_velocity, sent]))
     return np.array(rows)

@@ -1,22 +1,23 @@
 """What refining a policy from its logs gains, measured in messy labs of the virtual pool.
 
-Each lab is one robot in one pool. Its policy swims to targets as it is, swims logged laps, is
+Each lab is one robot in one pool. Its policy swims to targets as it is, swims logged minutes, is
 refined from these as `tailbeat refine` does, and swims to the same targets again. Beside it swims a
-policy with the corrections that the lab really needs, which no user knows.
+policy with the corrections that the lab really needs, which no user knows. Labs differ far more
+than targets within a lab, so labs are the unit of every interval.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tailbeat.control.corrections import Corrections
+from tailbeat.control.corrections import Corrections, stacked
 from tailbeat.control.policy import Policy, decide
 from tailbeat.env.world import seeds_from
 from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
-from tailbeat.evaluate.logged_swims import swims
-from tailbeat.evaluate.rates import wilson
+from tailbeat.evaluate.logged_swims import LogConfig, swims
 from tailbeat.evaluate.scenes import grid
 from tailbeat.evaluate.trial import Pool, in_labs, swim
 from tailbeat.files import BadInput
@@ -26,6 +27,7 @@ from tailbeat.pool.mess import Lab, Sizes
 from tailbeat.pool.water import Water
 from tailbeat.train.refine import CORRECTABLE, corrected
 
+DRAWS = 2000
 TOLD = ("tag askew", "tag sideways", "gyro bias")  # whose true values a lab has exactly
 Progress = Callable[[str, int, int], None]
 
@@ -34,18 +36,20 @@ Progress = Callable[[str, int, int], None]
 class RefinementConfig:
     """Where to measure: the pool's `fish` and the policy's `twin` as in `EvaluationConfig`; a level
     of `mess`, or sizes of nuisances; `labs` of it, `targets` in each; `swims` logged swims of
-    `seconds`, in the paper's pool or in open water (`walled`), before each of `rounds`."""
+    `seconds`, in the paper's pool or in open water (`walled`), before each of `rounds`; the
+    number of the `first` lab."""
 
     fish: str = "pulley-fish"
     twin: str | None = None
     mess: str | Sizes = "rough"
-    labs: int = 10
-    targets: int = 16
+    labs: int = 40
+    targets: int = 4
     swims: int = 3
     seconds: float = 60.0
     rounds: int = 1
     walled: bool = True
     seed: int = 0
+    first: int = 0
 
 
 @dataclass(frozen=True)
@@ -76,81 +80,93 @@ class LabResult:
     estimates: tuple[Estimate, ...]
 
 
+Share = tuple[float, float, float]  # a fraction, and its 95 % interval over labs
+
+
 @dataclass(frozen=True)
 class Refinement:
-    """All labs, `targets` targets each, and the fractions of all targets that were reached, with
-    95 % intervals over targets."""
+    """All labs, `targets` targets each; the fractions of targets that were reached, and how much
+    refining (`gain`) and the true corrections (`most`) add."""
 
     config: RefinementConfig
     labs: tuple[LabResult, ...]
-    before: tuple[float, float, float]
-    after: tuple[float, float, float]
-    true: tuple[float, float, float]
+    before: Share
+    after: Share
+    true: Share
+    gain: Share
+    most: Share
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """A policy, its pool, and in each lab its robot and its water."""
+
+    policy: Policy
+    pool: Pool
+    config: RefinementConfig
+    labs: tuple[tuple[Lab, Water], ...]
 
 
 def refinement(policy: Policy, config: RefinementConfig, progress: Progress) -> Refinement:
-    """Measure in every lab. Raises BadInput for a policy that does not fit the pool's fish."""
+    """Measure in all labs together. Raises BadInput for a policy that does not fit the pool's
+    fish."""
     _check(config)
-    pool = pool_of(policy, EvaluationConfig(config.fish, config.twin, episodes=config.targets))
-    found = []
-    for number in range(config.labs):
-        found.append(refine_in_lab(policy, pool, config, number))
-        progress("labs", number + 1, config.labs)
-    total = config.labs * config.targets
-    return Refinement(
-        config,
-        tuple(found),
-        _rate(sum(one.before for one in found), total),
-        _rate(sum(one.after[-1] for one in found), total),
-        _rate(sum(one.true for one in found), total),
-    )
+    count = config.labs * config.targets
+    pool = pool_of(policy, EvaluationConfig(config.fish, config.twin, episodes=count))
+    numbers = range(config.first, config.first + config.labs)
+    labs = tuple(_lab(pool, config, number) for number in numbers)
+    setting = Setting(policy, pool, config, labs)
+    steps, known = 2 * config.rounds + 2, [Corrections()] * config.labs
+    before, after, found, bias = _reached(setting, known), [], list[Offsets](), np.zeros(0)
+    progress("swims", 1, steps)
+    for turn in range(config.rounds):
+        found, bias = _offsets(setting, known, turn)
+        progress("swims", 2 * turn + 2, steps)
+        known = [_refined(policy, *one) for one in zip(found, known, strict=True)]
+        after.append(_reached(setting, known))
+        progress("swims", 2 * turn + 3, steps)
+    needed = [true_corrections(lab, b) for (lab, _), b in zip(setting.labs, bias, strict=True)]
+    true = _reached(setting, needed)
+    progress("swims", steps, steps)
+    rows = zip(before, zip(*after, strict=True), true, map(_estimates, found, needed), strict=True)
+    return _summary(config, tuple(LabResult(*row) for row in rows))
 
 
 def _check(config: RefinementConfig) -> None:
-    least = {"labs": 1, "targets": 2, "swims": 1, "rounds": 1}
+    least = {"labs": 2, "targets": 1, "swims": 1, "rounds": 1}
     for name, low in least.items():
         if getattr(config, name) < low:
             raise BadInput(f"--{name} {getattr(config, name)}: give {low} or more.")
 
 
-def refine_in_lab(policy: Policy, pool: Pool, config: RefinementConfig, number: int) -> LabResult:
-    """Swim, refine and swim again with one robot in one pool. `evaluate` swims in other labs."""
+def _lab(pool: Pool, config: RefinementConfig, number: int) -> tuple[Lab, Water]:
+    """One robot in one pool; `evaluate` swims in other labs."""
     sizes = mess.level(config.mess) if isinstance(config.mess, str) else config.mess
     lab = mess.draw(sizes, [config.seed, number, 1])
-    water = pool.waters[number % len(pool.waters)]
-    reached = partial(_reached, policy, pool, lab, water, config.seed + number)
-    own, after, found, bias = policy, [], None, 0.0
-    for turn in range(config.rounds):
-        found, bias = _offsets(own, pool, lab, water, config, (number, turn))
-        corrections = _refined(own, found)
-        own = replace(policy, contract=replace(policy.contract, corrections=corrections))
-        after.append(reached(corrections))
-    assert found is not None
-    needed = true_corrections(lab, bias)
-    return LabResult(reached(None), tuple(after), reached(needed), _estimates(found, needed))
+    return lab, pool.waters[number % len(pool.waters)]
 
 
-def _refined(policy: Policy, found: Offsets) -> Corrections | None:
+def _refined(policy: Policy, found: Offsets, known: Corrections) -> Corrections:
     """New corrections; the old ones where an offset is beyond what a lab gets wrong."""
     try:
         return corrected(policy.contract, found)[0]
     except BadInput:
-        return policy.contract.corrections
+        return known
 
 
 def _offsets(
-    policy: Policy,
-    pool: Pool,
-    lab: Lab,
-    water: Water,
-    config: RefinementConfig,
-    which: tuple[int, int],
-) -> tuple[Offsets, float]:
-    """What logged swims tell, and the mean bias of the gyros in them."""
-    seed = int(np.random.SeedSequence([config.seed, *which]).generate_state(1)[0])
+    setting: Setting, known: Sequence[Corrections], turn: int
+) -> tuple[list[Offsets], NDArray[np.float64]]:
+    """What logged swims tell in each lab, and the mean bias of the gyros in them."""
+    config, pool, each = setting.config, setting.pool, setting.config.swims
+    seed = int(np.random.SeedSequence([config.seed, turn]).generate_state(1)[0])
+    labs = [lab for lab in setting.labs for _ in range(each)]
+    corrections = stacked([one for one in known for _ in range(each)])
     walls = pool.walls if config.walled else None
-    done = swims(policy, pool.fish, [(lab, water)] * config.swims, config.seconds, seed, walls)
-    return offsets(done.logged), float(done.yaw_rate_bias.mean())
+    told = LogConfig(config.seconds, seed, walls, corrections)
+    done = swims(setting.policy, pool.fish, labs, told)
+    own = [done.logged[i : i + each] for i in range(0, len(labs), each)]
+    return [offsets(one) for one in own], done.yaw_rate_bias.reshape(-1, each).mean(axis=1)
 
 
 def true_corrections(lab: Lab, yaw_rate_bias: float) -> Corrections:
@@ -161,24 +177,21 @@ def true_corrections(lab: Lab, yaw_rate_bias: float) -> Corrections:
         left=wrong.left,
         shaft=wrong.encoder - wrong.horn,
         setpoint=-wrong.horn,
-        yaw_rate=yaw_rate_bias,
+        yaw_rate=float(yaw_rate_bias),
     )
 
 
-def _reached(
-    policy: Policy, pool: Pool, lab: Lab, water: Water, seed: int, known: Corrections | None
-) -> int:
-    """Targets that a policy reaches with these corrections."""
-    reach = pool.measure.reach
-    scene = grid(pool.fish, pool.count, seed, 0.5 * reach, 2.5 * reach, np.pi)
-    waters = (water,) * pool.count
-    condition = in_labs(pool.condition("lab", scene, water=waters), [lab] * pool.count)
-    runs = swim(
-        partial(decide, policy),
-        replace(condition, corrections=known),
-        seeds_from(seed, pool.count),
-    )
-    return int(runs.reached.sum())
+def _reached(setting: Setting, known: Sequence[Corrections]) -> list[int]:
+    """Targets that the policy reaches in each lab with its corrections."""
+    pool, config, reach = setting.pool, setting.config, setting.pool.measure.reach
+    scene = grid(pool.fish, pool.count, config.seed, 0.5 * reach, 2.5 * reach, np.pi)
+    each = [lab for lab in setting.labs for _ in range(config.targets)]
+    condition = pool.condition("labs", scene, water=tuple(water for _, water in each))
+    condition = in_labs(condition, [lab for lab, _ in each])
+    corrections = stacked([one for one in known for _ in range(config.targets)])
+    condition = replace(condition, corrections=corrections)
+    runs = swim(partial(decide, setting.policy), condition, seeds_from(config.seed, pool.count))
+    return [int(hits.sum()) for hits in runs.reached.reshape(config.labs, -1)]
 
 
 def _estimates(found: Offsets, needed: Corrections) -> tuple[Estimate, ...]:
@@ -191,5 +204,15 @@ def _estimates(found: Offsets, needed: Corrections) -> tuple[Estimate, ...]:
     )
 
 
-def _rate(hits: int, total: int) -> tuple[float, float, float]:
-    return (hits / total, *wilson(hits, total))
+def _summary(config: RefinementConfig, labs: tuple[LabResult, ...]) -> Refinement:
+    counts = np.array([(one.before, one.after[-1], one.true) for one in labs]) / config.targets
+    before, after, true = counts.T
+    shares = (before, after, true, after - before, true - before)
+    return Refinement(config, labs, *map(over_labs, shares))
+
+
+def over_labs(values: NDArray[np.float64]) -> Share:
+    """Mean over labs, with a 95 % interval by a bootstrap over them."""
+    drawn = np.random.default_rng(0).integers(len(values), size=(DRAWS, len(values)))
+    low, high = np.quantile(values[drawn].mean(axis=1), [0.025, 0.975]).tolist()
+    return float(values.mean()), low, high
