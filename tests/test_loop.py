@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ pytest.importorskip("mcap", reason="the robot extra is not installed")
 from support import tailbeat, tailbeat_process
 from tailbeat.control import runner as runner
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.corrections import Corrections
 from tailbeat.control.policy import load_policy
 from tailbeat.emulators import rig as bench
 from tailbeat.files import BadInput
@@ -200,6 +201,18 @@ def test_a_cut_link_holds_and_then_stops(swimming):
     assert "no pose for" in swimming.loop.safety_status.text and swimming.torque == 1
     swimming.ticks(lambda: swimming.loop.safety_status.state is State.STOP, 5.0)
     assert swimming.torque == 0
+
+
+def test_a_refined_policy_holds_its_own_robot_straight(swimming):
+    """Not at the servo's middle, from which its horn is off."""
+    known = replace(POLICY.contract, corrections=Corrections(shaft=0.15, setpoint=0.15))
+    swimming.loop.policy = replace(POLICY, contract=known)
+    swimming.swim()
+    swimming.rig.station.due = math.inf  # no more frames
+    swimming.loop.limits = SafetyLimits(**{**vars(WIDE), "pose_hold": 0.5, "pose_stop": 9.0})
+    swimming.ticks(lambda: swimming.loop.safety_status.state is State.HOLD, 5.0)
+    swimming.ticks(lambda: abs(swimming.rows[-1]["command_rad"] - 0.15) < 1e-3, 3.0)
+    assert abs(swimming.rows[-1]["motor_angle_rad"] - 0.15) < 0.1
 
 
 def test_poses_that_jump_hold_the_swim_and_are_not_swum_by(swimming):

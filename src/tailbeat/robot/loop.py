@@ -17,6 +17,7 @@ import numpy as np
 
 from tailbeat.control import runner
 from tailbeat.control.band import Monitor
+from tailbeat.control.corrections import zero
 from tailbeat.control.policy import Policy
 from tailbeat.link.arrival import arrived
 from tailbeat.link.clock import SECOND
@@ -216,7 +217,8 @@ class Loop:
         elif self.safety_status.state is State.TEST:
             wanted, speed = self.signals.setpoint(last, limits.ramp * self.period), limits.slew
         else:
-            wanted, speed = 0.0 if on_hold else last, limits.ramp
+            straight = zero(self.policy.contract.corrections)
+            wanted, speed = straight if on_hold else last, limits.ramp
         angle = safety.shaped(wanted, last, self.low, self.high, speed, self.period)
         self.torque.send(self.devices.servo, angle)
         if decision is not None:
