@@ -212,7 +212,7 @@ def test_a_refined_policy_holds_its_own_robot_straight(swimming):
     swimming.loop.limits = SafetyLimits(**{**vars(WIDE), "pose_hold": 0.5, "pose_stop": 9.0})
     swimming.ticks(lambda: swimming.loop.safety_status.state is State.HOLD, 5.0)
     swimming.ticks(lambda: abs(swimming.rows[-1]["command_rad"] - 0.15) < 1e-3, 3.0)
-    assert abs(swimming.rows[-1]["motor_angle_rad"] - 0.15) < 0.1
+    swimming.ticks(lambda: abs(swimming.rows[-1]["motor_angle_rad"] - 0.15) < 0.06, 3.0)
 
 
 def test_poses_that_jump_hold_the_swim_and_are_not_swum_by(swimming):
