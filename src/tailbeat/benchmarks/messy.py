@@ -8,10 +8,9 @@ import numpy as np
 from tailbeat.control.actions import PERIOD
 from tailbeat.env.task import Settings, Task
 from tailbeat.env.world import World, seeds_from
+from tailbeat.evaluate.labs import world_in_labs
 from tailbeat.fish.store import load_fish
-from tailbeat.pool.mess import LEVELS, in_lab, lab_at
-from tailbeat.pool.plant import Surroundings
-from tailbeat.pool.simulator import PoolSimulator
+from tailbeat.pool.mess import LEVELS, lab_at
 from tailbeat.pool.water import Water
 
 FISH, STEPS, REPEATS = 32, 250, 3
@@ -39,11 +38,9 @@ def messy_bench() -> tuple[MessyRow, ...]:
 
 def _world(level: str) -> World:
     """Fish of a level, each in its own lab."""
-    fish, labs = load_fish("pulley-fish"), [lab_at(level, 0, number) for number in range(FISH)]
-    waters, around = zip(*(in_lab(lab, Water(), Surroundings()) for lab in labs), strict=True)
-    pool = PoolSimulator(fish, waters, around, wear=[lab.wear for lab in labs])
-    settings, wrong = Settings(task=Task(limit=100.0)), [lab.errors for lab in labs]
-    return World(fish, settings, seeds_from(0, FISH), simulator=pool, wrong=wrong)
+    labs = [(lab_at(level, 0, number), Water()) for number in range(FISH)]
+    settings = Settings(task=Task(limit=100.0))
+    return world_in_labs(load_fish("pulley-fish"), settings, labs, seeds_from(0, FISH))
 
 
 def _rate(world: World) -> float:

@@ -7,7 +7,7 @@ import typer
 
 from tailbeat.cli import output
 from tailbeat.cli.options import PolicyFile, TwinOption
-from tailbeat.files import BadInput, refuse_existing
+from tailbeat.files import refuse_existing
 
 
 def first_day(
@@ -30,9 +30,6 @@ def first_day(
 
     loaded = load_policy(policy)
     fish = twin_of(loaded, twin)
-    try:
-        doubt = posterior.of(twin or loaded.contract.fish)
-    except BadInput:
-        doubt = None  # the policy carries a fish of which no file is at hand
+    doubt = posterior.at_hand(twin or loaded.contract.fish)
     known = page.measured(loaded, evaluation, margins, doubt)
     output.say(f"page: {page.write(loaded, policy, fish, known, out)}")

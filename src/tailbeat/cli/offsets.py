@@ -1,5 +1,6 @@
 """Tell from a robot's logs what is constant and wrong."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,11 +26,16 @@ def offsets(
     from tailbeat.robot.logged import offsets_of
 
     done = offsets_of(logs)
-    output.tables({f"{done.seconds:.0f} s of swimming": [_row(one) for one in done.offsets]})
-    for sentence in done.untold:
-        output.say(f"not told by swims alone: {sentence}")
+    say_swims(done.seconds, [_row(one) for one in done.offsets], done.untold)
     if json is not None:
         write_json(json, done)
+
+
+def say_swims(seconds: float, rows: list[dict[str, Any]], untold: Sequence[str]) -> None:
+    """Print what so many seconds of swimming tell, and what no swim alone tells."""
+    output.tables({f"{seconds:.0f} s of swimming": rows})
+    for sentence in untold:
+        output.say(f"not told by swims alone: {sentence}")
 
 
 def _row(one: "Offset") -> dict[str, Any]:

@@ -7,6 +7,7 @@ import typer
 
 from tailbeat.cli import output
 from tailbeat.cli.extras import need_training
+from tailbeat.cli.offsets import say_swims
 from tailbeat.cli.options import JsonOption, PolicyFile
 from tailbeat.files import refuse_existing, write_json
 
@@ -31,9 +32,7 @@ def refine(
     from tailbeat.train.refine import refine as make
 
     done = make(policy, logs, out)
-    output.tables({f"{done.seconds:.0f} s of swimming": [_row(one) for one in done.changes]})
-    for sentence in done.untold:
-        output.say(f"not told by swims alone: {sentence}")
+    say_swims(done.seconds, [_row(one) for one in done.changes], done.untold)
     output.say(f"policy for this robot alone: {done.policy}")
     if json is not None:
         write_json(json, done)

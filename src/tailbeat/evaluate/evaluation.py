@@ -31,7 +31,7 @@ from tailbeat.evaluate.store import RunDescription
 from tailbeat.evaluate.track import TrackResult
 from tailbeat.evaluate.trial import CHUNK, Condition, Pool, Progress, swim_all
 from tailbeat.files import BadInput, write_json
-from tailbeat.fish.store import digest, load_fish, shipped
+from tailbeat.fish.store import digest, load_fish
 from tailbeat.identify import posterior
 from tailbeat.link.places import POOL
 from tailbeat.pool import mess
@@ -120,7 +120,7 @@ def pool_of(policy: Policy, config: EvaluationConfig) -> Pool:
 def _draws(fish: str) -> NDArray[np.float64] | None:
     """The posterior's draws beside a fish, if there is one; a policy may carry a fish of which no
     file is at hand."""
-    known = posterior.of(fish) if fish in shipped() or Path(fish).is_file() else None
+    known = posterior.at_hand(fish)
     return None if known is None else posterior.coefficient_factors(load_fish(fish), known)
 
 

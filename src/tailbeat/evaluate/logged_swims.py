@@ -13,12 +13,11 @@ from tailbeat.control.corrections import Corrections, zero
 from tailbeat.control.policy import Policy, decide
 from tailbeat.env.task import Task, settings_for
 from tailbeat.env.world import World, seeds_from
+from tailbeat.evaluate.labs import world_in_labs
 from tailbeat.evaluate.scenes import CLEAR
 from tailbeat.fish.description import Fish
 from tailbeat.identify.offsets import Logged
-from tailbeat.pool.mess import Lab, in_lab
-from tailbeat.pool.plant import Surroundings
-from tailbeat.pool.simulator import PoolSimulator
+from tailbeat.pool.mess import Lab
 from tailbeat.pool.water import Water
 
 Array = NDArray[np.float64]
@@ -51,18 +50,13 @@ def swims(
     policy: Policy, fish: Fish, labs: Sequence[tuple[Lab, Water]], config: LogConfig
 ) -> Swims:
     """One swim in each lab, from the pool's middle from target to target."""
-    around = Surroundings(walls=config.walls)
-    waters, places = zip(*(in_lab(lab, water, around) for lab, water in labs), strict=True)
-    simulator = PoolSimulator(fish, waters, places, wear=[lab.wear for lab, _ in labs])
     settings = settings_for(policy.contract)
     settings = replace(
         settings,
         task=Task(seconds=config.seconds + PERIOD, limit=FAR),
         corrections=config.corrections or settings.corrections,
     )
-    wrong = [lab.errors for lab, _ in labs]
-    seeds = seeds_from(config.seed, len(labs))
-    world = World(fish, settings, seeds, simulator=simulator, wrong=wrong)
+    world = world_in_labs(fish, settings, labs, seeds_from(config.seed, len(labs)), config.walls)
     table = _swum(world, policy, np.random.default_rng(config.seed), config.walls)
     half = np.array(world.seen.bias + world.seen.drift * config.seconds / 2 / PERIOD)
     return Swims(tuple(_logged(table[:, :, i]) for i in range(world.count)), half)

@@ -23,7 +23,7 @@ from tailbeat.evaluate.trial import Pool, in_labs, swim
 from tailbeat.files import BadInput
 from tailbeat.identify.offsets import Offsets, offsets
 from tailbeat.pool import mess
-from tailbeat.pool.mess import Lab, Sizes
+from tailbeat.pool.mess import Lab
 from tailbeat.pool.water import Water
 from tailbeat.train.refine import CORRECTABLE, corrected
 
@@ -35,13 +35,13 @@ Progress = Callable[[str, int, int], None]
 @dataclass(frozen=True)
 class RefinementConfig:
     """Where to measure: the pool's `fish` and the policy's `twin` as in `EvaluationConfig`; a level
-    of `mess`, or sizes of nuisances; `labs` of it, `targets` in each; `swims` logged swims of
+    of `mess`; `labs` of it, `targets` in each; `swims` logged swims of
     `seconds`, in the paper's pool or in open water (`walled`), before each of `rounds`; the
     number of the `first` lab."""
 
     fish: str = "pulley-fish"
     twin: str | None = None
-    mess: str | Sizes = "rough"
+    mess: str = "rough"
     labs: int = 40
     targets: int = 4
     swims: int = 3
@@ -116,7 +116,8 @@ def refinement(policy: Policy, config: RefinementConfig, progress: Progress) -> 
     numbers = range(config.first, config.first + config.labs)
     labs = tuple(_lab(pool, config, number) for number in numbers)
     setting = Setting(policy, pool, config, labs)
-    steps, known = 2 * config.rounds + 2, [Corrections()] * config.labs
+    steps = 2 * config.rounds + 2
+    known = [policy.contract.corrections or Corrections()] * config.labs
     before, after, found, bias = _reached(setting, known), [], list[Offsets](), np.zeros(0)
     progress("swims", 1, steps)
     for turn in range(config.rounds):
@@ -141,8 +142,7 @@ def _check(config: RefinementConfig) -> None:
 
 def _lab(pool: Pool, config: RefinementConfig, number: int) -> tuple[Lab, Water]:
     """One robot in one pool; `evaluate` swims in other labs."""
-    sizes = mess.level(config.mess) if isinstance(config.mess, str) else config.mess
-    lab = mess.draw(sizes, [config.seed, number, 1])
+    lab = mess.draw(mess.level(config.mess), [config.seed, number, 1])
     return lab, pool.waters[number % len(pool.waters)]
 
 

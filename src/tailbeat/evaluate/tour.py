@@ -11,14 +11,12 @@ from tailbeat.control.measure import PATIENCE
 from tailbeat.control.policy import Policy, decide
 from tailbeat.env import errors
 from tailbeat.env.task import Task, settings_for, sized
-from tailbeat.env.world import World
+from tailbeat.evaluate.labs import world_in_labs
 from tailbeat.evaluate.trial import Progress
 from tailbeat.fish.description import Fish
 from tailbeat.link.places import POOL
 from tailbeat.operator.tour import TargetResult
-from tailbeat.pool.mess import AS_DESCRIBED, Lab, in_lab
-from tailbeat.pool.plant import Surroundings
-from tailbeat.pool.simulator import PoolSimulator
+from tailbeat.pool.mess import AS_DESCRIBED, Lab
 from tailbeat.pool.water import Water
 
 Array = NDArray[np.float64]
@@ -67,9 +65,7 @@ def tour(
     task = sized(Task(seconds=PATIENCE * len(targets)), m)
     held = policy.contract
     settings = replace(settings_for(held), task=task)
-    flow, around = in_lab(lab, water, Surroundings(walls=WALLS))
-    simulator = PoolSimulator(fish, [flow], [around], wear=[lab.wear])
-    world = World(fish, settings, [seed], simulator=simulator, wrong=[lab.errors])
+    world = world_in_labs(fish, settings, [(lab, water)], [seed], WALLS)
     choose = partial(decide, policy)
     shape, pose, goal, ends = [], [], [], []
     world.reset()

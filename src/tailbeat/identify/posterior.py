@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tailbeat.files import BadInput, new_file
 from tailbeat.fish.description import COEFFICIENTS, Fish
-from tailbeat.fish.store import digest, fish_path, load_fish
+from tailbeat.fish.store import digest, fish_path, load_fish, shipped
 from tailbeat.identify.bands import Discrepancy, Drawn, discrepancy
 from tailbeat.identify.estimate import Estimate, as_row
 from tailbeat.identify.fluid import with_row
@@ -84,6 +84,12 @@ def of(fish: str, path: Path | None = None) -> Posterior | None:
     known = read(chosen)
     check_own(load_fish(fish), known)
     return known
+
+
+def at_hand(fish: str) -> Posterior | None:
+    """The posterior beside a fish; None without one, or for a policy's fish of which no file is at
+    hand. Raises BadInput as `of`."""
+    return of(fish) if fish in shipped() or Path(fish).is_file() else None
 
 
 def needed(fish: str) -> Posterior:

@@ -19,15 +19,13 @@ from tailbeat.fish import render
 from tailbeat.fish.description import Fish, length_of
 from tailbeat.fish.show import read_back
 from tailbeat.fish.twin import compile_twin
+from tailbeat.identify.bands import UNITS
 from tailbeat.identify.posterior import Posterior, estimates
 from tailbeat.report import html
 from tailbeat.report.html import Block, Section
 from tailbeat.report.style import styled
 from tailbeat.report.tables import percent
 from tailbeat.robot import findings
-
-DECIDED = 0.1  # half width over the value, up to which recordings decide a number
-RELATIVE = ("speed", "distance", "heading", "turn_rate")  # of a discrepancy
 
 
 @dataclass(frozen=True)
@@ -144,19 +142,14 @@ def _doubt(known: Posterior | None) -> tuple[Block, ...]:
     if known is None:
         return (Block("warning", "No posterior: run `tailbeat identify posterior`."),)
     found = estimates(known).values()
-    decided = sum(_half(one.value, one.interval) <= DECIDED for one in found)
+    decided = sum(one.decided for one in found)
     rows: dict[str, Any] = {"numbers that the recordings decide": f"{decided} of {len(found)}"}
     if known.discrepancy is not None:
-        for name in RELATIVE:
+        for name in UNITS:
             share = 100 * getattr(known.discrepancy, name)
             rows[f"{name.replace('_', ' ')}: off by, beyond the draws [%]"] = share
         rows["measured on swims"] = known.discrepancy.swims
     return (html.values(rows),)
-
-
-def _half(value: float, interval: tuple[float, float]) -> float:
-    """Half width of an interval over its value."""
-    return (interval[1] - interval[0]) / 2 / max(abs(value), 1e-12)
 
 
 def _checks(name: str) -> tuple[Block, ...]:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
 from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import minimize
@@ -22,9 +21,10 @@ from tailbeat.control.expected import Expected, Limits, ShaftModel, split
 from tailbeat.control.policy import Policy, decide, load_policy, policy_path
 from tailbeat.env.tours import Tours, settings, times, tours
 from tailbeat.env.world import World, seeds_from
-from tailbeat.files import BadInput, new_file
+from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.robot.fits import carried
+from tailbeat.train.metadata import put
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -80,14 +80,9 @@ def of_file(
 
 def write(path: Path, found: Expected) -> None:
     """Write expectations into a policy's file, beside its contract, which does not change."""
-    model = onnx.load(str(path))
-    held = {one.key: one.value for one in model.metadata_props}
     text = expected.as_text(found)
     expected.read(path, text)  # refuse before the file changes
-    onnx.helper.set_model_props(model, {**held, expected.KEY: text})
-    with new_file(path, overwrite=True) as beside:
-        onnx.save(model, str(beside))
-    load_policy(path)
+    put(path, expected.KEY, text, path, overwrite=True)
 
 
 # ---- the models ---------------------------------------------------------------------------------

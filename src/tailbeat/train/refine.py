@@ -9,8 +9,6 @@ from dataclasses import asdict, dataclass, replace
 from math import pi
 from pathlib import Path
 
-import onnx
-
 from tailbeat.control.corrections import Corrections, check
 from tailbeat.control.policy import (
     KEY,
@@ -21,9 +19,10 @@ from tailbeat.control.policy import (
     load_policy,
     policy_path,
 )
-from tailbeat.files import BadInput, new_file, refuse_existing, write_json
+from tailbeat.files import BadInput, refuse_existing, write_json
 from tailbeat.identify.offsets import Offset, Offsets
 from tailbeat.robot.logged import check_swum_by, offsets_of
+from tailbeat.train.metadata import put
 
 
 @dataclass(frozen=True)
@@ -126,10 +125,4 @@ def _change(row: Offset, one: Correctable, before: float, blind: bool) -> Change
 
 def write(old: Path, contract: Contract, new: Path) -> Policy:
     """Write a policy's network under another contract into a new file, and read it back."""
-    model = onnx.load(str(old))
-    held = {one.key: one.value for one in model.metadata_props}
-    onnx.helper.set_model_props(model, {**held, KEY: as_text(contract)})
-    with new_file(new) as beside:
-        onnx.save(model, str(beside))
-        load_policy(beside)
-    return load_policy(new)
+    return put(old, KEY, as_text(contract), new)
