@@ -94,10 +94,13 @@ def test_the_robot_corrects_as_the_environment_does_to_the_bit(monkeypatch):
         kept.append(deepcopy(own.read))
     course = begin(policy)
     for read, setpoint in zip(kept, sent, strict=False):
-        values = read.motor_angle, read.motor_velocity, read.yaw_rate
-        course, decision = steer(
-            policy, course, Readings(*(float(v[0]) for v in values), read.frames[0])
+        own_readings = Readings(
+            float(read.motor_angle[0]),
+            float(read.motor_velocity[0]),
+            float(read.yaw_rate[0]),
+            read.frames[0],
         )
+        course, decision = steer(policy, course, own_readings)
         assert decision.setpoint + WRONG.horn == setpoint
     assert np.ptp(sent) > 0.5
 
@@ -124,6 +127,7 @@ def test_a_refined_file_has_the_same_network_and_signals_and_names_its_parent(lo
     done = tailbeat("refine", NAME, "--log", *logs, "--out", out, "--json", tmp_path / "r.json")
     assert done.returncode == 0, done.stderr
     new = load_policy(out / "policy.onnx")
+    assert new.contract.corrections is not None
     assert new.contract.corrections.parent == contract_digest(POLICY.contract)
     assert replace(new.contract, corrections=None) == POLICY.contract
     assert new.expected == POLICY.expected
