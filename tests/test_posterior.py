@@ -99,6 +99,7 @@ def swims(number: int, seed: int, true: float, spread: float = 0.01) -> list[Dra
         predicted = np.array([0.3, 4.0, rng.uniform(-90, 90), rng.uniform(-20, 20)])
         size = Drawn(RUN, predicted, predicted[None]).size
         draws = predicted + spread * size * rng.normal(size=(64, 4))
+        draws[0] = predicted  # the fish
         measured = predicted + np.hypot(true, spread) * size * rng.normal(size=4)
         made.append(Drawn(RUN, measured, draws))
     return made
@@ -123,6 +124,17 @@ def test_bands_hold_95_percent_of_fresh_swims(held_out):
             alone += [band.inside for band in bands(fresh, None)]
     assert 0.92 <= np.mean(inside) <= 0.98
     assert np.mean(alone) < 0.5
+
+
+def test_a_band_is_about_the_fish_where_its_draws_lie_on_one_side():
+    """A number at an end of its range moves all its draws one way, and a band about their median
+    would leave out the fish's own prediction."""
+    (swum,) = swims(1, 0, true=0.0)
+    aside = swum.centre + np.abs(swum.predicted - swum.centre)
+    (band, *_) = bands(replace(swum, predicted=aside), None)
+    (same, *_) = bands(swum, None)
+    assert (band.low + band.high) / 2 == band.predicted == swum.predicted[0, 0]
+    assert band.high - band.low == pytest.approx(same.high - same.low)
 
 
 def test_a_draw_that_diverged_does_not_widen_a_band_and_many_make_it_endless():

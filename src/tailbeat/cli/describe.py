@@ -130,6 +130,9 @@ def show(
 ) -> None:
     """Print what a fish compiles to and render a picture. Also check it as a marine engineer would.
     With a posterior beside the fish, print which identified numbers its recordings decide."""
+    from tailbeat.fish.store import load_fish
+
+    load_fish(fish)  # what is wrong with it is said before the engine is imported
     from tailbeat.fish import show as compiled
     from tailbeat.identify import launch, posterior
 

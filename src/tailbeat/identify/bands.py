@@ -46,8 +46,8 @@ class Discrepancy:
 
 @dataclass(frozen=True)
 class Band:
-    """One quantity of one swim, in `unit`: `measured`, the draws' median `predicted`, and the 95 %
-    band from `low` to `high`."""
+    """One quantity of one swim, in `unit`: `measured`, what the fish `predicted`, and the 95 % band
+    from `low` to `high`."""
 
     recording: str
     quantity: str
@@ -66,7 +66,7 @@ class Band:
 @dataclass(frozen=True, eq=False)
 class Drawn:
     """One swim: `measured` (4,) and each draw's prediction (n, 4), in the order of `UNITS`; NaN
-    where the recording does not tell."""
+    where the recording does not tell. The first draw is the identified fish."""
 
     run: Run
     measured: Array
@@ -79,19 +79,18 @@ class Drawn:
 
     @property
     def centre(self) -> Array:
-        """Median prediction (4,), NaN if every draw diverged."""
-        swum = self.swum
-        return np.median(swum, axis=0) if len(swum) else np.full(len(UNITS), np.nan)
+        """Prediction (4,) of the fish, or of the first draw that did not diverge; NaN without one.
+        The draws' median is no better: many numbers lie at an end of their range, and all their
+        draws on one side."""
+        return self.swum[0] if len(self.swum) else np.full(len(UNITS), np.nan)
 
     @property
     def spread(self) -> Array:
-        """Standard deviation (4,) of the predictions, from their middle 68 %; infinite if over half
-        of the draws diverged."""
-        swum = self.swum
-        if 2 * len(swum) < len(self.predicted):
+        """Standard deviation (4,) of the draws about the centre, from the nearest 68 %; infinite if
+        over half of the draws diverged."""
+        if 2 * len(self.swum) < len(self.predicted):
             return np.full(len(UNITS), np.inf)
-        low, high = np.quantile(swum, [0.16, 0.84], axis=0)
-        return np.asarray((high - low) / 2)
+        return np.asarray(np.quantile(np.abs(self.swum - self.centre), 0.68, axis=0))
 
     @property
     def size(self) -> Array:

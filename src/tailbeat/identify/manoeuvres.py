@@ -47,10 +47,10 @@ def manoeuvres(fish: Fish, limit: ServoLimits, first: int = 13) -> dict[str, Rec
         *(("brake", _played(limit, one)) for one in _stops(low, middle, high)),
         *(("slow", _played(limit, [Beat(SECONDS, *one)])) for one in SLOW),
         *(("turn", _played(limit, [Beat(SECONDS, *one)])) for one in _turns(low, middle, high)),
-        *(("wander", _wandering(_fast(limit), 0.0, high, seed)) for seed in range(6)),
-        *(("sprint", _played(_fast(limit, FULL), [one])) for one in _sprints(high)),
+        *(("wander", _wandered(fast(limit), (0.0, high), seed)) for seed in range(6)),
+        *(("sprint", _played(fast(limit, FULL), [one])) for one in _sprints(high)),
         *(
-            ("dash", _wandering(_fast(limit, FULL), 0.6 * high, high, seed))
+            ("dash", _wandered(fast(limit, FULL), (0.6 * high, high), seed))
             for seed in range(6, 12)
         ),
     ]
@@ -102,7 +102,8 @@ def _sprints(high: float) -> list[Beat]:
     ]
 
 
-def _fast(limit: ServoLimits, times: float = FASTEST) -> ServoLimits:
+def fast(limit: ServoLimits, times: float = FASTEST) -> ServoLimits:
+    """The limits with a shaft speed of `times` as much."""
     return ServoLimits(limit.angle, limit.centre, times * limit.speed)
 
 
@@ -126,18 +127,24 @@ def _largest(limit: ServoLimits, beat: Beat) -> float:
     return min(largest(limit, beat.frequency), room) if beat.frequency else 0.0
 
 
-def _wandering(limit: ServoLimits, low: float, high: float, seed: int) -> tuple[Array, float]:
-    """Random frequency from `low` to `high` [Hz], stroke and centre; new ones every 0.3 to 1.5
-    s."""
-    rng = np.random.default_rng(seed)
+def _wandered(limit: ServoLimits, band: tuple[float, float], seed: int) -> tuple[Array, float]:
+    return wandering(limit, band, 1.25 * SECONDS, np.random.default_rng(seed)), 0.0
+
+
+def wandering(
+    limit: ServoLimits, band: tuple[float, float], seconds: float, rng: np.random.Generator
+) -> Array:
+    """Command (k,) [rad] about the range's middle, of `seconds` or a little more: random frequency
+    in the `band` [Hz], stroke and centre, new ones every 0.3 to 1.5 s."""
+    low, high = band
     rows: list[list[float]] = []
-    while len(rows) < 1.25 * SECONDS * RATE:
+    while len(rows) < seconds * RATE:
         frequency = low + (high - low) * rng.uniform() ** 1.5
         centre = 0.8 * rng.uniform(-1, 1)
         beat = Beat(rng.uniform(0.3, 1.5), frequency, rng.uniform(0.1, 1.0), centre)
         row = [frequency, beat.stroke * _largest(limit, beat), centre]
         rows += [row] * int(beat.seconds * RATE)
-    return _swung(np.array(rows)), 0.0
+    return _swung(np.array(rows))
 
 
 def _swung(wanted: Array) -> Array:
