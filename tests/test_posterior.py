@@ -220,7 +220,8 @@ def test_the_shipped_posterior_belongs_to_the_shipped_fish():
     assert known is not None and known.draws.shape == (100, len(known.paths))
     for path, value in zip(known.paths, known.draws[0], strict=True):
         assert value == pytest.approx(value_at(fish, path), rel=5e-6), path
-    assert known.discrepancy is not None and known.discrepancy.swims == 15
+    assert known.discrepancy is not None and known.discrepancy.swims == 10
+    assert all(name.startswith("check-") for name in known.held_out)
     assert not {*known.fitted} & {*known.held_out}
 
 
