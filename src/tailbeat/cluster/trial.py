@@ -1,0 +1,153 @@
+"""One trial of a sweep, in a process of its own: `python -m tailbeat.cluster.trial FOLDER`.
+
+The folder has all of a trial: what it is (`trial.json`), its training with checkpoints (`run`), and
+the results of each part. A part that is done is not done again, so a trial goes on wherever its
+folder is seen. One process works in it at a time: a second one waits.
+"""
+
+import fcntl
+import json
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tailbeat.cluster.plan import Evaluated, Sweep, Tried
+from tailbeat.control.policy import Policy, load_policy
+from tailbeat.env.curriculum import OPEN_WATER, Stage, settings_of
+from tailbeat.evaluate.evaluation import EvaluationConfig, evaluate
+from tailbeat.evaluate.reach import in_twin, reach
+from tailbeat.files import BadInput, write_json
+from tailbeat.fish.store import load_fish, with_servo
+from tailbeat.identify.posterior import factors_of
+from tailbeat.pool.mess import level, widths
+from tailbeat.train.config import RunConfig, action_space, check, measured_run
+from tailbeat.train.progress import Progress, TrainingRow
+from tailbeat.train.recipes import recipe_of
+from tailbeat.train.train import train
+
+TRIAL, TRAINED, TRIED, RESULT = "trial.json", "trained.json", "tried.json", "result.json"
+ENDED = 3  # exit code of a trial that was told to end; it goes on later
+
+
+def run_of(trial: dict[str, Any], sweep: Sweep, folder: Path) -> RunConfig:
+    """The training of a trial, given as its fields, in `folder/run`. Raises BadInput."""
+    recipe = replace(recipe_of(trial["recipe"], trial["task"]), **trial["changed"])
+    fish = with_servo(load_fish(trial["fish"]), trial["servo"])
+    binds = trial["binds"] or recipe.binds
+    mess = trial["mess"] or "clean"
+    return RunConfig(
+        fish,
+        folder / "run",
+        recipe,
+        action_space(trial["actions"], fish, binds, trial["floor"] or 0.0),
+        trial["seed"],
+        sweep.hours,
+        checkpoint_minutes=sweep.checkpoint_minutes,
+        draws=factors_of(trial["fish"]) if trial["physics"] == "posterior" else None,
+        errors=None if mess == "clean" else widths(level(mess)),
+        velocities=bool(trial["velocities"]),
+        yaw_rate="camera" if trial["imu"] == "none" else "imu",
+    )
+
+
+def check_trial(trial: dict[str, Any], sweep: Sweep, folder: Path) -> None:
+    """Raises BadInput if a trial cannot be trained: its fish, its actions, its memory."""
+    check(measured_run(run_of(trial, sweep, folder)), resume=(folder / "run").exists())
+
+
+def swim(folder: Path) -> None:
+    """Train, try and evaluate what `folder` describes, as far as it is not done. Raises BadInput;
+    SystemExit with `ENDED` if it is told to end."""
+    held = json.loads((folder / TRIAL).read_text(encoding="utf-8"))
+    sweep, trial = Sweep.model_validate(held["sweep"], strict=False), held["trial"]
+    run = run_of(trial, sweep, folder)
+    if not (folder / TRAINED).is_file():
+        _train(run, folder)
+    policy = load_policy(str(run.out / "policy.onnx"))
+    if not (folder / TRIED).is_file():
+        write_json(folder / TRIED, vars(_tried(policy, run, sweep.trial)))
+    pool = None if sweep.evaluate is None else _evaluated(policy, sweep.evaluate, folder)
+    trained = json.loads((folder / TRAINED).read_text(encoding="utf-8"))
+    tried = json.loads((folder / TRIED).read_text(encoding="utf-8"))
+    write_json(folder / RESULT, {"trained": trained, "twin": tried, "pool": pool}, overwrite=True)
+
+
+def _train(run: RunConfig, folder: Path) -> None:
+    """Train from the last checkpoint, or from the start."""
+    resume = any((run.out / name).is_dir() for name in ("checkpoint", "checkpoint.old"))
+    if not resume:
+        shutil.rmtree(run.out, ignore_errors=True)  # it ended before its first checkpoint
+    began: list[float] = []
+
+    def report(row: TrainingRow) -> None:
+        began.append(row.seconds)
+        say(updates=row.updates, stage=row.stage, success=row.success, seconds=row.seconds)
+
+    course = train(run, resume, report)
+    used = course.seconds - (began[0] if began else 0.0)
+    if not (course.finished or course.stalled) and used < 0.99 * 3600 * run.hours:
+        sys.exit(ENDED)
+    write_json(folder / TRAINED, _numbers(course, run))
+
+
+def _numbers(course: Progress, run: RunConfig) -> dict[str, Any]:
+    last = course.history[-1] if course.history else None
+    return {
+        "stages_passed": course.passed(),
+        "stages": len(run.recipe.stages),
+        "finished": course.finished,
+        "stalled": course.stalled,
+        "seconds": course.seconds,
+        "updates": last.updates if last else 0,
+    }
+
+
+def _tried(policy: Policy, run: RunConfig, asked: Tried) -> Any:
+    """Swims in the twin, with all noise and randomisation, to the targets of every trial."""
+    held = policy.contract
+    stage = Stage("trial", 3, 1.0, 1.0, float(np.radians(asked.arc)))
+    settings = settings_of(stage, held.actions, OPEN_WATER, held.measure)
+    settings = replace(settings, yaw_rate=held.yaw_rate, motion=held.motion)
+    return reach(policy, in_twin(run.fish, settings), asked.targets, 0)
+
+
+def _evaluated(policy: Policy, asked: Evaluated, folder: Path) -> dict[str, Any]:
+    """Swims in the pool; those on disk are not swum again."""
+    config = EvaluationConfig(
+        asked.fish, pool=asked.pool, tasks=("reach",), episodes=asked.episodes
+    )
+    done = evaluate(policy, config, folder / "evaluation", lambda name, swum, total: None)
+    return {name: asdict(one) for name, one in done.reach.items()}
+
+
+def say(**row: float) -> None:
+    """Report a row of numbers to the process that started this one: a line of JSON."""
+    print(json.dumps(row), flush=True)
+
+
+@contextmanager
+def owned(folder: Path) -> Iterator[None]:
+    """Be the only process that works in a folder; wait for another one to end."""
+    with open(folder / ".owner", "wb") as owner:
+        fcntl.flock(owner, fcntl.LOCK_EX)
+        yield
+
+
+def main(folder: Path) -> None:
+    """Swim a trial. What is wrong goes to standard error in one line; the exit code is then 2."""
+    try:
+        with owned(folder):
+            swim(folder)
+    except (BadInput, OSError) as error:
+        print(f"{error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,192 @@
+"""Swim the trials of a sweep with Ray Tune: on this machine, or on a cluster.
+
+Ray places trials, begins failed ones again and ends hopeless ones. What a trial has done lies in
+its folder, not in Ray: a trial that is begun again, here or on another node, goes on from there.
+"""
+
+import importlib.metadata
+import json
+import os
+import platform
+import signal
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from tailbeat.cluster.plan import Sweep, Trial
+from tailbeat.files import BadInput, write_json
+from tailbeat.processes import end, end_with_parent, start
+
+# Ray reads these when it is imported: our own table is shown, and no file that nobody reads.
+os.environ.setdefault("RAY_AIR_NEW_OUTPUT", "0")
+os.environ.setdefault("TUNE_DISABLE_AUTO_CALLBACK_LOGGERS", "1")
+os.environ.setdefault("RAY_TRAIN_ENABLE_V2_MIGRATION_WARNINGS", "0")
+
+import ray
+from ray import tune
+from ray.tune.schedulers import ASHAScheduler, FIFOScheduler, MedianStoppingRule
+
+STORE = 100_000_000  # bytes of shared memory for Ray's objects; ours are small
+LONGEST, PATIENCE = 10_000_000, 2_000  # updates: a trial's most, and before which none is ended
+SAME = ("tailbeat", "mujoco", "torch", "stable-baselines3", "numpy")  # versions on every node
+RESULT, TRIAL = "result.json", "trial.json"
+
+
+@dataclass(frozen=True)
+class Row:
+    """Where a trial is: its name, "waiting", "running", "done", "failed" or "ended early", and the
+    newest numbers of its training."""
+
+    name: str
+    state: str
+    numbers: Mapping[str, float]
+
+
+Report = Callable[[Row], None]
+
+
+def connect(address: str | None, cores: int | None = None) -> None:
+    """Connect to a cluster, or start Ray on this machine's cores. Raises BadInput if nobody answers
+    at the address."""
+    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+    if address is None:
+        ray.init(
+            num_cpus=cores or len(os.sched_getaffinity(0)),
+            include_dashboard=False,
+            object_store_memory=STORE,
+            **quiet,
+        )
+        return
+    try:
+        ray.init(address=address, **quiet)
+    except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
+        raise BadInput(
+            f"--address {address}: no Ray cluster answers ({type(error).__name__}); start one with"
+            f" `ray start --head`, or omit --address to use this machine."
+        ) from None
+
+
+def versions() -> dict[str, str]:
+    """The versions that driver and workers must share."""
+    return {"python": platform.python_version()} | {
+        name: importlib.metadata.version(name) for name in SAME
+    }
+
+
+def swim(sweep: Sweep, todo: Sequence[Trial], out: Path, report: Report) -> dict[str, str]:
+    """Swim the trials `todo` in `out/trials`; returns why each failed one did, by its name. Ray
+    must be connected. Ctrl-C ends it; trials keep their checkpoints."""
+    for trial in todo:
+        folder = out / "trials" / trial.name
+        folder.mkdir(parents=True, exist_ok=True)
+        held = {"trial": asdict(trial), "sweep": sweep.model_dump()}
+        write_json(folder / TRIAL, held, overwrite=True)
+    told = _Told(report)
+    tuner = tune.Tuner(
+        tune.with_resources(_work, {"cpu": sweep.cores}),
+        param_space={
+            "name": tune.grid_search([trial.name for trial in todo]),
+            "out": str(out.resolve()),
+            "cores": sweep.cores,
+            "versions": versions(),
+        },
+        tune_config=tune.TuneConfig(scheduler=_scheduler(sweep.scheduler)),
+        run_config=tune.RunConfig(
+            name="ray",
+            storage_path=str((out / ".tune").resolve()),
+            failure_config=tune.FailureConfig(max_failures=sweep.retries),
+            callbacks=[told],
+            verbose=0,
+        ),
+    )
+    tuner.fit()
+    return told.failed
+
+
+def _scheduler(name: str) -> Any:
+    """Ends hopeless trials by `score` at equal updates; see `score`."""
+    if name == "none":
+        return FIFOScheduler()
+    common = {"time_attr": "updates", "metric": "score", "mode": "max"}
+    if name == "median":
+        return MedianStoppingRule(grace_period=PATIENCE, **common)
+    return ASHAScheduler(grace_period=PATIENCE, max_t=LONGEST, reduction_factor=3, **common)
+
+
+def score(row: Mapping[str, float]) -> float:
+    """What a scheduler compares: stages passed plus the success rate in the present one. In the
+    first stage the rate does not count: all trials are poor at its start."""
+    passed = row["stage"] - 1
+    return passed + (row["success"] if passed else 0.0)
+
+
+def _work(config: dict[str, Any]) -> None:
+    """A trial in a Ray worker: start its process, pass its rows on. Raises RuntimeError with what
+    the process said if it fails."""
+    folder = Path(config["out"]) / "trials" / config["name"]
+    own = versions()
+    differ = [f"{k} {own[k]}, not {v}" for k, v in config["versions"].items() if own[k] != v]
+    if differ:
+        raise RuntimeError(f"{platform.node()} has {'; '.join(differ)}: install the same versions.")
+    threads = str(config["cores"])
+    names = ("TAILBEAT_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+    with open(folder / "log.txt", "a", encoding="utf-8") as log:
+        child = start(
+            ["-m", "tailbeat.cluster.trial", str(folder)],
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+            env={**os.environ, **dict.fromkeys(names, threads)},
+            preexec_fn=end_with_parent,
+        )
+    try:
+        for line in child.stdout or ():
+            row = json.loads(line)
+            tune.report({**row, "score": score(row)})
+        code = child.wait()
+    finally:
+        end(child, signal.SIGTERM)
+    if code:
+        raise RuntimeError(_last_line(folder / "log.txt", code))
+
+
+def _last_line(log: Path, code: int) -> str:
+    lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
+    said = next((line.strip() for line in reversed(lines) if line.strip()), "")
+    return said or f"its process ended with {code}"
+
+
+class _Told(tune.Callback):
+    """Tells `report` of every trial that begins, learns, fails or ends."""
+
+    def __init__(self, report: Report) -> None:
+        self.report, self.failed = report, dict[str, str]()
+
+    def on_trial_start(self, iteration: int, trials: Any, trial: Any, **_: Any) -> None:
+        self.report(Row(trial.config["name"], "running", {}))
+
+    def on_trial_result(
+        self, iteration: int, trials: Any, trial: Any, result: dict[str, Any], **_: Any
+    ) -> None:
+        names = ("stage", "success", "updates")
+        numbers = {name: result[name] for name in names if name in result}
+        self.report(Row(trial.config["name"], "running", numbers))
+
+    def on_trial_complete(self, iteration: int, trials: Any, trial: Any, **_: Any) -> None:
+        name = trial.config["name"]
+        done = (Path(trial.config["out"]) / "trials" / name / RESULT).is_file()
+        self.report(Row(name, "done" if done else "ended early", {}))
+
+    def on_trial_error(self, iteration: int, trials: Any, trial: Any, **_: Any) -> None:
+        name = trial.config["name"]
+        self.failed[name] = _reason(trial)
+        self.report(Row(name, "failed", {}))
+
+
+def _reason(trial: Any) -> str:
+    """The last line of the newest error of a trial, without the name of its class."""
+    text = str(trial.get_error() or "its worker ended")
+    lines = [line.strip() for line in text.split("\n") if line.strip()]
+    return lines[-1].removeprefix("RuntimeError: ")
