@@ -73,5 +73,5 @@ clean:  ## remove caches and builds; runs/ and .venv stay
 
 $(READY): pyproject.toml constraints.txt
 	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/pip install -q -c constraints.txt -e '.[all,dev,docs]'
+	$(VENV)/bin/pip install -q -c constraints.txt -e '.[all,cluster,dev,docs]'
 	@touch $@

@@ -17,6 +17,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cli",),
     ("report",),
     ("benchmarks",),
+    ("cluster",),
     ("evaluate",),
     ("emulators",),
     ("pool",),

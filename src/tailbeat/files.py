@@ -22,6 +22,7 @@ EXTRA_OF = {
     **dict.fromkeys(("mcap", "serial"), "robot"),
     **dict.fromkeys(("cv2", "pyapriltags", "fastapi", "starlette", "uvicorn"), "station"),
     "websockets": "station",
+    "ray": "cluster",
 }
 
 

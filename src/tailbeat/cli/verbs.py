@@ -107,6 +107,12 @@ PANELS = {
             "Train a policy through the stages of a recipe.",
             "--fish mine.toml --actions generator --out runs/mine",
         ),
+        Verb(
+            "sweep",
+            "sweep:sweep",
+            "Train many policies from one file, try and evaluate each, and compare them.",
+            "sweep.toml --out sweeps/mine",
+        ),
         Verb("policy show", "learn:show", "Print a policy's contract.", "runs/mine/policy.onnx"),
         Verb(
             "policy diff",

@@ -109,7 +109,7 @@ def _scheduler(name: str) -> Any:
     """Ends hopeless trials by `score` at equal updates; see `score`."""
     if name == "none":
         return FIFOScheduler()
-    common = {"time_attr": "updates", "metric": "score", "mode": "max"}
+    common: dict[str, Any] = {"time_attr": "updates", "metric": "score", "mode": "max"}
     if name == "median":
         return MedianStoppingRule(grace_period=PATIENCE, **common)
     return ASHAScheduler(grace_period=PATIENCE, max_t=LONGEST, reduction_factor=3, **common)

@@ -1,0 +1,154 @@
+"""Results of a sweep: a row per trial, one per kind over its seeds, and the best trial."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from scipy import stats
+
+from tailbeat.cluster.plan import Trial
+from tailbeat.evaluate.rates import wilson
+from tailbeat.files import new_file
+
+RESULT = "result.json"
+# Said before a sweep begins, so that nobody chooses it by what comes out.
+RULE = (
+    "the trial that passed most stages; of these, that which reached most targets in open water of"
+    " the pool (without [evaluate], in the twin); of equals, that with the fewest updates"
+)
+
+
+@dataclass(frozen=True)
+class TrialRow:
+    """A trial's result. `state` is done, failed, ended early or not done; `why` it failed. Numbers
+    are NaN until it is done: stages passed and in all, updates, `hours` of training, and the
+    fractions of targets reached in the `twin`, and in the pool in `open` water and inside walls."""
+
+    name: str
+    group: str
+    seed: int
+    state: str
+    why: str
+    folder: str
+    passed: float = float("nan")
+    stages: float = float("nan")
+    updates: float = float("nan")
+    hours: float = float("nan")
+    targets: float = float("nan")
+    twin: float = float("nan")
+    swims: float = float("nan")
+    open: float = float("nan")
+    walled: float = float("nan")
+
+
+@dataclass(frozen=True)
+class GroupRow:
+    """All seeds of a kind: how many are done, and the mean fraction of targets reached, in the twin
+    and in open water of the pool, with its 95 % interval (low, high). Over several seeds it is that
+    of their mean (Student's t), for one seed that over its targets (Wilson)."""
+
+    group: str
+    seeds: int
+    twin: float
+    twin_interval: tuple[float, float]
+    open: float
+    open_interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """Trials, kinds, and the name of the trial that `RULE` chooses, "" without a done one."""
+
+    trials: tuple[TrialRow, ...]
+    groups: tuple[GroupRow, ...]
+    rule: str
+    chosen: str
+
+    @property
+    def complete(self) -> bool:
+        """Whether every trial has a result, or was ended early by the scheduler."""
+        return all(one.state in ("done", "ended early") for one in self.trials)
+
+
+def collect(
+    out: Path, made: Sequence[Trial], failed: Mapping[str, str], ended: Sequence[str] = ()
+) -> SweepResult:
+    """Read the results in `out/trials`; `failed` says why trials failed, `ended` which the
+    scheduler ended early."""
+    rows = tuple(_row(out / "trials" / one.name, one, failed, ended) for one in made)
+    kinds = list(dict.fromkeys(one.group for one in made))
+    groups = tuple(_group(name, [row for row in rows if row.group == name]) for name in kinds)
+    return SweepResult(rows, groups, RULE, _chosen(rows))
+
+
+def _row(folder: Path, trial: Trial, failed: Mapping[str, str], ended: Sequence[str]) -> TrialRow:
+    who = trial.name, trial.group, trial.seed
+    path = folder / RESULT
+    if not path.is_file():
+        early = "ended early" if trial.name in ended else "not done"
+        state = "failed" if trial.name in failed else early
+        return TrialRow(*who, state, failed.get(trial.name, ""), str(folder))
+    held = json.loads(path.read_text(encoding="utf-8"))
+    trained, twin, pool = held["trained"], held["twin"], held["pool"] or {}
+    swum = pool.get("reach open", {})
+    return TrialRow(
+        *who,
+        "done",
+        "",
+        str(folder),
+        trained["stages_passed"],
+        trained["stages"],
+        trained["updates"],
+        trained["seconds"] / 3600,
+        twin["targets"],
+        twin["reached"],
+        swum.get("swims", np.nan),
+        swum.get("arrived", np.nan),
+        pool.get("reach walled", {}).get("arrived", np.nan),
+    )
+
+
+def _group(name: str, rows: Sequence[TrialRow]) -> GroupRow:
+    done = [row for row in rows if row.state == "done"]
+    twin = mean([row.twin for row in done], [row.targets for row in done])
+    swum = mean([row.open for row in done], [row.swims for row in done])
+    return GroupRow(name, len(done), twin[0], twin[1:], swum[0], swum[1:])
+
+
+def mean(rates: Sequence[float], counts: Sequence[float]) -> tuple[float, float, float]:
+    """Mean of success rates and its 95 % interval, within 0 to 1; NaN without rates."""
+    if not rates or not np.isfinite(rates).all():
+        return np.nan, np.nan, np.nan
+    middle = float(np.mean(rates))
+    if len(rates) == 1:
+        return middle, *wilson(round(rates[0] * counts[0]), round(counts[0]))
+    far = stats.t.ppf(0.975, len(rates) - 1) * np.std(rates, ddof=1) / np.sqrt(len(rates))
+    return middle, max(middle - float(far), 0.0), min(middle + float(far), 1.0)
+
+
+def _chosen(rows: Sequence[TrialRow]) -> str:
+    done = [row for row in rows if row.state == "done"]
+    if not done:
+        return ""
+    best = max(
+        done,
+        key=lambda row: (row.passed, row.twin if np.isnan(row.open) else row.open, -row.updates),
+    )
+    return best.name
+
+
+def write_table(path: Path, result: SweepResult, fields: Mapping[str, Mapping[str, Any]]) -> None:
+    """Write one row per trial, its results and its `fields`, as Parquet; replaces a file."""
+    rows = [
+        {**{k: _cell(v) for k, v in fields[one.name].items()}, **vars(one)} for one in result.trials
+    ]
+    with new_file(path, overwrite=True) as beside:
+        pl.DataFrame(rows, infer_schema_length=None).write_parquet(beside)
+
+
+def _cell(value: Any) -> Any:
+    return value if isinstance(value, int | float | str | bool) else str(value)

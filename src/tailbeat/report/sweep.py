@@ -1,0 +1,59 @@
+"""The page of a sweep: what it chose and by which rule, kinds over their seeds, all trials."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tailbeat.cluster.summary import GroupRow, SweepResult, TrialRow
+from tailbeat.report import html
+from tailbeat.report.html import Section
+from tailbeat.report.tables import percent
+
+
+def write(out: Path, result: SweepResult, config: Mapping[str, Any]) -> Path:
+    """Write `report.html` and `report.json` into a folder; returns the page's path."""
+    chosen = {"rule": result.rule, "trial": result.chosen or "none is done"}
+    if result.chosen:
+        chosen["policy"] = f"trials/{result.chosen}/run/policy.onnx"
+    sections = [
+        Section("Chosen", (html.values(chosen),)),
+        Section("Kinds, over their seeds", (html.table([kind(one) for one in result.groups]),)),
+        Section("Trials", (html.table([trial(one) for one in result.trials]),)),
+    ]
+    return html.write(out, sections, {"result": result, "sweep": config}, "Sweep")
+
+
+def kind(row: GroupRow) -> dict[str, Any]:
+    """A kind's row: success rates in percent with their 95 % intervals."""
+    return {
+        "kind": row.group,
+        "seeds done": row.seeds,
+        "twin [%]": _rate(row.twin, row.twin_interval),
+        "pool, open [%]": _rate(row.open, row.open_interval),
+    }
+
+
+def trial(row: TrialRow) -> dict[str, Any]:
+    """A trial's row; None where nothing is known."""
+    stages = None if np.isnan(row.passed) else f"{row.passed:.0f} of {row.stages:.0f}"
+    return {
+        "trial": row.name,
+        "state": row.state,
+        "stages": stages,
+        "updates": _known(row.updates),
+        "training [h]": _known(row.hours),
+        "twin [%]": _known(100 * row.twin),
+        "pool, open [%]": _known(100 * row.open),
+        "pool, walls [%]": _known(100 * row.walled),
+        "why": row.why or None,
+    }
+
+
+def _known(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def _rate(value: float, interval: tuple[float, float]) -> str | None:
+    return None if np.isnan(value) else percent(value, interval)
