@@ -29,7 +29,9 @@ def sweep(
     out: Annotated[Path, typer.Option("--out", help="Folder of all trials.")],
     address: Annotated[
         str | None,
-        typer.Option(help="Ray cluster: auto, or ray://HOST:10001. Default: this machine."),
+        typer.Option(
+            help="Ray cluster with this machine in it: auto, or HOST:PORT. Default: no cluster."
+        ),
     ] = None,
     resume: Annotated[bool, typer.Option(help="Continue the sweep in --out.")] = False,
     json: JsonOption = None,
@@ -40,13 +42,18 @@ def sweep(
         refuse_existing(json)
     need_training()
     need("sweeps", "ray")
-    from tailbeat.cluster import plan
+    from tailbeat.cluster import plan, tune
 
     asked = plan.read(file)
     made = plan.trials(asked)
     plan.check_names(file, made)
+    check_folder(out)
+    if address is not None:
+        tune.connect(address)
     made = _kept(file, asked, made, out, resume)
-    done = _swim(asked, made, out, address)
+    if address is None:
+        tune.connect(None)
+    done = _swim(asked, made, out)
     _print(out, done)
     if json is not None:
         write_json(json, done)
@@ -61,7 +68,6 @@ def _kept(
     BadInput before anything is written."""
     from tailbeat.cluster.trial import check_trial
 
-    check_folder(out)
     if resume:
         _check_same(file, asked, out)
         return [_with_copy(one, out) for one in made]
@@ -121,7 +127,6 @@ def _swim(asked: "Sweep", made: Sequence["Trial"], out: Path, address: str | Non
     failed: dict[str, str] = {}
     seen = Course(len(made), len(made) - len(todo))
     if todo:
-        tune.connect(address)
         with _shown(seen) as report:
             failed = tune.swim(asked, todo, out, report)
     early = [name for name, row in seen.rows.items() if row.state == "ended early"]

@@ -6,9 +6,11 @@ its folder, not in Ray: a trial that is begun again, here or on another node, go
 
 import importlib.metadata
 import json
+import logging
 import os
 import platform
 import signal
+import socket
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -28,6 +30,7 @@ import ray
 from ray import tune
 from ray.tune.schedulers import ASHAScheduler, FIFOScheduler, MedianStoppingRule
 
+ANSWER = 5.0  # s that a cluster may take to answer
 STORE = 100_000_000  # bytes of shared memory for Ray's objects; ours are small
 LONGEST, PATIENCE = 10_000_000, 2_000  # updates: a trial's most, and before which none is ended
 SAME = ("tailbeat", "mujoco", "torch", "stable-baselines3", "numpy")  # versions on every node
@@ -48,24 +51,34 @@ Report = Callable[[Row], None]
 
 
 def connect(address: str | None, cores: int | None = None) -> None:
-    """Connect to a cluster, or start Ray on this machine's cores. Raises BadInput if nobody answers
-    at the address."""
-    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+    """Connect to the cluster of which this machine is a node, or start Ray on this machine's cores.
+    `address` is auto or HOST:PORT. Raises BadInput if nobody answers there."""
+    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
+    logging.getLogger("ray").setLevel(logging.CRITICAL)  # we say in one line why a trial failed
     if address is None:
-        ray.init(
-            num_cpus=cores or len(os.sched_getaffinity(0)),
-            include_dashboard=False,
-            object_store_memory=STORE,
-            **quiet,
-        )
+        number = cores or len(os.sched_getaffinity(0))
+        quiet |= {"include_dashboard": False, "object_store_memory": STORE}
+        ray.init(num_cpus=number, address="local", **quiet)
         return
     try:
+        _check_answers(address)
         ray.init(address=address, **quiet)
-    except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
+    except (OSError, RuntimeError, ValueError) as error:
         raise BadInput(
-            f"--address {address}: no Ray cluster answers ({type(error).__name__}); start one with"
-            f" `ray start --head`, or omit --address to use this machine."
+            f"--address {address}: no Ray cluster answers ({type(error).__name__}); allowed are auto"
+            f" and HOST:PORT of a cluster of which this machine is a node. Start one with"
+            f" `ray start --head`, or omit --address to use this machine alone."
         ) from None
+
+
+def _check_answers(address: str) -> None:
+    """Raises OSError or ValueError at once where Ray would try for minutes."""
+    if address == "auto":
+        return
+    host, _, port = address.rpartition(":")
+    if not host or "/" in host:
+        raise ValueError(address)
+    socket.create_connection((host, int(port)), timeout=ANSWER).close()
 
 
 def versions() -> dict[str, str]:
@@ -186,7 +199,9 @@ class _Told(tune.Callback):
 
 
 def _reason(trial: Any) -> str:
-    """The last line of the newest error of a trial, without the name of its class."""
+    """Why a trial failed: the last line of its newest error, without the name of its class."""
     text = str(trial.get_error() or "its worker ended")
+    if "ActorDiedError" in text or "ActorUnavailableError" in text:
+        return "its worker was killed, or its node was lost"
     lines = [line.strip() for line in text.split("\n") if line.strip()]
     return lines[-1].removeprefix("RuntimeError: ")
