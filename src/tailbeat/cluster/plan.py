@@ -128,9 +128,9 @@ def _said(error: ValidationError) -> str:
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        return f"field {where} is unknown; docs/how-to/sweep.md lists the fields."
+        return f"field {where} is unknown; docs/how-to/train-on-a-cluster.md lists the fields."
     if first["type"] == "missing":
-        return f"field {where} is missing; docs/how-to/sweep.md lists the fields."
+        return f"field {where} is missing; docs/how-to/train-on-a-cluster.md lists the fields."
     return f"field {where} = {first['input']!r}: {first['msg'].lower()}."
 
 

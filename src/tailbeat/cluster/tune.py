@@ -65,8 +65,8 @@ def connect(address: str | None, cores: int | None = None) -> None:
         ray.init(address=address, **quiet)
     except (OSError, RuntimeError, ValueError) as error:
         raise BadInput(
-            f"--address {address}: no Ray cluster answers ({type(error).__name__}); allowed are auto"
-            f" and HOST:PORT of a cluster of which this machine is a node. Start one with"
+            f"--address {address}: no Ray cluster answers ({type(error).__name__}); allowed are"
+            f" auto and HOST:PORT of a cluster of which this machine is a node. Start one with"
             f" `ray start --head`, or omit --address to use this machine alone."
         ) from None
 

@@ -1,0 +1,238 @@
+"""A sweep: its file, its rules, and real trainings on a real Ray, of which some are killed."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import polars as pl
+import pytest
+from scipy import stats
+
+from support import tailbeat, tailbeat_process
+from tailbeat.cluster import plan, summary, tune
+from tailbeat.cluster.plan import Trial
+from tailbeat.cluster.summary import TrialRow
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "sweep.toml"
+TINY = """
+hours = 1.0
+checkpoint_minutes = {checkpoint}
+[vary]
+fish = "pulley-fish-pool"
+recipe = "smoke"
+seed = {seeds}
+[recipe]
+window = 100_000 # never passed: every trial ends by its budget
+budget_hours = {hours}
+[trial]
+targets = 4
+arc = 20.0
+"""
+
+
+def tiny(folder: Path, seeds: int = 2, seconds: float = 4.0, checkpoint: float = 1.0) -> Path:
+    path = folder / "sweep.toml"
+    numbers = {"seeds": list(range(seeds)), "hours": seconds / 3600, "checkpoint": checkpoint / 60}
+    path.write_text(TINY.format(**numbers))
+    return path
+
+
+# ---- the file -----------------------------------------------------------------------------------
+
+
+def test_every_combination_is_a_trial_with_a_name_of_its_own(tmp_path):
+    path = tmp_path / "sweep.toml"
+    path.write_text(
+        EXAMPLE.read_text().replace("# [recipe] ", "[recipe]").replace("# batch", "batch")
+    )
+    made = plan.trials(plan.read(path))
+    assert len(made) == 2 * 3 * 2 == len({one.name for one in made})
+    assert made[0].name == "generator-batch-256-seed-0" and made[0].changed == {"batch": 256}
+    assert len({one.group for one in made}) == 4
+    assert {one.fish for one in made} == {"pulley-fish-pool"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("hours = 2.0", "hours = 0", "field hours = 0: input should be greater than 0"),
+        ("cores = 1", "core = 1", "field core is unknown"),
+        ("seed = [0, 1, 2]", 'seed = ["0"]', "field vary.seed.0 = '0'"),
+        ("seed = [0, 1, 2]", "seed = [1, 1]", "field seed: a value stands there twice"),
+        ('fish = "pulley-fish-pool"', "", "field vary.fish is missing"),
+        ('fish = "pulley-fish-pool"', 'fish = "nofish"', "nofish"),
+        ('actions = ["generator", "direct"]', 'actions = "turning"', "turning"),
+        ("[trial]", "[recipe]\nbatches = 3\n[trial]", "field recipe.batches is unknown"),
+        ("[trial]", "[recipe]\nbatch = 2.5\n[trial]", "field recipe.batch = 2.5"),
+        ("[trial]", "[recipe]\nbatch = 'x'\n[trial]", "field recipe.batch = 'x'"),
+        ("[vary]", "[vary", "not TOML"),
+    ],
+)
+def test_a_file_that_is_wrong_is_refused_before_anything_starts(tmp_path, old, new, said):
+    path, text = tmp_path / "sweep.toml", EXAMPLE.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    done = tailbeat("sweep", path, "--out", tmp_path / "out")
+    assert done.returncode == 2 and said in done.stderr
+    assert len(done.stderr.strip().split("\n")) == 1 and not (tmp_path / "out").exists()
+
+
+def test_a_fish_that_does_not_compile_names_its_trial(tmp_path):
+    fish = tmp_path / "bad.toml"
+    fish.write_text("name = 'bad'")
+    path = tmp_path / "sweep.toml"
+    path.write_text(EXAMPLE.read_text().replace('"pulley-fish-pool"', f'"{fish}"'))
+    done = tailbeat("sweep", path, "--out", tmp_path / "out")
+    assert done.returncode == 2 and "trial generator-seed-0: " in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "auto", "ray://127.0.0.1:10001", "nowhere"])
+def test_an_address_without_a_cluster_is_said_at_once(tmp_path, address, monkeypatch):
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    words = ("sweep", tiny(tmp_path), "--out", tmp_path / "out", "--address", address)
+    done = tailbeat_process(*words)
+    assert done.returncode == 2 and "no Ray cluster answers" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+# ---- rules --------------------------------------------------------------------------------------
+
+
+def test_no_trial_is_ended_for_its_success_in_the_first_stage():
+    assert tune.score({"stage": 1, "success": 0.1}) == tune.score({"stage": 1, "success": 0.9}) == 0
+    assert tune.score({"stage": 3, "success": 0.5}) == 2.5
+
+
+def row(name: str, passed: float, swum: float, updates: float = 100.0) -> TrialRow:
+    return TrialRow(name, "g", 0, "done", "", "", passed, 10, updates, 1.0, 200, swum, 50, swum)
+
+
+@pytest.mark.parametrize(
+    ("rows", "chosen"),
+    [
+        ([row("a", 9, 1.0), row("b", 10, 0.5)], "b"),
+        ([row("a", 10, 0.6), row("b", 10, 0.5)], "a"),
+        ([row("a", 10, 0.5, 20), row("b", 10, 0.5, 10)], "b"),
+        ([replace(row("a", 10, 1.0), state="failed"), row("b", 1, 0.0)], "b"),
+        ([], ""),
+    ],
+)
+def test_the_chosen_trial_follows_the_rule(rows, chosen):
+    assert summary._chosen(rows) == chosen
+
+
+def test_an_interval_over_seeds_is_that_of_their_mean():
+    rates = [0.9, 0.8, 1.0]
+    middle, low, high = summary.mean(rates, [50.0] * 3)
+    own = stats.ttest_1samp(rates, 0.0).confidence_interval(0.95)
+    assert (middle, low) == pytest.approx((0.9, own.low)) and high == 1.0
+    alone = summary.mean([0.9], [50.0])
+    assert alone == pytest.approx((0.9, *summary.wilson(45, 50)))
+
+
+# ---- real trainings -----------------------------------------------------------------------------
+
+
+def results(out: Path) -> dict[str, dict[str, float]]:
+    """What each trial's training came to."""
+    found = (out / "trials").glob("*/trained.json")
+    return {path.parent.name: json.loads(path.read_text()) for path in found}
+
+
+def wait_for(found, seconds: float = 60.0):
+    """Wait until `found()` is true; returns it."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        if value := found():
+            return value
+        time.sleep(0.2)
+    raise AssertionError("waited too long")
+
+
+def working(out: Path) -> list[int]:
+    """The processes that work in a sweep's trials."""
+    done = subprocess.run(["pgrep", "-f", f"cluster.trial {out.resolve()}"], capture_output=True)
+    return [int(word) for word in done.stdout.split()]
+
+
+@pytest.mark.long
+@pytest.mark.realtime
+def test_a_sweep_that_is_killed_goes_on_and_loses_nothing(tmp_path):
+    """Killed with -9 after a checkpoint, continued by --resume: both trials have had the time of
+    their budget, not more, and no process is left."""
+    path, out = tiny(tmp_path, seconds=6.0), tmp_path / "out"
+    words = [sys.executable, "-m", "tailbeat", "sweep", str(path), "--out", str(out)]
+    first = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    wait_for(lambda: len(list(out.glob("trials/*/run/checkpoint"))) == 2)
+    os.kill(first.pid, signal.SIGKILL)
+    first.wait()
+    wait_for(lambda: not working(out))
+    assert len(results(out)) < 2
+    other = tailbeat("sweep", tiny(tmp_path, seeds=3, seconds=6.0), "--out", out, "--resume")
+    assert other.returncode == 2 and "another sweep than in" in other.stderr
+    done = tailbeat_process("sweep", tiny(tmp_path, seconds=6.0), "--out", out, "--resume")
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
+    found = results(out)
+    assert sorted(found) == ["pulley-fish-pool-seed-0", "pulley-fish-pool-seed-1"]
+    assert all(6.0 <= one["seconds"] < 12.0 and one["stalled"] for one in found.values())
+    table = pl.read_parquet(out / "sweep.parquet")
+    assert table["state"].to_list() == ["done", "done"] and table["seed"].to_list() == [0, 1]
+    assert (out / "report.html").is_file() and not working(out)
+
+
+def test_a_worker_with_other_versions_is_refused(tmp_path):
+    """Before it starts anything; the sentence says what differs."""
+    config = {"out": str(tmp_path), "name": "a", "cores": 1}
+    other = tune.versions() | {"mujoco": "3.3.0"}
+    with pytest.raises(RuntimeError, match=r"mujoco 4\.0\.0, not 3\.3\.0: install the same"):
+        tune._work({**config, "versions": other})
+    assert not (tmp_path / "trials").exists()
+
+
+NODES = """
+import sys, time
+from pathlib import Path
+from ray.cluster_utils import Cluster
+from tailbeat.cluster import plan, tune
+made = plan.read(Path(sys.argv[1]))
+cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+second = cluster.add_node(num_cpus=1)
+tune.connect(cluster.address)
+out, killed = Path(sys.argv[2]), []
+def report(row):
+    if row.numbers and not killed and len(list(out.glob("trials/*/run/checkpoint"))) == 2:
+        killed.append(row.name)
+        cluster.remove_node(second, allow_graceful=False)
+        cluster.add_node(num_cpus=1)
+print(tune.swim(made, plan.trials(made), out, report), killed)
+"""
+
+
+@pytest.mark.slow
+def test_a_node_that_is_killed_loses_no_trial(tmp_path):
+    """Two nodes as processes of this machine, four trainings; one node is killed in the middle."""
+    path, out = tiny(tmp_path, seeds=4, seconds=20.0, checkpoint=2.0), tmp_path / "out"
+    (tmp_path / "nodes.py").write_text(NODES)
+    words = [sys.executable, str(tmp_path / "nodes.py"), str(path), str(out)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=500)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert done.stdout.strip().startswith("{} ['pulley-fish-pool-seed-"), done.stdout
+    found = results(out)
+    assert len(found) == 4
+    assert all(20.0 <= one["seconds"] < 30.0 for one in found.values())
+    made = plan.trials(plan.read(path))
+    assert summary.collect(out, made, {}).complete
+    assert not working(out)
+
+
+def test_a_trial_s_fields_are_those_of_a_sweep():
+    """A field that may vary and that no trial has would be ignored."""
+    own = set(Trial.__dataclass_fields__) - {"name", "group", "changed"}
+    assert own == set(plan.Varied.model_fields)
