@@ -117,7 +117,7 @@ def _check_same(file: Path, asked: "Sweep", out: Path) -> None:
         raise BadInput(f"{file}: another sweep than in {out}: {'; '.join(wrong)}.")
 
 
-def _swim(asked: "Sweep", made: Sequence["Trial"], out: Path, address: str | None) -> "SweepResult":
+def _swim(asked: "Sweep", made: Sequence["Trial"], out: Path) -> "SweepResult":
     """Swim what is not done; write table and page. Prints the rule before it begins."""
     from tailbeat.cluster import plan, summary, tune
     from tailbeat.report import sweep as page
