@@ -24,6 +24,9 @@ MAX_WIDE_FUNCTIONS = 5  # how many may have more parameters than usual
 EDGES = {
     f"tailbeat.{file}.{name}"
     for file, names in {
+        "cluster.plan": "as_row",
+        "cluster.summary": "write_table",
+        "cluster.tune": "_Told.on_trial_result",
         "control.policy": "Contract.training Contract.description",
         "env.vector_env": "FishVectorEnv.reset FishEnv.reset",
         "evaluate.replay": "as_json",
@@ -51,6 +54,7 @@ EDGES = {
         "report.following": "row",
         "report.html": "table values Block.rows",
         "report.identified": "page",
+        "report.sweep": "kind trial write",
         "report.tables": "as_rows",
         "report.tour": "rows",
         "robot.log": "read_rows Log.waiting Log.put Swim.rows",

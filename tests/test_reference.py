@@ -61,7 +61,7 @@ def test_a_verb_has_its_text_example_and_options(verb):
 
 
 def test_options_have_units_and_defaults():
-    text = pages()["verbs/learn.md"]
+    text = section("verbs/learn.md", "tailbeat train")
     assert row(text, "--hours")[:2] == ["number", "`12.0`"] and "\\[h\\]" in row(text, "--hours")[2]
     assert row(text, "--resume")[:2] == ["yes/no", "no"]
     assert "path ..." in row(section("verbs/identify-it.md", "tailbeat identify fluid"), "--fit")

@@ -4,7 +4,7 @@ import json as text
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -77,7 +77,7 @@ def _kept(
         )
     for one in made:
         try:
-            check_trial(asdict(one), asked, out / "trials" / one.name)
+            check_trial(one, asked, out / "trials" / one.name)
         except BadInput as error:
             raise BadInput(f"{file}: trial {one.name}: {error}") from None
     for fish in {one.fish for one in made if Path(one.fish).is_file()}:

@@ -92,7 +92,7 @@ class Trial:
     mess: str | None
     velocities: bool | None
     seed: int
-    changed: Mapping[str, Any]
+    changed: Mapping[str, float | str | bool]
 
 
 def read(path: Path) -> Sweep:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from tailbeat.cluster.plan import Evaluated, Sweep, Tried
+from tailbeat.cluster.plan import Evaluated, Sweep, Trial, Tried
 from tailbeat.control.policy import Policy, load_policy
 from tailbeat.env.curriculum import OPEN_WATER, Stage, settings_of
 from tailbeat.evaluate.evaluation import EvaluationConfig, evaluate
@@ -35,28 +35,28 @@ TRIAL, TRAINED, TRIED, RESULT = "trial.json", "trained.json", "tried.json", "res
 ENDED = 3  # exit code of a trial that was told to end; it goes on later
 
 
-def run_of(trial: dict[str, Any], sweep: Sweep, folder: Path) -> RunConfig:
-    """The training of a trial, given as its fields, in `folder/run`. Raises BadInput."""
-    recipe = replace(recipe_of(trial["recipe"], trial["task"]), **trial["changed"])
-    fish = with_servo(load_fish(trial["fish"]), trial["servo"])
-    binds = trial["binds"] or recipe.binds
-    mess = trial["mess"] or "clean"
+def run_of(trial: Trial, sweep: Sweep, folder: Path) -> RunConfig:
+    """The training of a trial in `folder/run`. Raises BadInput."""
+    changed: dict[str, Any] = dict(trial.changed)
+    recipe = replace(recipe_of(trial.recipe, trial.task), **changed)
+    fish = with_servo(load_fish(trial.fish), trial.servo)
+    mess = trial.mess or "clean"
     return RunConfig(
         fish,
         folder / "run",
         recipe,
-        action_space(trial["actions"], fish, binds, trial["floor"] or 0.0),
-        trial["seed"],
+        action_space(trial.actions, fish, trial.binds or recipe.binds, trial.floor or 0.0),
+        trial.seed,
         sweep.hours,
         checkpoint_minutes=sweep.checkpoint_minutes,
-        draws=factors_of(trial["fish"]) if trial["physics"] == "posterior" else None,
+        draws=factors_of(trial.fish) if trial.physics == "posterior" else None,
         errors=None if mess == "clean" else widths(level(mess)),
-        velocities=bool(trial["velocities"]),
-        yaw_rate="camera" if trial["imu"] == "none" else "imu",
+        velocities=bool(trial.velocities),
+        yaw_rate="camera" if trial.imu == "none" else "imu",
     )
 
 
-def check_trial(trial: dict[str, Any], sweep: Sweep, folder: Path) -> None:
+def check_trial(trial: Trial, sweep: Sweep, folder: Path) -> None:
     """Raises BadInput if a trial cannot be trained: its fish, its actions, its memory."""
     check(measured_run(run_of(trial, sweep, folder)), resume=(folder / "run").exists())
 
@@ -65,7 +65,8 @@ def swim(folder: Path) -> None:
     """Train, try and evaluate what `folder` describes, as far as it is not done. Raises BadInput;
     SystemExit with `ENDED` if it is told to end."""
     held = json.loads((folder / TRIAL).read_text(encoding="utf-8"))
-    sweep, trial = Sweep.model_validate(held["sweep"], strict=False), held["trial"]
+    sweep = Sweep.model_validate(held["sweep"], strict=False)
+    trial = Trial(**held["trial"])
     run = run_of(trial, sweep, folder)
     if not (folder / TRAINED).is_file():
         _train(run, folder)

@@ -177,6 +177,10 @@ class _Told(tune.Callback):
     def __init__(self, report: Report) -> None:
         self.report, self.failed = report, dict[str, str]()
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Nothing: Tune keeps a copy to restore itself from, which we do not use."""
+        return {}
+
     def on_trial_start(self, iteration: int, trials: Any, trial: Any, **_: Any) -> None:
         self.report(Row(trial.config["name"], "running", {}))
 
