@@ -71,6 +71,12 @@ def test_every_combination_is_a_trial_with_a_name_of_its_own(tmp_path):
         ("[trial]", "[recipe]\nbatch = 2.5\n[trial]", "field recipe.batch = 2.5"),
         ("[trial]", "[recipe]\nbatch = 'x'\n[trial]", "field recipe.batch = 'x'"),
         ("[vary]", "[vary", "not TOML"),
+        ("[vary]", "recipe = 3\n[vary]", "field recipe = 3"),
+        ("seed = [0, 1, 2]", "seed = -1", "field vary.seed.0 = -1"),
+        ("seed = [0, 1, 2]", "seed = []", "field vary.seed = ()"),
+        ("[trial]", "[recipe]\nbatch = []\n[trial]", "field recipe.batch = []"),
+        ('fish = "pulley-fish"', 'fish = "no-pool"', "no-pool"),
+        ('pool = "full"', 'pool = "sea"', "--pool 'sea'"),
     ],
 )
 def test_a_file_that_is_wrong_is_refused_before_anything_starts(tmp_path, old, new, said):
@@ -223,7 +229,7 @@ def test_a_node_that_is_killed_loses_no_trial(tmp_path):
     words = [sys.executable, str(tmp_path / "nodes.py"), str(path), str(out)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=500)
     assert done.returncode == 0, done.stderr[-3000:]
-    assert done.stdout.strip().startswith("{} ['pulley-fish-pool-seed-"), done.stdout
+    assert done.stdout.splitlines()[-1].startswith("{} ['pulley-fish-pool-seed-"), done.stdout
     found = results(out)
     assert len(found) == 4
     assert all(20.0 <= one["seconds"] < 30.0 for one in found.values())

@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, TypeAdapter, ValidationError
 
 from tailbeat.files import BadInput
 from tailbeat.train.recipes import RECIPES, TASKS, Recipe
@@ -38,7 +38,7 @@ class Varied(_Part):
     imu: tuple[Literal["bno055", "none"], ...] = ()
     mess: tuple[Literal["clean", "everyday", "rough", "wrecked"], ...] = ()
     velocities: tuple[bool, ...] = ()
-    seed: tuple[int, ...] = (0,)
+    seed: tuple[NonNegativeInt, ...] = Field(default=(0,), min_length=1)
 
 
 class Tried(_Part):
@@ -63,7 +63,7 @@ class Sweep(_Part):
     `retries` times. `scheduler` ends hopeless trials early."""
 
     vary: Varied
-    recipe: dict[str, list[Any]] = Field(default_factory=dict)
+    recipe: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field(default_factory=dict)
     trial: Tried = Field(default_factory=Tried)
     evaluate: Evaluated | None = None
     hours: float = Field(default=12.0, gt=0)
@@ -113,15 +113,14 @@ def read(path: Path) -> Sweep:
 
 def _as_tuples(held: dict[str, Any]) -> dict[str, Any]:
     """The file's lists below `vary` as tuples, and a single value as a list of one."""
-    vary = held.get("vary")
-    if not isinstance(vary, dict):
-        return held
-    return held | {
-        "vary": {k: tuple(v) if isinstance(v, list) else (v,) for k, v in vary.items()},
-        "recipe": {
-            k: v if isinstance(v, list) else [v] for k, v in dict(held.get("recipe", {})).items()
-        },
+    lists: dict[str, dict[str, Any]] = {
+        table: {k: v if isinstance(v, list) else [v] for k, v in own.items()}
+        for table in ("vary", "recipe")
+        if isinstance(own := held.get(table), dict)
     }
+    if "vary" in lists:
+        lists["vary"] = {k: tuple(v) for k, v in lists["vary"].items()}
+    return held | lists
 
 
 def _said(error: ValidationError) -> str:

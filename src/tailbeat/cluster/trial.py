@@ -20,7 +20,7 @@ import numpy as np
 from tailbeat.cluster.plan import Evaluated, Sweep, Trial, Tried
 from tailbeat.control.policy import Policy, load_policy
 from tailbeat.env.curriculum import OPEN_WATER, Stage, settings_of
-from tailbeat.evaluate.evaluation import EvaluationConfig, evaluate
+from tailbeat.evaluate.evaluation import EvaluationConfig, evaluate, waters_of
 from tailbeat.evaluate.reach import in_twin, reach
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import load_fish, with_servo
@@ -57,7 +57,11 @@ def run_of(trial: Trial, sweep: Sweep, folder: Path) -> RunConfig:
 
 
 def check_trial(trial: Trial, sweep: Sweep, folder: Path) -> None:
-    """Raises BadInput if a trial cannot be trained: its fish, its actions, its memory."""
+    """Raises BadInput if a trial cannot be trained or evaluated: its fish, its actions, its memory,
+    the pool's fish and waters."""
+    if sweep.evaluate is not None:
+        load_fish(sweep.evaluate.fish)
+        waters_of(sweep.evaluate.pool)
     check(measured_run(run_of(trial, sweep, folder)), resume=(folder / "run").exists())
 
 
