@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat.cli.evaluate import _share, _walls
+from tailbeat.cli.evaluate import _walls
 from tailbeat.control.actions import Generator
 from tailbeat.control.policy import load_policy
 from tailbeat.evaluate import (
@@ -19,6 +19,7 @@ from tailbeat.evaluate import (
     store,
 )  # fmt: skip
 from tailbeat.evaluate.compare import ComparisonConfig
+from tailbeat.evaluate.comparison import cell_path
 from tailbeat.evaluate.evaluation import Evaluation, EvaluationConfig
 from tailbeat.files import BadInput, plain, write_json
 from tailbeat.fish.store import load_fish
@@ -130,17 +131,16 @@ def test_a_page_of_runs_cut_short_says_so(evaluated, tmp_path):
 
 
 @pytest.mark.long
-def test_a_comparison_pairs_every_policy_with_its_twin_and_is_shared_between_processes(
-    tmp_path, monkeypatch
-):
+def test_a_comparison_pairs_every_policy_with_its_twin(tmp_path, monkeypatch):
     """In swims of six seconds: how far they come does not matter here."""
     real = compare.conditions_of
     monkeypatch.setattr(
         compare, "conditions_of", lambda *of: [replace(one, seconds=6.0) for one in real(*of)]
     )
     config = ComparisonConfig((POLICY,), targets=2)
-    for share in ((0, 2), (1, 2)):
-        found = compare.compare(config, tmp_path / "c", lambda *_: None, share)
+    for cell in compare.cells_of(config):
+        write_json(cell_path(tmp_path / "c", *cell), compare.swim_cell(config, *cell))
+    found = compare.conclude(tmp_path / "c")
     conditions = [row.condition for row in found.rows]
     assert sorted(conditions) == sorted(
         [
@@ -182,7 +182,9 @@ def test_a_policy_observes_in_every_cell_what_it_was_trained_with(name):
 def test_cells_of_an_earlier_version_are_read(tmp_path):
     """They said `arm`, and lacked three of the fractions of power."""
     config = ComparisonConfig((POLICY,), targets=2)
-    found = compare.compare(config, tmp_path, lambda *_: None, (0, 8))
+    first, *_ = compare.cells_of(config)
+    write_json(cell_path(tmp_path, *first), compare.swim_cell(config, *first))
+    found = compare.conclude(tmp_path)
     (path,) = (tmp_path / "cells").iterdir()
     held = json.loads(path.read_text())
     held["arm"] = held.pop("condition")
@@ -216,7 +218,5 @@ def test_what_does_not_fit_is_refused(evaluated, tmp_path):
             evaluation.conditions_of(where, ["reach", "track"])
     with pytest.raises(BadInput, match="folder is empty or missing"):
         of_folder(tmp_path / "nothing", "pulley-fish")
-    with pytest.raises(BadInput, match="--share '3/2'"):
-        _share("3/2")
     assert not (tmp_path / "a").exists()
     assert isinstance(SPACE, Generator)

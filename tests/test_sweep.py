@@ -151,6 +151,12 @@ def results(out: Path) -> dict[str, dict[str, float]]:
     return {path.parent.name: json.loads(path.read_text()) for path in found}
 
 
+def beginnings(out: Path) -> dict[str, int]:
+    """When each trial's training was begun; one that is begun anew writes its file again."""
+    found = (out / "trials").glob("*/run/run.json")
+    return {path.parent.parent.name: path.stat().st_mtime_ns for path in found}
+
+
 def wait_for(found, seconds: float = 60.0):
     """Wait until `found()` is true; returns it."""
     until = time.monotonic() + seconds
@@ -170,8 +176,8 @@ def working(out: Path) -> list[int]:
 @pytest.mark.long
 @pytest.mark.realtime
 def test_a_sweep_that_is_killed_goes_on_and_loses_nothing(tmp_path):
-    """Killed with -9 after a checkpoint, continued by --resume: both trials have had the time of
-    their budget, not more, and no process is left."""
+    """Killed with -9 after a checkpoint, continued by --resume: both trainings go on from there,
+    have had the time of their budget, not more, and no process is left."""
     path, out = tiny(tmp_path, seconds=6.0), tmp_path / "out"
     words = [sys.executable, "-m", "tailbeat", "sweep", str(path), "--out", str(out)]
     first = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -180,6 +186,7 @@ def test_a_sweep_that_is_killed_goes_on_and_loses_nothing(tmp_path):
     first.wait()
     wait_for(lambda: not working(out))
     assert len(results(out)) < 2
+    begun = beginnings(out)
     other = tailbeat("sweep", tiny(tmp_path, seeds=3, seconds=6.0), "--out", out, "--resume")
     assert other.returncode == 2 and "another sweep than in" in other.stderr
     done = tailbeat_process("sweep", tiny(tmp_path, seconds=6.0), "--out", out, "--resume")
@@ -188,6 +195,7 @@ def test_a_sweep_that_is_killed_goes_on_and_loses_nothing(tmp_path):
     found = results(out)
     assert sorted(found) == ["pulley-fish-pool-seed-0", "pulley-fish-pool-seed-1"]
     assert all(6.0 <= one["seconds"] < 12.0 and one["stalled"] for one in found.values())
+    assert beginnings(out) == begun
     table = pl.read_parquet(out / "sweep.parquet")
     assert table["state"].to_list() == ["done", "done"] and table["seed"].to_list() == [0, 1]
     assert (out / "report.html").is_file() and not working(out)

@@ -41,6 +41,11 @@ def threads() -> int:
     return int(told)
 
 
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def start(words: Sequence[str], **more: Any) -> "subprocess.Popen[Any]":
     """Start `python words` in its own session, so that Ctrl-C reaches only this process.
     `more` goes to `subprocess.Popen`."""

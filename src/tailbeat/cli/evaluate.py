@@ -15,7 +15,7 @@ from tailbeat.cli.options import (
     TwinOption,
 )
 from tailbeat.evaluate.names import NAMES
-from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.files import BadInput, need, refuse_existing, write_json
 from tailbeat.link.places import LARGEST, SMALLEST, is_pool
 from tailbeat.report.tables import as_rows
 
@@ -79,14 +79,6 @@ def _walls(text: str | None) -> tuple[float, float] | None:
     return length, width
 
 
-def _share(text: str) -> tuple[int, int]:
-    """`i/n` as an index from 0 and a count."""
-    first, _, count = text.partition("/")
-    if not (first.isdigit() and count.isdigit() and 1 <= int(first) <= int(count)):
-        raise BadInput(f"--share {text!r}: give i/n, from 1/n to n/n, one process each.")
-    return int(first) - 1, int(count)
-
-
 def compare(
     policies: Annotated[list[str], typer.Argument(help="Policies of several kinds and seeds.")],
     out: Annotated[
@@ -99,23 +91,27 @@ def compare(
     fish: PoolFish = "pulley-fish",
     twin: TwinOption = None,
     targets: Annotated[int, typer.Option(help="Number of targets in each cell.")] = 100,
-    share: Annotated[
-        str,
-        typer.Option(help="i/n: swim every n-th cell, from the i-th; n processes share the work."),
-    ] = "1/1",
+    address: Annotated[
+        str | None,
+        typer.Option(
+            help="Ray cluster with this machine in it: auto, or HOST:PORT. Default: no cluster."
+        ),
+    ] = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Compare policies in their twins and in the pool, with parts of its physics off. The
-    same command resumes an interrupted comparison."""
+    """Compare policies in their twins and in the pool, with parts of its physics off. Each core
+    swims a cell. The same command resumes an interrupted comparison."""
     if json is not None:
         refuse_existing(json)
+    if address is not None:
+        need("a cluster", "ray")
+    from tailbeat.cluster.comparison import compare as swim_cells
     from tailbeat.evaluate.compare import ComparisonConfig
-    from tailbeat.evaluate.compare import compare as swim_cells
 
-    config, mine = ComparisonConfig(tuple(policies), fish, twin, targets, seed), _share(share)
+    config = ComparisonConfig(tuple(policies), fish, twin, targets, seed)
     with progress.counting() as count:
-        done = swim_cells(config, out, count, mine)
+        done = swim_cells(config, out, count, address)
     results.compared(done)
     _page(out, fish, twin, done, json)
 

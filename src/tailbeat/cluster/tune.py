@@ -19,7 +19,7 @@ from typing import Any
 
 from tailbeat.cluster.plan import Sweep, Trial
 from tailbeat.files import BadInput, write_json
-from tailbeat.processes import end, end_with_parent, start
+from tailbeat.processes import cores, end, end_with_parent, start
 
 # Ray reads these when it is imported: our own table is shown, and no file that nobody reads.
 os.environ.setdefault("RAY_AIR_NEW_OUTPUT", "0")
@@ -50,15 +50,14 @@ class Row:
 Report = Callable[[Row], None]
 
 
-def connect(address: str | None, cores: int | None = None) -> None:
+def connect(address: str | None) -> None:
     """Connect to the cluster of which this machine is a node, or start Ray on this machine's cores.
     `address` is auto or HOST:PORT. Raises BadInput if nobody answers there."""
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
     logging.getLogger("ray").setLevel(logging.CRITICAL)  # we say in one line why a trial failed
     if address is None:
-        number = cores or len(os.sched_getaffinity(0))
         quiet |= {"include_dashboard": False, "object_store_memory": STORE}
-        ray.init(num_cpus=number, address="local", **quiet)
+        ray.init(num_cpus=cores(), address="local", **quiet)
         return
     try:
         _check_answers(address)

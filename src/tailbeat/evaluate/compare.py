@@ -4,7 +4,6 @@ Every policy swims to the same targets in its twin and under every condition of 
 water, the water without lag, stall or added inertia, another servo, and the ensemble.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,13 +16,13 @@ from tailbeat.control.policy import Policy, decide, load_policy
 from tailbeat.env.simulator import TwinSimulator
 from tailbeat.env.world import seeds_from
 from tailbeat.evaluate import store
-from tailbeat.evaluate.comparison import TWIN, Cell, Comparison, cell_path, read
+from tailbeat.evaluate.comparison import TWIN, Cell, Comparison, read
 from tailbeat.evaluate.evaluation import ENSEMBLE_SEED, POOLS
 from tailbeat.evaluate.rates import success
 from tailbeat.evaluate.runs import Runs, surge
 from tailbeat.evaluate.scenes import grid
 from tailbeat.evaluate.spectrum import power_shares, windows
-from tailbeat.evaluate.trial import CHUNK, Condition, Progress, part, pools, swim
+from tailbeat.evaluate.trial import CHUNK, Condition, part, pools, swim
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import load_fish
@@ -65,22 +64,33 @@ class Field:
     seed: int
 
 
-def compare(
-    config: ComparisonConfig, out: Path, progress: Progress, share: tuple[int, int] = (0, 1)
-) -> Comparison:
-    """Swim every policy under every condition of the pool, and read the numbers of all cells
-    present.
-
-    With `share` (i, n), only every n-th cell from the i-th is swum. Raises BadInput if a policy
-    does not fit.
-    """
+def cells_of(config: ComparisonConfig) -> list[tuple[str, str]]:
+    """Policy's name and condition of every cell. Raises BadInput if a policy does not fit."""
     if config.targets < 2:
         raise BadInput(f"--targets {config.targets}: give 2 or more.")
-    field = Field(load_fish(config.fish), config.targets, config.seed)
+    field = field_of(config)
     entrants = [_entrant(name, config.twin, field.fish) for name in config.policies]
     if len({one.name for one in entrants}) < len(entrants):
         raise BadInput("two policies have the same name; rename a file or its folder.")
-    run(entrants, field, out, share, progress)
+    return [(one.name, own.name) for one in entrants for own in conditions_of(one, field)]
+
+
+def swim_cell(config: ComparisonConfig, policy: str, condition: str) -> Cell:
+    """Swim a cell of `cells_of`."""
+    field = field_of(config)
+    (path,) = (name for name in config.policies if _label(name) == policy)
+    entrant = _entrant(path, config.twin, field.fish)
+    (own,) = (one for one in conditions_of(entrant, field) if one.name == condition)
+    return cell(entrant, own, field)
+
+
+def field_of(config: ComparisonConfig) -> Field:
+    """The pool's fish and the targets of a comparison. Raises BadInput."""
+    return Field(load_fish(config.fish), config.targets, config.seed)
+
+
+def conclude(out: Path) -> Comparison:
+    """The numbers of all cells in a folder; writes them into it."""
     found = read(out)
     write_json(out / "comparison.json", found, overwrite=True)
     return found
@@ -120,20 +130,6 @@ def conditions_of(entrant: Entrant, field: Field) -> list[Condition]:
         found.append(replace(full, name="ideal servo", servo=fish.servos[IDEAL]))
     found.append(replace(full, name="ensemble", water=pools(ensemble(POOLS, ENSEMBLE_SEED), n)))
     return found
-
-
-def run(
-    entrants: Sequence[Entrant], field: Field, out: Path, share: tuple[int, int], report: Progress
-) -> None:
-    """Swim the missing cells. With `share` (i, n), only every n-th from the i-th, so that n
-    processes swim all of them. Each cell is a file."""
-    cells = [(one, condition) for one in entrants for condition in conditions_of(one, field)]
-    mine = cells[share[0] :: share[1]]
-    for done, (entrant, condition) in enumerate(mine):
-        path = cell_path(out, entrant.name, condition.name)
-        if not path.is_file():
-            write_json(path, cell(entrant, condition, field))
-        report(f"{entrant.name}, {condition.name}", done + 1, len(mine))
 
 
 def cell(entrant: Entrant, condition: Condition, field: Field) -> Cell:

@@ -1,0 +1,45 @@
+"""The controlled comparison, its cells in many processes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tailbeat.cluster.jobs import map_jobs
+from tailbeat.evaluate.compare import ComparisonConfig, cells_of, conclude, swim_cell
+from tailbeat.evaluate.comparison import Comparison, cell_path
+from tailbeat.evaluate.trial import Progress
+from tailbeat.files import write_json
+
+
+@dataclass(frozen=True)
+class CellJob:
+    """A cell to swim: a policy's name, a condition, and the file to write."""
+
+    config: ComparisonConfig
+    policy: str
+    condition: str
+    path: Path
+
+
+def compare(
+    config: ComparisonConfig, out: Path, progress: Progress, address: str | None = None
+) -> Comparison:
+    """Swim every policy under every condition of the pool, each cell into a file, and read the
+    numbers of all cells in the folder `out`; those on disk are not swum again. With an `address`
+    the cells are swum on a Ray cluster, whose nodes must see `out` under the same path. Raises
+    BadInput if a policy does not fit."""
+    jobs = [
+        CellJob(config, policy, condition, path)
+        for policy, condition in cells_of(config)
+        if not (path := cell_path(out.resolve(), policy, condition)).is_file()
+    ]
+
+    def report(done: int, total: int) -> None:
+        progress("cells", done, total)
+
+    map_jobs(swim, jobs, report, address, preload=(__name__,))
+    return conclude(out)
+
+
+def swim(job: CellJob) -> None:
+    """Swim a cell, and write its file."""
+    write_json(job.path, swim_cell(job.config, job.policy, job.condition))

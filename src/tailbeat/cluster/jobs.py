@@ -1,0 +1,78 @@
+"""Independent jobs in many processes: of this machine, or as Ray tasks of a cluster."""
+
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from typing import Any, TypeVar
+
+from tailbeat.processes import cores, fork_server
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+Report = Callable[[int, int], None]  # jobs done, all jobs
+
+
+def map_jobs(
+    function: Callable[[Job], Result],
+    jobs: Sequence[Job],
+    report: Report,
+    address: str | None = None,
+    preload: Sequence[str] = (),
+) -> list[Result]:
+    """The results of `function` for every job, in their order; the same wherever it runs.
+
+    Without an `address` each core has a process, which imports the modules `preload` once; with it,
+    each job is a Ray task of one core. Function, jobs and results must be picklable. The first
+    error of a job ends all; Ctrl-C ends all.
+    """
+    swum: dict[int, Result] = {}
+    how = _in_ray(function, jobs, address) if address else _in_pool(function, jobs, preload)
+    for number, result in how:
+        swum[number] = result
+        report(len(swum), len(jobs))
+    return [swum[number] for number in range(len(jobs))]
+
+
+def _in_pool(
+    function: Callable[[Job], Result], jobs: Sequence[Job], preload: Sequence[str]
+) -> Iterator[tuple[int, Result]]:
+    """Number and result of each job, as they end."""
+    count = max(min(cores(), len(jobs)), 1)
+    pool = ProcessPoolExecutor(count, fork_server(preload), initializer=_deaf)
+    try:
+        numbers: dict[Future[Result], int] = {
+            pool.submit(function, job): number for number, job in enumerate(jobs)
+        }
+        left = set(numbers)
+        while left:
+            done, left = wait(left, return_when=FIRST_COMPLETED)
+            for one in done:
+                yield numbers[one], one.result()
+    finally:
+        workers = list((pool._processes or {}).values())  # public from Python 3.14 on
+        pool.shutdown(wait=False, cancel_futures=True)
+        for worker in workers:
+            worker.terminate()
+
+
+def _deaf() -> None:
+    """Leave Ctrl-C to the process that started this one, which ends it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _in_ray(
+    function: Callable[[Job], Result], jobs: Sequence[Job], address: str
+) -> Iterator[tuple[int, Result]]:
+    """Number and result of each job, as they end."""
+    from tailbeat.cluster import tune
+
+    tune.connect(address)
+    import ray
+
+    task: Any = ray.remote(num_cpus=1)(function)
+    numbers = {task.remote(job): number for number, job in enumerate(jobs)}
+    left = list(numbers)
+    while left:
+        done, left = ray.wait(left)
+        for one in done:
+            yield numbers[one], ray.get(one)

@@ -1,0 +1,107 @@
+"""Jobs in many processes: in order, as if swum alone; an error ends them; cells of a comparison."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tailbeat.cluster import comparison
+from tailbeat.cluster.jobs import map_jobs
+from tailbeat.evaluate.compare import ComparisonConfig, cells_of, swim_cell
+from tailbeat.evaluate.comparison import cell_path
+from tailbeat.files import BadInput, write_json
+
+POLICY = "pulley-fish-pool-generator"
+CONFIG = ComparisonConfig((POLICY,), targets=2)
+
+
+def slow_first(job: int) -> tuple[int, int]:
+    time.sleep(0.5 if job == 0 else 0.0)
+    return job, os.getpid()
+
+
+def refusing(job: int) -> int:
+    if job == 3:
+        raise BadInput(f"job {job} is wrong.")
+    return job
+
+
+def test_results_come_in_the_order_of_their_jobs_from_other_processes():
+    """The first job ends last."""
+    done: list[tuple[int, int]] = []
+    found = map_jobs(slow_first, range(6), lambda *row: done.append(row))
+    assert [job for job, _ in found] == list(range(6))
+    assert os.getpid() not in {pid for _, pid in found}
+    assert done == [(k, 6) for k in range(1, 7)]
+    assert map_jobs(slow_first, [], lambda *row: None) == []
+
+
+def test_the_first_error_ends_all_and_is_the_job_s_own():
+    with pytest.raises(BadInput, match="job 3 is wrong"):
+        map_jobs(refusing, range(50), lambda *row: None)
+
+
+INTERRUPTED = """
+import os, signal, sys, threading
+sys.path.insert(0, sys.argv[1])
+from test_jobs import slow
+from tailbeat.cluster.jobs import map_jobs
+threading.Timer(3.0, lambda: os.killpg(0, signal.SIGINT)).start()
+try:
+    map_jobs(slow, range(40), lambda *row: None)
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+"""
+
+
+def slow(job: int) -> None:
+    time.sleep(5.0)
+
+
+def test_ctrl_c_ends_all_processes_at_once():
+    """As a terminal sends it: to the whole group."""
+    words = [sys.executable, "-c", INTERRUPTED, str(Path(__file__).parent)]
+    done = subprocess.run(
+        words, capture_output=True, text=True, timeout=60, start_new_session=True
+    )  # it would wait for forty jobs
+    assert done.stdout == "interrupted\n" and "Traceback" not in done.stderr
+
+
+@pytest.mark.long
+def test_a_comparison_goes_on_and_its_cells_are_those_swum_alone(tmp_path):
+    """To the bit. A cell on disk is not swum again."""
+    out, (first, second, *_) = tmp_path / "c", cells_of(CONFIG)
+    write_json(cell_path(out, *first), {**vars(swim_cell(CONFIG, *first)), "targets": 7})
+    steps: list[int] = []
+    done = comparison.compare(CONFIG, out, lambda name, k, n: steps.append(n))
+    assert steps == [7] * 7 and len(done.rows) == 8
+    alone, path = tmp_path / "alone.json", cell_path(out, *second)
+    write_json(alone, swim_cell(CONFIG, *second))
+    assert alone.read_bytes() == path.read_bytes()
+    assert b'"targets": 7' in cell_path(out, *first).read_bytes()
+
+
+ON_RAY = """
+import sys
+from pathlib import Path
+from ray.cluster_utils import Cluster
+from tailbeat.cluster.comparison import compare
+from tailbeat.evaluate.compare import ComparisonConfig
+cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
+config = ComparisonConfig((sys.argv[1],), targets=2)
+compare(config, Path(sys.argv[2]), print, cluster.address)
+"""
+
+
+@pytest.mark.slow
+def test_a_comparison_on_a_cluster_is_that_of_this_machine(tmp_path):
+    words = [sys.executable, "-c", ON_RAY, POLICY, str(tmp_path / "ray")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=400)
+    assert done.returncode == 0, done.stderr[-3000:]
+    comparison.compare(CONFIG, tmp_path / "here", lambda *_: None)
+    for cell in cells_of(CONFIG):
+        there, here = (cell_path(tmp_path / name, *cell) for name in ("ray", "here"))
+        assert there.read_bytes() == here.read_bytes(), cell
