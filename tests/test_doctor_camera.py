@@ -57,6 +57,6 @@ def test_no_camera_and_no_calibration_are_one_finding_each(tmp_path):
     kept = tmp_path / "camera.json"
     write_calibration(kept, true_calibration())
     found = check_camera(f"unix:{tmp_path}/nothing", kept, IDS)
-    assert [one.verdict for one in found] == ["ok", "bad"] and "start the" in found[1].found
+    assert [one.verdict for one in found] == ["ok", "ok", "bad"] and "start the" in found[2].found
     lost = check_camera("/dev/video0", tmp_path / "none.json", IDS)
     assert [one.name for one in lost] == ["calibration"] and lost[0].verdict == "bad"

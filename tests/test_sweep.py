@@ -98,9 +98,9 @@ def test_a_fish_that_does_not_compile_names_its_trial(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1:1", "auto", "ray://127.0.0.1:10001", "nowhere"])
-def test_an_address_without_a_cluster_is_said_at_once(tmp_path, address, monkeypatch):
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:10001", "nowhere"])
+def test_an_address_without_a_cluster_is_said_at_once(tmp_path, address):
+    """Not tried: auto, which would find a cluster that another test started here."""
     words = ("sweep", tiny(tmp_path), "--out", tmp_path / "out", "--address", address)
     done = tailbeat_process(*words)
     assert done.returncode == 2 and "no Ray cluster answers" in done.stderr

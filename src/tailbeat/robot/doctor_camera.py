@@ -9,6 +9,7 @@ from tailbeat.files import BadInput
 from tailbeat.robot.findings import Finding, finding
 from tailbeat.vision.calibration import Calibration, read_calibration
 from tailbeat.vision.camera import CameraFault, Picture, open_camera
+from tailbeat.vision.sight import blind
 from tailbeat.vision.tracker import Sighting, Tracker
 
 WATCHED = 120  # frames: two seconds
@@ -25,6 +26,7 @@ DO = {
     "fish's tag": "check its id; show it whole, flat, without glare; run tailbeat track",
     "target's tag": "show it whole in view; or drag a target on the operator page",
     "size of the tags": "hang the camera lower, or print them larger",
+    "pool in view": "hang the camera higher or over the middle; a fish that swims there is lost",
 }
 
 
@@ -33,6 +35,8 @@ def check_camera(camera: str, calibration: Path, ids: tuple[int, int]) -> list[F
     try:
         made = read_calibration(calibration)
         found = [finding("calibration", f"of {made.made}, {1e3 * made.hung.rms:.1f} mm rms")]
+        strips, name = blind(made), "pool in view"
+        found.append(finding(name, strips or "all of it", warn=bool(strips), do=DO[name]))
     except BadInput as error:
         return [finding("calibration", str(error), bad=True, do=DO["calibration"])]
     try:

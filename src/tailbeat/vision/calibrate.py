@@ -15,6 +15,7 @@ from tailbeat.link.places import POOL
 from tailbeat.vision.calibration import Calibration, write_calibration
 from tailbeat.vision.camera import CameraFault, open_camera
 from tailbeat.vision.detector import open_detector
+from tailbeat.vision.sight import blind
 from tailbeat.vision.survey import board_corners, fit_lens, hang, read_survey
 from tailbeat.vision.tags import Tag, board_of
 
@@ -80,6 +81,8 @@ def calibrate(
     fixed = {point.tag: point.place for point in points if point.tag is not None}
     made = Calibration(lens, hung, fish, target, pool=sheet.pool, fixed=fixed,
                        provenance=provenance)  # fmt: skip
+    if strips := blind(made):
+        say(f"{strips}; hang the camera higher or over the middle, and calibrate again")
     write_calibration(out, made)
     return CalibrationResult(
         file=str(out), views=len(images), lens_rms_px=lens.rms,

@@ -18,6 +18,7 @@ from tailbeat.link.datagrams import Frame
 from tailbeat.vision.calibration import Calibration
 from tailbeat.vision.detector import Detector, Seen, open_detector
 from tailbeat.vision.fixed import FixedTags
+from tailbeat.vision.sight import EDGE
 from tailbeat.vision.tags import FISH, TARGET, Tag
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ class TrackerLimits:
 
     mended: int = 1  # corrected bits of 36; two tags differ in 11
     margin: float = 15.0  # decision margin; blur and glare lower it
-    edge: float = 4.0  # px from the picture's edge within which corners may be wrong
+    edge: float = EDGE  # px from the picture's edge within which corners may be wrong
     size: float = 0.25  # largest relative error of the mean side
     square: float = 0.25  # largest relative difference of two sides or diagonals
     speed: float = 3.0  # m/s
