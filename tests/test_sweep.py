@@ -14,9 +14,10 @@ import pytest
 from scipy import stats
 
 from support import tailbeat, tailbeat_process
-from tailbeat.cluster import plan, summary, tune
+from tailbeat.cluster import plan, summary, trial, tune
 from tailbeat.cluster.plan import Trial
 from tailbeat.cluster.summary import TrialRow
+from tailbeat.files import write_json
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "sweep.toml"
 TINY = """
@@ -199,6 +200,17 @@ def test_a_sweep_that_is_killed_goes_on_and_loses_nothing(tmp_path):
     table = pl.read_parquet(out / "sweep.parquet")
     assert table["state"].to_list() == ["done", "done"] and table["seed"].to_list() == [0, 1]
     assert (out / "report.html").is_file() and not working(out)
+
+
+def test_a_training_that_was_over_when_its_trial_was_killed_is_not_continued(tmp_path):
+    """It would be refused, because it has passed its stages, or given a second budget."""
+    made, folder = plan.read(tiny(tmp_path)), tmp_path / "a"
+    run = trial.run_of(plan.trials(made)[0], made, folder)
+    curve = {"finished": False, "stalled": True, "seconds": 4.0, "history": [], "promotions": []}
+    write_json(run.out / "curve.json", curve)
+    trial._train(run, folder)
+    assert json.loads((folder / "trained.json").read_text())["seconds"] == 4.0
+    assert [path.name for path in run.out.iterdir()] == ["curve.json"]
 
 
 def test_a_worker_with_other_versions_is_refused(tmp_path):

@@ -27,7 +27,8 @@ from tailbeat.fish.store import load_fish, with_servo
 from tailbeat.identify.posterior import factors_of
 from tailbeat.pool.mess import level, widths
 from tailbeat.train.config import RunConfig, action_space, check, measured_run
-from tailbeat.train.progress import Progress, TrainingRow
+from tailbeat.train.expect import FEWER, FISH, SECONDS, of_file
+from tailbeat.train.progress import TrainingRow
 from tailbeat.train.recipes import recipe_of
 from tailbeat.train.train import train
 
@@ -84,7 +85,31 @@ def swim(folder: Path) -> None:
 
 
 def _train(run: RunConfig, folder: Path) -> None:
-    """Train from the last checkpoint, or from the start."""
+    """Train until all stages are passed, one stalls or the hours are over; a training that is over
+    is not continued."""
+    course, used = _course(run), 0.0
+    if not _over(course):
+        used = _learn(run)
+        course = _course(run)
+    if not _over(course) and used < 0.99 * 3600 * run.hours:
+        sys.exit(ENDED)
+    if course["finished"] and run.space().kind != "turning":
+        _expect(run)
+    write_json(folder / TRAINED, _numbers(course, run))
+
+
+def _course(run: RunConfig) -> dict[str, Any]:
+    """What a training wrote at its end; empty before."""
+    path = run.out / "curve.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+
+
+def _over(course: dict[str, Any]) -> bool:
+    return bool(course and (course["finished"] or course["stalled"]))
+
+
+def _learn(run: RunConfig) -> float:
+    """Train from the last checkpoint, or from the start; returns how long [s]."""
     resume = any((run.out / name).is_dir() for name in ("checkpoint", "checkpoint.old"))
     if not resume:
         shutil.rmtree(run.out, ignore_errors=True)  # it ended before its first checkpoint
@@ -95,21 +120,27 @@ def _train(run: RunConfig, folder: Path) -> None:
         say(updates=row.updates, stage=row.stage, success=row.success, seconds=row.seconds)
 
     course = train(run, resume, report)
-    used = course.seconds - (began[0] if began else 0.0)
-    if not (course.finished or course.stalled) and used < 0.99 * 3600 * run.hours:
-        sys.exit(ENDED)
-    write_json(folder / TRAINED, _numbers(course, run))
+    return course.seconds - (began[0] if began else 0.0)
 
 
-def _numbers(course: Progress, run: RunConfig) -> dict[str, Any]:
-    last = course.history[-1] if course.history else None
+def _expect(run: RunConfig) -> None:
+    """Write what the policy's swims look like into its file, as `tailbeat train` does."""
+    size = FEWER if run.recipe.name == "smoke" else (FISH, SECONDS)
+    try:
+        of_file(str(run.out / "policy.onnx"), size=size)
+    except BadInput as error:
+        print(f"{error} `drive` has no sign test for it.", file=sys.stderr)
+
+
+def _numbers(course: dict[str, Any], run: RunConfig) -> dict[str, Any]:
+    last = course["history"][-1] if course["history"] else {}
     return {
-        "stages_passed": course.passed(),
+        "stages_passed": len({row["name"] for row in course["promotions"]}),
         "stages": len(run.recipe.stages),
-        "finished": course.finished,
-        "stalled": course.stalled,
-        "seconds": course.seconds,
-        "updates": last.updates if last else 0,
+        "finished": course["finished"],
+        "stalled": course["stalled"],
+        "seconds": course["seconds"],
+        "updates": last.get("updates", 0),
     }
 
 
