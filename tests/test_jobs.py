@@ -45,14 +45,19 @@ def test_the_first_error_ends_all_and_is_the_job_s_own():
 
 
 INTERRUPTED = """
-import os, signal, sys, threading
+import os, signal, sys, threading, time
 sys.path.insert(0, sys.argv[1])
 from test_jobs import slow
 from tailbeat.cluster.jobs import map_jobs
-threading.Timer(3.0, lambda: os.killpg(0, signal.SIGINT)).start()
+def press():
+    for _ in range(20):  # it is not heard while the processes start
+        time.sleep(1.0)
+        os.killpg(0, signal.SIGINT)
+threading.Thread(target=press, daemon=True).start()
 try:
     map_jobs(slow, range(40), lambda *row: None)
 except KeyboardInterrupt:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     print("interrupted", flush=True)
 """
 

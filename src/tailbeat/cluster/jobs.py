@@ -3,6 +3,7 @@
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from tailbeat.processes import cores, fork_server
@@ -38,11 +39,13 @@ def _in_pool(
 ) -> Iterator[tuple[int, Result]]:
     """Number and result of each job, as they end."""
     count = max(min(cores(), len(jobs)), 1)
-    pool = ProcessPoolExecutor(count, fork_server(preload), initializer=_deaf)
+    with _deafened():
+        pool = ProcessPoolExecutor(count, fork_server(preload), initializer=_deaf)
     try:
-        numbers: dict[Future[Result], int] = {
-            pool.submit(function, job): number for number, job in enumerate(jobs)
-        }
+        with _deafened():
+            numbers: dict[Future[Result], int] = {
+                pool.submit(function, job): number for number, job in enumerate(jobs)
+            }
         left = set(numbers)
         while left:
             done, left = wait(left, return_when=FIRST_COMPLETED)
@@ -53,6 +56,16 @@ def _in_pool(
         pool.shutdown(wait=False, cancel_futures=True)
         for worker in workers:
             worker.terminate()
+
+
+@contextmanager
+def _deafened() -> Iterator[None]:
+    """Ignore Ctrl-C while processes start: they inherit that, and none is left half started."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _deaf() -> None:
