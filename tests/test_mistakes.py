@@ -5,15 +5,26 @@ import pytest
 
 pytest.importorskip("cv2", reason="the robot extra is not installed")
 
+from camera_views import FISH as TAG
+from camera_views import TARGET, true_calibration
 from support import complaint
-from tailbeat.emulators.mistakes import Mistakes
+from tailbeat.emulators.camera import Renderer, calm
+from tailbeat.emulators.camera_process import start_camera
+from tailbeat.emulators.film import Filming
+from tailbeat.emulators.mistakes import Mistakes, miscalibrated
+from tailbeat.emulators.optics import Optics, project
 from tailbeat.emulators.plant_shaft import PlantShaft
-from tailbeat.emulators.rig import close_rig, open_rig
+from tailbeat.emulators.rig import close_rig, open_filmed_rig, open_rig
+from tailbeat.emulators.watchers import Above
 from tailbeat.env import errors
 from tailbeat.env.errors import Errors
 from tailbeat.env.sensors import quiet
 from tailbeat.fish.store import load_fish
-from tailbeat.pool.mess import Lab
+from tailbeat.link.places import POOL
+from tailbeat.pool.mess import Lab, level
+from tailbeat.pool.mess import draw as draw_lab
+from tailbeat.vision.tracker import Tracker
+from test_tracker import film
 
 FISH = load_fish("pulley-fish")
 WRONG = Errors(horn=0.1, encoder=0.02, ahead=0.02, left=0.01, askew=0.1, scale=0.03, dark=0.3)
@@ -57,6 +68,42 @@ def test_a_gyro_s_heading_is_the_integral_of_its_rate():
     assert np.allclose(np.gradient(heading, 0.01)[1:-1], rate[1:-1], atol=1e-4)
     assert rate[0] == pytest.approx(0.1) and rate[-1] == pytest.approx(0.15)
     assert Mistakes().gyro(10.0) == (0.0, 0.0) and not Mistakes().hidden(10.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_wrong_calibration_reads_true_pixels_as_the_lab_s_errors_say(seed):
+    wrong = draw_lab(level("everyday"), [seed]).errors
+    half = np.array(POOL) / 2
+    places = np.stack(np.meshgrid(*[np.linspace(-h, h, 9) for h in half]), axis=-1).reshape(-1, 2)
+    pixels = project(Optics(), np.column_stack([places, np.full(len(places), TAG.height)]))
+    read = miscalibrated(true_calibration(), wrong).places(pixels, TAG.height)
+    asked = errors.seen(errors.rows([wrong]), places)
+    off = np.linalg.norm(read - asked, axis=1).max()
+    size = np.linalg.norm(asked - places, axis=1).max()
+    assert size > 0.01 and off < 0.15 * size
+    right = miscalibrated(true_calibration(), errors.NONE).places(pixels, TAG.height)
+    assert np.allclose(right, places, atol=1e-4)
+
+
+def test_a_camera_with_a_wrong_scale_sees_the_tag_at_a_wall_and_the_tracker_reads_it_wrong(
+    tmp_path,
+):
+    """The emulated picture showed the tag where the wrong calibration put it: outside."""
+    wrong = Errors(ahead=0.02, askew=0.1, scale=0.06, turn=0.05)
+    eye = start_camera(tmp_path / "eye", Filming())
+    made = open_filmed_rig(FISH, eye, (-1.0, 0.5), lab=Lab(errors=wrong))
+    try:
+        made.shaft.put(at := (1.2, POOL[1] / 2 - 0.05, 0.1))
+        assert isinstance(made.watch, Above)
+        scene = made.watch._scene(made.shaft, 0.0)
+    finally:
+        close_rig(made)
+    tracker = Tracker(miscalibrated(true_calibration(), wrong))
+    seen = film(tracker, Renderer(Optics(), calm(), TAG, TARGET), [scene] * 4)[-1].frame
+    row = errors.rows([wrong])
+    assert seen.fish is not None and seen.target is not None
+    assert np.allclose(seen.fish, errors.filmed(row, np.array([at]))[0], atol=0.01)
+    assert np.allclose(seen.target, errors.seen(row, np.array([[-1.0, 0.5]]))[0], atol=0.01)
 
 
 def test_an_unknown_mess_is_refused_by_the_verbs_that_take_one(tmp_path):

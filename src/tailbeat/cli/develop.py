@@ -43,7 +43,8 @@ def emulate(
     seed: SeedOption = 0,
 ) -> None:
     """Emulate servo, IMU and camera of a fish in real time. Servo and IMU are on pseudo-terminals.
-    Poses are sent over the network, or `tailbeat station --camera` finds them in pictures."""
+    Poses are sent over the network, or `tailbeat station --camera` finds them in pictures. Pictures
+    are true: a messy lab's scale, rotation and lens are errors of its calibration."""
     if camera is None and (key is None or not robot):
         raise BadInput("emulate: give --key and --robot for poses, or --camera for pictures.")
     need_robot()

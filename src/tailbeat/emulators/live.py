@@ -22,12 +22,15 @@ from typing import Any
 
 from tailbeat.emulators.film import Filming
 from tailbeat.emulators.lab import pictures
+from tailbeat.emulators.mistakes import miscalibrated
 from tailbeat.files import BadInput
 from tailbeat.link import datagrams as link
 from tailbeat.link.places import TARGET
 from tailbeat.operator.target_path import PathAsked
+from tailbeat.pool.mess import lab_at
 from tailbeat.processes import end, start_verb, temporary
 from tailbeat.vision import calibrate as calibration
+from tailbeat.vision.calibration import read_calibration, write_calibration
 from tailbeat.vision.tags import Board
 
 Say = Callable[[str], None]
@@ -40,8 +43,9 @@ HUNG = 5.0  # s without a sign of life of the station, which gives four a second
 ASIDE = "-2.5,1.15"
 
 
-def calibrate(folder: Path, seed: int, say: Say) -> Path:
-    """Calibrate as a lab does before its first swim: film a board and tags in the water."""
+def calibrate(folder: Path, seed: int, mess: str, say: Say) -> Path:
+    """Calibrate as a lab does before its first swim: film a board and tags in the water. A messy
+    lab's calibration is as wrong as `mess` and `seed` say. Raises BadInput."""
     say(f"calibrating the camera: {VIEWS} views of a board, tags in the water")
     pictures(folder / "lab", VIEWS, seed)
     filming = Filming()
@@ -50,7 +54,9 @@ def calibrate(folder: Path, seed: int, say: Say) -> Path:
     made = folder / "camera.json"
     done = calibration.calibrate(views, Path(survey), pool, sheet, made, VIEWS, lambda _: None)
     say(f"lens {done.lens_rms_px:.2f} px, place {done.place_rms_mm:.1f} mm rms")
-    return made
+    wrong = miscalibrated(read_calibration(made), lab_at(mess, seed).errors)
+    write_calibration(folder / "used.json", wrong)
+    return folder / "used.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +181,7 @@ def _run(chain: Chain, leads: list[str], say: Say) -> None:
         folder, fish, out = Path(name), chain.fish, chain.out
         key = folder / "fish.key"
         link.make_key(key)
-        made = calibrate(folder, chain.seed, say)
+        made = calibrate(folder, chain.seed, chain.mess, say)
         rig, ports = bench(chain, folder, stack)
         robot, station = ("{}:{}".format(*link.free_address()) for _ in range(2))
         drive = ["drive", chain.policy, "--servo", ports["servo"], "--imu", ports["imu"]]

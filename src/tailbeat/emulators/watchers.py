@@ -114,12 +114,13 @@ class Above:
             self.camera.show(self.ahead.popleft()[1])
 
     def _scene(self, shaft: PlantShaft, seconds: float) -> Scene:
-        """What the camera films; while frames are lost, no tag of the fish."""
+        """What the camera films: the tag as it is glued; while frames are lost, no tag of the
+        fish."""
         q, v, mistakes = shaft.state.q[0], shaft.state.v[0], shaft.mistakes
-        x, y, yaw = mistakes.filmed(shaft.pose).tolist()
+        x, y, yaw = mistakes.tag(shaft.pose).tolist()
         speed = float(v[0]), float(v[1]), float(v[2])
         fish = None if mistakes.hidden(seconds) else (x, y, yaw)
-        return Scene(fish, speed, outline(shaft.fish, q), (*mistakes.seen(self.tag), 0.0))
+        return Scene(fish, speed, outline(shaft.fish, q), (*self.tag, 0.0))
 
     def close(self) -> None:
         """End the camera."""
