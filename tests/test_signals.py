@@ -114,6 +114,7 @@ SPOILT: dict[str, Callable[[np.ndarray], Any]] = {
     "turning": lambda w: biased(w, 0.5),
     "drifting": lambda w: camera_drifts(w, 0.03),
     "stroke": lambda w: w[:, at.ANGLE].__imul__(0.3),
+    "weakening": lambda w: w[-100:, at.ANGLE].__imul__(0.5),
     "recoil": lambda w: w[:, at.RATE].__imul__(0.1),
     "progress": lambda w: w[:, at.X : at.Y + 1].__imul__(0.0),
     "same": lambda w: w[-40:, at.X : at.YAW + 1].__setitem__(slice(None), w[-1, at.X : at.YAW + 1]),
@@ -185,6 +186,24 @@ def test_tendons_that_are_cut_on_a_tour_are_told_within_three_seconds(known):
     told = [bool(one[-1]) for one in said]
     assert sum(beating) >= 17 and sum(told) >= 18
     assert sum(t for t, b in zip(told, beating, strict=True) if b) == sum(beating)
+
+
+def test_setpoints_that_are_halved_on_a_tour_are_told_by_the_robot_s_own_stroke_before(known):
+    """At one moment of twenty tours. A saturated servo moves four fifths of its stroke even so,
+    which an everyday lab's does too: those are not told. (10 are, 4 without this check.)"""
+    world, steps = pool(20, POLICY.contract.actions, CUT + WITHIN, POOL), [0]
+    sound = world.simulator.advance
+
+    def weak(setpoints, pushes):
+        steps[0] += 1
+        return sound(setpoints * (0.5 if steps[0] > CUT / PERIOD else 1.0), pushes)
+
+    world.simulator.advance = weak
+    rows = expect.rows(known, tours(lambda seen: decide(POLICY, seen), world, 3))
+    said = [look(known, fish) for fish in rows]
+    assert not any(any(one[: round(CUT / PERIOD)]) for one in said)
+    assert sum(any(one) for one in said) >= 8
+    assert sum(any("moved before" in words for words in one) for one in said) >= 6
 
 
 def look(known: Expected, fish: np.ndarray) -> list[str]:

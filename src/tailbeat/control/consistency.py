@@ -25,7 +25,7 @@ TIME, ANGLE, MODELLED, RATE, TURNED, STAMP, X, Y, YAW, TARGET = range(10)
 SPAN = 2.0  # s of most statistics
 SHORT = 1.0  # s of the stroke, which varies little, and of the target's wandering
 NEWEST, LONGEST = 2.5, 20.0  # s: the camera's drift in the newest, compared with all before
-EARLIER = 5.0  # s that the earlier part must last
+EARLIER = 5.0  # s that the earlier part must last, of the drift and of the stroke
 END = 0.2  # s over which a place is averaged at both ends of a window
 FEWEST = 10  # frames for a slope
 STRAIGHT = 1.0  # s over which a course is compared with the heading: several beats
@@ -37,16 +37,18 @@ class Signs:
     """Statistics of a window; NaN where there is nothing to compare.
 
     `turning` [rad/s]: the camera's turning minus the IMU's. `drifting` [rad/s]: the same in the
-    newest 2.5 s, minus its value before. `stroke`: motor angle over the modelled one. `recoil`:
-    yaw rate over the one that the motor angle predicts. `progress` [m]: speed over the rms of the
-    motor velocity. `same`: newest camera frames in a row with equal poses. `wander` [m]: the
-    target's path within a second, without its displacement. `course` [rad]: the direction in which
-    the tag moves, seen from its heading, positive to the left; NaN while the fish is slow.
+    newest 2.5 s, minus its value before. `stroke`: motor angle over the modelled one; `weakening`:
+    the same in the newest 2 s, over its value before. `recoil`: yaw rate over the one that the
+    motor angle predicts. `progress` [m]: speed over the rms of the motor velocity. `same`: newest
+    camera frames in a row with equal poses. `wander` [m]: the target's path within a second,
+    without its displacement. `course` [rad]: the direction in which the tag moves, seen from its
+    heading, positive to the left; NaN while the fish is slow.
     """
 
     turning: float = float("nan")
     drifting: float = float("nan")
     stroke: float = float("nan")
+    weakening: float = float("nan")
     recoil: float = float("nan")
     progress: float = float("nan")
     same: float = float("nan")
@@ -66,6 +68,8 @@ def sign(name: str, window: Array, expected: Expected, least_speed: float = LEAS
     """One statistic of a window, by its name in `Signs`. `least_speed` [m/s]: of a course."""
     if name == "drifting":
         return drifting(window)
+    if name == "weakening":
+        return weakening(window, expected)
     recent = since(window, SHORT if name in ("stroke", "wander") else SPAN)
     match name:
         case "turning":
@@ -108,6 +112,16 @@ def drifting(window: Array) -> float:
 def stroke(window: Array, expected: Expected) -> float:
     """Gain of the motor angle over the modelled one; NaN while the tail does not beat."""
     return gain(window[:, ANGLE], window[:, MODELLED], expected.least_angle)
+
+
+def weakening(window: Array, expected: Expected) -> float:
+    """`stroke` in the newest 2 s, over the same before, which leaves a weak servo out. NaN until
+    5 s came before, or while the tail does not beat."""
+    begin = window[-1, TIME] - SPAN
+    if begin - window[0, TIME] < EARLIER:
+        return float("nan")
+    new = window[:, TIME] > begin
+    return stroke(window[new], expected) / stroke(window[~new], expected)
 
 
 def recoil(window: Array, expected: Expected) -> float:

@@ -43,6 +43,7 @@ NUMBERS = {
     "signal_turning": "the camera's turning minus the IMU's, over 2 s [rad/s]",
     "signal_drifting": "the same over 2.5 s, minus the time before [rad/s]",
     "signal_stroke": "motor angle over the one that its setpoints lead to",
+    "signal_weakening": "the same over 2 s, over its value before",
     "signal_recoil": "yaw rate over the one that the motor angle leads to",
     "signal_progress": "speed over the rms of the motor velocity [m]",
     "signal_same": "equal poses in a row",
