@@ -50,7 +50,7 @@ sys.path.insert(0, sys.argv[1])
 from test_jobs import slow
 from tailbeat.cluster.jobs import map_jobs
 def press():
-    for _ in range(20):  # it is not heard while the processes start
+    while True:  # it is not heard while the processes start
         time.sleep(1.0)
         os.killpg(0, signal.SIGINT)
 threading.Thread(target=press, daemon=True).start()

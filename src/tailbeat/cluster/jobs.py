@@ -52,15 +52,17 @@ def _in_pool(
             for one in done:
                 yield numbers[one], one.result()
     finally:
-        workers = list((pool._processes or {}).values())  # public from Python 3.14 on
-        pool.shutdown(wait=False, cancel_futures=True)
-        for worker in workers:
-            worker.terminate()
+        with _deafened():  # a second Ctrl-C would leave processes behind
+            workers = list((pool._processes or {}).values())  # public from Python 3.14 on
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in workers:
+                worker.terminate()
 
 
 @contextmanager
 def _deafened() -> Iterator[None]:
-    """Ignore Ctrl-C while processes start: they inherit that, and none is left half started."""
+    """Ignore Ctrl-C while processes start or end: they inherit that, and none is left half
+    started."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
