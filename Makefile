@@ -18,7 +18,7 @@ ARGS ?=
 PAGES := README.md CHANGELOG.md CONTRIBUTING.md SECURITY.md docs
 
 .DEFAULT_GOAL := help
-.PHONY: help mutation swim benchmark results docs test tests check format browser clean
+.PHONY: help mutation thorough swim benchmark results docs test tests check format browser clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /\1\t/' | expand -t 10
@@ -44,6 +44,9 @@ test: browser  ## check and, at the same time, every test that is neither slow n
 tests: $(READY)
 	$(VENV)/bin/pytest -n auto --no-loadscope-reorder $(ARGS) || \
 	{ test $$? = 1 && $(VENV)/bin/pytest --last-failed --last-failed-no-failures none --again; }
+
+thorough: browser $(READY)  ## the tests that take longer than all of `make test` leaves time for
+	$(VENV)/bin/pytest -n auto --no-loadscope-reorder -m thorough $(ARGS)
 
 mutation: $(READY)  ## change the code in one place at a time; which changes does no test notice? (half an hour)
 	$(VENV)/bin/python tests/mutation.py $(ARGS)

@@ -94,9 +94,9 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 class TogetherOrApart(LoadScopeScheduling):
     """Which tests one process of `pytest -n` runs together, told by their files.
 
-    Those that measure time, one after another, in two groups: `realtime` and `realtime("robot")`,
-    the second with whole robots that break; and those of a file with a fixture of module scope,
-    which is then made once. The others go to whichever process is idle.
+    Those that measure time, one after another, in two groups that take about as long: `realtime`
+    and `realtime("robot")`, the second with robots that break or hang; and those of a file with a
+    fixture of module scope, which is then made once. The others go to whichever process is idle.
     """
 
     def _split_scope(self, nodeid: str) -> str:

@@ -36,7 +36,7 @@ from tailbeat.operator.station import Station, _turns
 from tailbeat.vision import tracking
 from tailbeat.vision.tracking import TrackerProcess, start_tracker
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime("robot")
 
 KEY, ROOM = bytes(32), (5.5, 2.7)
 DESCRIBED = load_fish("pulley-fish")

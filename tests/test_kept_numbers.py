@@ -22,36 +22,40 @@ from tailbeat.report import bench_figures
 from test_tail import TRUTH, bench_42
 
 FISH = load_fish("pulley-fish")
-MEASURED = identify_tail(bench_42(0))
 
 
-def test_an_undecided_damping_leaves_the_described_one():
+@pytest.fixture(scope="module")
+def measured():
+    return identify_tail(bench_42(0))
+
+
+def test_an_undecided_damping_leaves_the_described_one(measured):
     """Found on a small fish: -0.0002 N m s/rad wrote 0 over 12 ms, and Euler diverged on it."""
-    doubtful = replace(MEASURED, c_eff=Estimate(-2e-4, (-9e-4, 5e-4), "N m s/rad"))
+    doubtful = replace(measured, c_eff=Estimate(-2e-4, (-9e-4, 5e-4), "N m s/rad"))
     found = combine(FISH, doubtful, None, None)
     assert found.damping_time == FISH.tail.damping_time > 0
     written = toml_values(found, ["sweep"])["tail.damping_time"]
     assert isinstance(written, dict) and written["value"] == FISH.tail.damping_time
     assert written["source"].startswith("as described") and "do not decide" in written["source"]
-    measured = toml_values(combine(FISH, MEASURED, None, None), ["sweep"])["tail.damping_time"]
-    assert isinstance(measured, dict)
-    assert measured["value"] == pytest.approx(TRUTH.c_eff / TRUTH.k_eff, rel=0.05)
-    assert measured["source"] == "identified on sweep"
+    written = toml_values(combine(FISH, measured, None, None), ["sweep"])["tail.damping_time"]
+    assert isinstance(written, dict)
+    assert written["value"] == pytest.approx(TRUTH.c_eff / TRUTH.k_eff, rel=0.05)
+    assert written["source"] == "identified on sweep"
 
 
-def test_an_undecided_friction_leaves_the_described_one():
+def test_an_undecided_friction_leaves_the_described_one(measured):
     rubbing = with_values(FISH, {"tail.friction": 0.02})
-    doubtful = replace(MEASURED, coulomb=Estimate(0.001, (-0.002, 0.004), "N m"))
+    doubtful = replace(measured, coulomb=Estimate(0.001, (-0.002, 0.004), "N m"))
     assert combine(rubbing, doubtful, None, None).friction == 0.02
-    assert combine(rubbing, MEASURED, None, None).friction == MEASURED.coulomb.value
+    assert combine(rubbing, measured, None, None).friction == measured.coulomb.value
 
 
 @pytest.mark.parametrize(("factor", "said"), [(1.0, False), (2.0, True), (0.5, True)])
-def test_an_inertia_unlike_the_compiled_one_is_said(factor, said):
-    compiled = combine(FISH, MEASURED, None, None).hinges.i_compiled
+def test_an_inertia_unlike_the_compiled_one_is_said(measured, factor, said):
+    compiled = combine(FISH, measured, None, None).hinges.i_compiled
     value = factor * compiled
     inertia = Estimate(value, (0.98 * value, 1.02 * value), "kg m^2")
-    warnings = combine(FISH, replace(MEASURED, i_eff=inertia), None, None).warnings
+    warnings = combine(FISH, replace(measured, i_eff=inertia), None, None).warnings
     assert any("the tail's inertia at the shaft is" in text for text in warnings) == said
 
 

@@ -10,6 +10,7 @@ from support import complaint, tailbeat
 
 pytest.importorskip("gymnasium", reason="the train extra is not installed")
 
+from tailbeat.evaluate import margin_cells as cells
 from tailbeat.evaluate import margins as measured
 from tailbeat.evaluate.margin_cells import (
     BASES,
@@ -48,10 +49,10 @@ def searched(stands, name=NAME):
     """A search with targets that each stand a size: every cell that it swims."""
     table = {base: Hits((True,) * COUNT, (True,) * COUNT) for base in BASES.values()}
     for _ in range(100):
-        cells = next_cells([name], table, COUNT)
-        if not cells:
+        wanted = next_cells([name], table, COUNT)
+        if not wanted:
             return table
-        for cell in cells:
+        for cell in wanted:
             done = len(table.get(cell, Hits()).arrived)
             end = FEW if done < FEW else COUNT
             hits = tuple((stands[:end] >= cell.factor).tolist())
@@ -103,8 +104,8 @@ def test_a_cell_is_one_nuisance_over_none_or_over_everyday_ones():
     assert sizes(Cell("slack", "everyday", 2.0)) == {**everyday, "slack": 6.0}
     assert sizes(Cell("slack", "everyday", 1e9))["slack"] == mess.BY_NAME["slack"].most
     assert sizes(BASES["everyday"]) == everyday and not any(sizes(BASES["alone"]).values())
-    cells = {following(NAME, rest, ring, {}, COUNT) for rest in RESTS for ring in RINGS}
-    assert cells == {Cell(NAME, "alone", 2.0), Cell(NAME, "everyday", 2.0)}
+    found = {following(NAME, rest, ring, {}, COUNT) for rest in RESTS for ring in RINGS}
+    assert found == {Cell(NAME, "alone", 2.0), Cell(NAME, "everyday", 2.0)}
 
 
 def test_the_lab_s_own_figures_are_read_in_any_unit_and_change_no_digest(tmp_path):
@@ -124,38 +125,42 @@ def test_the_lab_s_own_figures_are_read_in_any_unit_and_change_no_digest(tmp_pat
     assert first.lab == pytest.approx(2.0) and first.safety == pytest.approx(first.size / 2.0)
 
 
-@pytest.fixture(scope="module")
-def sideways(tmp_path_factory):
-    """Margins of the shipped policy for a tag glued sideways, by the command."""
-    out = tmp_path_factory.mktemp("margins") / "m"
-    words = ("margins", "pulley-fish-pool-generator", "--out", out, "--targets", 16)
-    done = tailbeat(*words, "--nuisances", "tag sideways", "--json", out.parent / "m.json")
+def measure(nuisance, folder, targets):
+    """Margins of the shipped policy for one nuisance, by the command: its folder, its words and
+    what it printed."""
+    out = folder / "m"
+    words = ("margins", "pulley-fish-pool-generator", "--out", out, "--targets", targets)
+    words = (*words, "--nuisances", nuisance)
+    done = tailbeat(*words, "--json", folder / "m.json")
     assert done.returncode == 0, done.stderr
-    assert "tag sideways: measure the tag's place" in done.stdout
-    return out, words
+    assert (out / "margins.png").stat().st_size > 5000
+    return out, words, done.stdout
 
 
-def test_a_tag_glued_sideways_stands_what_geometry_allows(sideways):
+@pytest.mark.thorough
+def test_a_tag_glued_sideways_stands_what_geometry_allows(tmp_path):
     """A fish that puts its seen tag on the target misses with its true place by the offset: more
     than 5 cm cannot be stood much, and the wider circle stands about its own 20 cm."""
-    out, _ = sideways
-    done = json.loads((out.parent / "m.json").read_text())
+    _, _, said = measure("tag sideways", tmp_path, 16)
+    assert "tag sideways: measure the tag's place" in said
+    done = json.loads((tmp_path / "m.json").read_text())
     size = {(row["rest"], row["ring"]): row["size"] for row in done["margins"]}
     assert 30 < size["alone", "arrived"] < 90 and 150 < size["alone", "near"] < 350
     assert done["clean"]["arrived"] == 1.0 and done["thinnest"] == ["tag sideways"]
-    assert (out / "margins.png").stat().st_size > 5000
 
 
-def test_an_interrupted_run_goes_on_to_the_same_numbers(sideways):
-    """With the cells lost that halve the last doubling; a folder of other cells is refused, and
-    nothing is rewritten."""
-    out, words = sideways
+def test_an_interrupted_run_goes_on_to_the_same_numbers(tmp_path, monkeypatch):
+    """With the last cells lost, those of the largest size; a folder of other cells is refused, and
+    nothing is rewritten. Four targets, and an encoder that the policy does not read, are quick."""
+    for module in (measured, cells):
+        monkeypatch.setattr(module, "FEW", 4)
+    out, words, _ = measure("encoder", tmp_path, 4)
     before = (out / "margins.json").read_text()
     rows = json.loads((out / "cells.json").read_text())
     doubled = [row for row in rows if np.log2(row["cell"]["factor"] or 1.0) % 1 == 0]
     assert 4 < len(doubled) < len(rows)
     (out / "cells.json").write_text(json.dumps(doubled))
-    assert tailbeat(*words, "--nuisances", "tag sideways").returncode == 0
+    assert tailbeat(*words).returncode == 0
     assert (out / "margins.json").read_text() == before
     assert "its cells have seed 0, not 1" in complaint(*words, "--seed", 1)
     assert (out / "margins.json").read_text() == before

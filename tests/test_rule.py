@@ -43,11 +43,12 @@ def test_the_centre_is_the_tangent_of_half_the_bearing_and_bounded(bearing):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A rule of one candidate, for the time that twelve take."""
+    """A rule of one candidate, for the time that twelve take, and of fewer targets."""
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (("FREQUENCIES", (0.0,)), ("STROKES", (0.6,)), ("GAINS", (1.0, 12.0))):
             patch.setattr(rules, name, value)
-        patch.setattr(rules, "TRIED", 60)
+        patch.setattr(rules, "TUNED", 24)
+        patch.setattr(rules, "TRIED", 40)
         path = tmp_path_factory.mktemp("rule") / "rule.onnx"
         return path, make(RunConfig(load_fish(FISH), Path("unused")), path, lambda *_: None)
 
@@ -66,7 +67,7 @@ def test_the_better_of_two_gains_is_chosen_and_reaches_other_targets(made):
     """A gain of 1 turns too slowly: in the twin it reaches a tenth of the targets."""
     path, done = made
     assert done.rule.gain == 12.0 and done.reached > 0.9
-    found = try_policy(str(path), FISH, TrialConfig(arc=180, targets=60, seed=99))
+    found = try_policy(str(path), FISH, TrialConfig(arc=180, targets=40, seed=99))
     assert found.reached > 0.9
 
 

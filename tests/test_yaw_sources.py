@@ -41,7 +41,7 @@ from test_loop import KEY, POLICY, WIDE
 from test_loop import Bench as LoopBench
 from test_poses import heard
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime("robot")
 
 
 def mounted(up: str) -> Hardware:

@@ -265,10 +265,10 @@ def _interval(tried: Mapping[float, tuple[bool, ...]]) -> tuple[float, float | N
     """95 % interval of `crossing`, by a bootstrap over the targets that all cells share."""
     count = max(map(len, tried.values()))
     rng = np.random.default_rng(0)
-    found = []
+    found, hit = [], {factor: np.array(hits) for factor, hits in tried.items()}
     for _ in range(DRAWS):
         drawn = rng.integers(count, size=count)
-        rates = {f: _rate(np.array(hits), drawn) for f, hits in tried.items()}
+        rates = {factor: _rate(hits, drawn) for factor, hits in hit.items()}
         one = crossing(rates)
         found.append(np.inf if one is None else one)
     low, high = np.quantile(found, [0.025, 0.975], method="inverted_cdf")
