@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -68,7 +69,9 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """In a process of `pytest -n`, where all of the simulation's packages are installed."""
+    """Compile once, in processes of `pytest -n` where the simulation's packages are installed. Hear
+    Ctrl-C: a run in the background ignores it, and so would the commands that it starts."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     if "PYTEST_XDIST_WORKER" in os.environ:
         with suppress(ModuleNotFoundError):
             from compiled_once import compile_once

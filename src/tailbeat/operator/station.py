@@ -85,9 +85,9 @@ def work(
     described, secret = load_fish(config.fish), link.read_key(config.key)
     made, pool = link.bind(*config.listen), pool_of(tracker, say)
     client = open_page(config.page, pool)
+    ended = told_to_end(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     for line in announce(client) if client else []:
         say(line)
-    ended = told_to_end(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     sender = Sender(secret, made, config.robot, pool=pool, calibration=_digest(tracker))
     station = Station(sender, tracker, client, described)
     over = lambda: bool(ended) or (leader is not None and leader.over())  # noqa: E731
