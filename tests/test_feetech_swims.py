@@ -25,7 +25,7 @@ from tailbeat.robot.safety import SafetyLimits, limits_for
 from tailbeat.robot.servo import connect
 from test_loop import WIDE, Bench, driven
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime("robot")
 
 FISH = load_fish("pulley-fish").model_copy(update={"hardware": STS3215})
 POLICY = "pulley-fish-pool-generator"

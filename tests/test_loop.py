@@ -44,7 +44,7 @@ from tailbeat.robot.safety import SafetyLimits
 from tailbeat.robot.servo import connect as connect_servo
 from tailbeat.robot.signals import CHECKS
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime("robot")
 
 KEY, POLICY = bytes(32), load_policy("pulley-fish-pool-generator")
 WIDE = SafetyLimits(pose_hold=6.0, pose_stop=9.0, imu_hold=6.0, servo_hold=6.0, servo_stop=9.0,

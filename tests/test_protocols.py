@@ -137,6 +137,7 @@ def test_a_change_of_one_stage_s_inputs_keeps_the_stages_before_it(folder):
     assert kept("pulley-fish-pool", data, LITTLE) == []
 
 
+@pytest.mark.thorough
 def test_one_folder_one_command(folder, tmp_path):
     """The whole chain with little effort: every stage runs, and its result goes on to the next."""
     few = tmp_path / "few"

@@ -288,6 +288,7 @@ def written(out: Path) -> int:
         return 0
 
 
+@pytest.mark.thorough
 def test_a_killed_run_loses_a_checkpoint_interval_at_most(tmp_path):
     out = tmp_path / "run"
     process = started(out)
