@@ -84,6 +84,7 @@ def test_a_decided_number_counts_as_held_only_inside_its_interval(tmp_path):
     assert counted(tmp_path) == (2, 1)
 
 
+@pytest.mark.thorough
 def test_an_interrupted_recording_begins_anew_and_a_finished_step_is_kept(tmp_path, monkeypatch):
     monkeypatch.setattr(
         zoo_run, "_record", lambda lab, out, _: [["record", "tail", "--fish", lab, "--out", out]]

@@ -129,6 +129,7 @@ def test_a_contract_that_contradicts_itself_is_refused(fields, refusal, tmp_path
     assert load_policy(signed(tmp_path / "q.onnx")).contract == CONTRACT
 
 
+@pytest.mark.thorough
 def test_a_training_to_follow_writes_such_a_policy(tmp_path):
     recipe = recipe_of("smoke", "follow")
     space = action_space("generator", FISH)

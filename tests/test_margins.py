@@ -129,8 +129,8 @@ def measure(nuisance, folder, targets):
     """Margins of the shipped policy for one nuisance, by the command: its folder, its words and
     what it printed."""
     out = folder / "m"
-    words = ("margins", "pulley-fish-pool-generator", "--out", out, "--targets", targets)
-    words = (*words, "--nuisances", nuisance)
+    asked = ("--targets", targets, "--nuisances", nuisance)
+    words = ("margins", "pulley-fish-pool-generator", "--out", out, *asked)
     done = tailbeat(*words, "--json", folder / "m.json")
     assert done.returncode == 0, done.stderr
     assert (out / "margins.png").stat().st_size > 5000

@@ -45,6 +45,7 @@ from tailbeat.train.progress import Progress, TrainingRow
 from tailbeat.train.recipes import paper, quick, recipe_of, smoke
 from tailbeat.train.train import train
 
+pytestmark = pytest.mark.long
 FISH = load_fish("pulley-fish-pool")
 STILL = Settings(sensors=quiet(), physics=randomize.none())
 

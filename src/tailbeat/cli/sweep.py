@@ -125,7 +125,7 @@ def _swim(asked: "Sweep", made: Sequence["Trial"], out: Path) -> "SweepResult":
     todo = [one for one in made if not (out / "trials" / one.name / summary.RESULT).is_file()]
     output.say(f"{len(made)} trials, {len(made) - len(todo)} done. Chosen is {summary.RULE}.")
     failed: dict[str, str] = {}
-    seen = Course(len(made), len(made) - len(todo))
+    seen = TrialTable(len(made), len(made) - len(todo))
     if todo:
         with _shown(seen) as report:
             failed = tune.swim(asked, todo, out, report)
@@ -137,7 +137,7 @@ def _swim(asked: "Sweep", made: Sequence["Trial"], out: Path) -> "SweepResult":
 
 
 @dataclass
-class Course:
+class TrialTable:
     """How far a sweep is: the number of trials, those done before, and the newest row of each."""
 
     trials: int
@@ -175,16 +175,16 @@ def _rounded(numbers: Any) -> dict[str, Any]:
 
 
 @contextmanager
-def _shown(course: Course) -> Iterator[Any]:
+def _shown(table: TrialTable) -> Iterator[Any]:
     """Show a table of trials at every change of a state, with the time left."""
     count = progress.now_and_then(every=0.0)
 
     def report(row: "Row") -> None:
-        last = course.rows.get(row.name)
-        course.add(row)
+        last = table.rows.get(row.name)
+        table.add(row)
         if last is None or last.state != row.state:
-            output.tables({"trials": course.lines()})
-            count(f"trials over: {course.over} of {course.trials}", course.over / course.trials)
+            output.tables({"trials": table.lines()})
+            count(f"trials over: {table.over} of {table.trials}", table.over / table.trials)
 
     yield report
 

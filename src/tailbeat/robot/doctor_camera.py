@@ -9,7 +9,7 @@ from tailbeat.files import BadInput
 from tailbeat.robot.findings import Finding, finding
 from tailbeat.vision.calibration import Calibration, read_calibration
 from tailbeat.vision.camera import CameraFault, Picture, open_camera
-from tailbeat.vision.sight import blind
+from tailbeat.vision.field_of_view import blind
 from tailbeat.vision.tracker import Sighting, Tracker
 
 WATCHED = 120  # frames: two seconds

@@ -15,7 +15,7 @@ from tailbeat.link.places import POOL
 from tailbeat.vision.calibration import Calibration, write_calibration
 from tailbeat.vision.camera import CameraFault, open_camera
 from tailbeat.vision.detector import open_detector
-from tailbeat.vision.sight import blind
+from tailbeat.vision.field_of_view import blind
 from tailbeat.vision.survey import board_corners, fit_lens, hang, read_survey
 from tailbeat.vision.tags import Tag, board_of
 

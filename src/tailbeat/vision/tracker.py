@@ -17,8 +17,8 @@ from tailbeat.files import BadInput
 from tailbeat.link.datagrams import Frame
 from tailbeat.vision.calibration import Calibration
 from tailbeat.vision.detector import Detector, Seen, open_detector
+from tailbeat.vision.field_of_view import EDGE
 from tailbeat.vision.fixed import FixedTags
-from tailbeat.vision.sight import EDGE
 from tailbeat.vision.tags import FISH, TARGET, Tag
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from camera_views import FISH, TARGET, true_calibration
 from tailbeat.emulators.camera import Renderer, Scene, calm
 from tailbeat.emulators.optics import Optics
 from tailbeat.link.places import POOL
-from tailbeat.vision.sight import NEAR, blind, unseen
+from tailbeat.vision.field_of_view import NEAR, blind, unseen
 from tailbeat.vision.tracker import Tracker
 from test_tracker import film
 
