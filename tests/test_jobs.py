@@ -10,8 +10,10 @@ import pytest
 
 from tailbeat.cluster import comparison
 from tailbeat.cluster.jobs import map_jobs
+from tailbeat.control.policy import load_policy
 from tailbeat.evaluate.compare import ComparisonConfig, cells_of, swim_cell
 from tailbeat.evaluate.comparison import cell_path
+from tailbeat.evaluate.margins import MarginsConfig, margins
 from tailbeat.files import BadInput, write_json
 
 POLICY = "pulley-fish-pool-generator"
@@ -95,15 +97,20 @@ import sys
 from pathlib import Path
 from ray.cluster_utils import Cluster
 from tailbeat.cluster.comparison import compare
+from tailbeat.cluster.margins import margins_on
 from tailbeat.evaluate.compare import ComparisonConfig
+from tailbeat.evaluate.margins import MarginsConfig
 cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
 config = ComparisonConfig((sys.argv[1],), targets=2)
-compare(config, Path(sys.argv[2]), print, cluster.address)
+out = Path(sys.argv[2])
+compare(config, out, print, cluster.address)
+asked = MarginsConfig(targets=16, nuisances=("encoder",))
+margins_on(cluster.address, sys.argv[1], asked, out / "margins", print)
 """
 
 
 @pytest.mark.slow
-def test_a_comparison_on_a_cluster_is_that_of_this_machine(tmp_path):
+def test_comparison_and_margins_on_a_cluster_are_those_of_this_machine(tmp_path):
     words = [sys.executable, "-c", ON_RAY, POLICY, str(tmp_path / "ray")]
     done = subprocess.run(words, capture_output=True, text=True, timeout=400)
     assert done.returncode == 0, done.stderr[-3000:]
@@ -111,3 +118,7 @@ def test_a_comparison_on_a_cluster_is_that_of_this_machine(tmp_path):
     for cell in cells_of(CONFIG):
         there, here = (cell_path(tmp_path / name, *cell) for name in ("ray", "here"))
         assert there.read_bytes() == here.read_bytes(), cell
+    asked = MarginsConfig(targets=16, nuisances=("encoder",))
+    margins(load_policy(POLICY), asked, tmp_path / "margins", lambda *_: None)
+    there, here = (path / "margins/cells.json" for path in (tmp_path / "ray", tmp_path))
+    assert there.read_bytes() == here.read_bytes()

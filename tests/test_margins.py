@@ -10,6 +10,8 @@ from support import complaint, tailbeat
 
 pytest.importorskip("gymnasium", reason="the train extra is not installed")
 
+from tailbeat.cluster.margins import CellsJob, swim_cells
+from tailbeat.control.policy import load_policy
 from tailbeat.evaluate import margin_cells as cells
 from tailbeat.evaluate import margins as measured
 from tailbeat.evaluate.margin_cells import (
@@ -164,6 +166,19 @@ def test_an_interrupted_run_goes_on_to_the_same_numbers(tmp_path, monkeypatch):
     assert (out / "margins.json").read_text() == before
     assert "its cells have seed 0, not 1" in complaint(*words, "--seed", 1)
     assert (out / "margins.json").read_text() == before
+
+
+def test_a_cell_swum_as_a_job_of_its_own_is_the_one_swum_among_others(monkeypatch):
+    """To the bit, as on a cluster (a slow test)."""
+    monkeypatch.setattr(cells, "FEW", 3)
+    policy, config = load_policy("pulley-fish-pool-generator"), MarginsConfig(targets=16)
+    three = [BASES["everyday"], *(Cell("horn", rest, 2.0) for rest in RESTS)]
+    pool = measured.pool_for(policy, config)
+    table = cells.swum(policy, pool, three, {})
+    for cell in three:
+        job = CellsJob("pulley-fish-pool-generator", config, (cell,), (Hits(),))
+        assert swim_cells(job) == {cell: table[cell]}
+    assert all(len(hits.arrived) == 3 for hits in table.values())
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import typer
 
 from tailbeat.cli import output, progress, results
 from tailbeat.cli.options import (
+    AddressOption,
     FishOption,
     JsonOption,
     PolicyFile,
@@ -91,12 +92,7 @@ def compare(
     fish: PoolFish = "pulley-fish",
     twin: TwinOption = None,
     targets: Annotated[int, typer.Option(help="Number of targets in each cell.")] = 100,
-    address: Annotated[
-        str | None,
-        typer.Option(
-            help="Ray cluster with this machine in it: auto, or HOST:PORT. Default: no cluster."
-        ),
-    ] = None,
+    address: AddressOption = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:

@@ -6,8 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tailbeat.cli import output, progress
-from tailbeat.cli.options import JsonOption, PolicyFile, PoolFish, SeedOption, TwinOption
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.cli.options import (
+    AddressOption,
+    JsonOption,
+    PolicyFile,
+    PoolFish,
+    SeedOption,
+    TwinOption,
+)
+from tailbeat.files import need, refuse_existing, write_json
 
 if TYPE_CHECKING:
     from tailbeat.evaluate.margins import Margin, Margins
@@ -24,6 +31,7 @@ def margins(
         list[str] | None, typer.Option("--nuisances", help="Nuisances; default: all.")
     ] = None,
     targets: Annotated[int, typer.Option(help="Most targets of a cell, 16 or more.")] = 40,
+    address: AddressOption = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -32,6 +40,9 @@ def margins(
     fewer than three quarters of its targets. The same command resumes an interrupted run."""
     if json is not None:
         refuse_existing(json)
+    if address is not None:
+        need("a cluster", "ray")
+    from tailbeat.cluster.margins import margins_on
     from tailbeat.control.policy import load_policy
     from tailbeat.evaluate.margins import MarginsConfig
     from tailbeat.evaluate.margins import margins as measure
@@ -39,7 +50,10 @@ def margins(
 
     config = MarginsConfig(fish, twin, targets, tuple(nuisance or ()), seed)
     with progress.counting() as count:
-        done = measure(load_policy(policy), config, out, count)
+        if address is None:
+            done = measure(load_policy(policy), config, out, count)
+        else:
+            done = margins_on(address, policy, config, out, count)
     margins_figure(done, out / "margins.png", overwrite=True)
     _print(done)
     output.say(f"figure: {out / 'margins.png'}")

@@ -47,6 +47,13 @@ ForceCamera = Annotated[
         help="With --imu none: swim a policy that was trained with an IMU.",
     ),
 ]
+AddressOption = Annotated[
+    str | None,
+    typer.Option(
+        "--address",
+        help="Ray cluster with this machine in it: auto, or HOST:PORT. Default: no cluster.",
+    ),
+]
 MessOption = Annotated[
     str,
     typer.Option(

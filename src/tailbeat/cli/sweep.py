@@ -12,7 +12,7 @@ import typer
 
 from tailbeat.cli import output, progress
 from tailbeat.cli.extras import need_training
-from tailbeat.cli.options import JsonOption
+from tailbeat.cli.options import AddressOption, JsonOption
 from tailbeat.files import BadInput, check_folder, leaves, need, refuse_existing, write_json
 
 if TYPE_CHECKING:
@@ -27,12 +27,7 @@ OVER = ("done", "failed", "ended early")
 def sweep(
     file: Annotated[Path, typer.Argument(help="What to train, .toml.")],
     out: Annotated[Path, typer.Option("--out", help="Folder of all trials.")],
-    address: Annotated[
-        str | None,
-        typer.Option(
-            help="Ray cluster with this machine in it: auto, or HOST:PORT. Default: no cluster."
-        ),
-    ] = None,
+    address: AddressOption = None,
     resume: Annotated[bool, typer.Option(help="Continue the sweep in --out.")] = False,
     json: JsonOption = None,
 ) -> None:

@@ -6,7 +6,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from tailbeat.processes import cores, fork_server
+from tailbeat.processes import ALONE, cores, fork_server
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -84,7 +84,7 @@ def _in_ray(
     tune.connect(address)
     import ray
 
-    task: Any = ray.remote(num_cpus=1)(function)
+    task: Any = ray.remote(num_cpus=1, runtime_env={"env_vars": ALONE})(function)
     numbers = {task.remote(job): number for number, job in enumerate(jobs)}
     left = list(numbers)
     while left:

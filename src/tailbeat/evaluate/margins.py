@@ -45,6 +45,7 @@ BATCH = 60  # cells in one batch
 DRAWS = 1000  # of the bootstrap over targets
 RUN = "margins-run.json"
 Report = Callable[[str, int, int], None]  # what, cells done, cells known of
+Swim = Callable[[Sequence[Cell], Table], dict[Cell, Hits]]  # cells, and what was swum of all
 
 
 @dataclass(frozen=True)
@@ -109,22 +110,39 @@ class Margins:
     swims: int
 
 
-def margins(policy: Policy, config: MarginsConfig, out: Path, report: Report) -> Margins:
+def margins(
+    policy: Policy,
+    config: MarginsConfig,
+    out: Path,
+    report: Report,
+    swim: Swim | None = None,
+    batch: int = BATCH,
+) -> Margins:
     """Swim what is missing, then read the margins; a run that was stopped continues.
 
-    Raises BadInput if the policy does not fit, the folder has other cells, or a nuisance is
-    unknown.
+    `swim` swims at most `batch` cells on; None: here. Raises BadInput if the policy does not fit,
+    the folder has other cells, or a nuisance is unknown.
     """
-    names = _names(config)
-    given = EvaluationConfig(config.fish, config.twin, episodes=config.targets, seed=config.seed)
-    pool = pool_of(policy, given)
+    names, pool = _names(config), pool_for(policy, config)
     wanted = _described(policy, pool)
     _begin(out, wanted)
     table = read_cells(out)
-    _search(policy, pool, names, table, out, report)
+    while todo := next_cells(names, table, pool.count):
+        for first in range(0, len(todo), batch):
+            own = todo[first : first + batch]
+            table |= swim(own, table) if swim else swum(policy, pool, own, table)
+            keep_cells(out, table)
+            left = next_cells(names, table, pool.count)
+            report("cells", len(table), len(table) + len(left))
     done = numbers(table, names, wanted, lab_of(pool.fish))
     write_json(out / "margins.json", done, overwrite=True)
     return done
+
+
+def pool_for(policy: Policy, config: MarginsConfig) -> Pool:
+    """The pool that the cells are swum in. Raises BadInput if the policy does not fit."""
+    given = EvaluationConfig(config.fish, config.twin, episodes=config.targets, seed=config.seed)
+    return pool_of(policy, given)
 
 
 def _names(config: MarginsConfig) -> tuple[str, ...]:
@@ -157,23 +175,6 @@ def _begin(out: Path, wanted: MarginsRun) -> None:
 
 
 # ---- swimming -----------------------------------------------------------------------------------
-
-
-def _search(
-    policy: Policy,
-    pool: Pool,
-    names: Sequence[str],
-    table: dict[Cell, Hits],
-    out: Path,
-    report: Report,
-) -> None:
-    """Swim until every margin is found; the cells are kept after every batch."""
-    while wanted := next_cells(names, table, pool.count):
-        for first in range(0, len(wanted), BATCH):
-            table |= swum(policy, pool, wanted[first : first + BATCH], table)
-            keep_cells(out, table)
-            left = next_cells(names, table, pool.count)
-            report("cells", len(table), len(table) + len(left))
 
 
 def next_cells(names: Sequence[str], table: Table, count: int) -> list[Cell]:

@@ -1,0 +1,48 @@
+"""The margins of a policy, their cells in many processes of a Ray cluster."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tailbeat.cluster.jobs import map_jobs
+from tailbeat.control.policy import load_policy
+from tailbeat.evaluate.margin_cells import Cell, Hits, Table, swum
+from tailbeat.evaluate.margins import Margins, MarginsConfig, Report, margins, pool_for
+
+EACH = 5  # cells of a job: a minute or so
+ALL = 1_000_000  # cells of a batch
+
+
+@dataclass(frozen=True)
+class CellsJob:
+    """Some cells to swim on, and the hits that they have."""
+
+    policy: str
+    config: MarginsConfig
+    cells: tuple[Cell, ...]
+    held: tuple[Hits, ...]
+
+
+def margins_on(
+    address: str, policy: str, config: MarginsConfig, out: Path, report: Report
+) -> Margins:
+    """As `evaluate.margins.margins`, to the bit, on a Ray cluster, whose nodes must see the file
+    `policy` under the same path, or have the shipped policy of that name. Raises BadInput."""
+
+    def swim(cells: Sequence[Cell], table: Table) -> dict[Cell, Hits]:
+        jobs = []
+        for first in range(0, len(cells), EACH):
+            own = tuple(cells[first : first + EACH])
+            held = tuple(table.get(cell, Hits()) for cell in own)
+            jobs.append(CellsJob(policy, config, own, held))
+        found = map_jobs(swim_cells, jobs, lambda *_: None, address)
+        return {cell: hits for one in found for cell, hits in one.items()}
+
+    return margins(load_policy(policy), config, out, report, swim, ALL)
+
+
+def swim_cells(job: CellsJob) -> dict[Cell, Hits]:
+    """Swim a job's cells on."""
+    policy = load_policy(job.policy)
+    table = dict(zip(job.cells, job.held, strict=True))
+    return swum(policy, pool_for(policy, job.config), job.cells, table)
