@@ -11,7 +11,8 @@ from support import complaint
 from tailbeat.emulators.camera import Renderer, calm
 from tailbeat.emulators.camera_process import start_camera
 from tailbeat.emulators.film import Filming
-from tailbeat.emulators.mistakes import Mistakes, miscalibrated
+from tailbeat.emulators.lab import miscalibrated
+from tailbeat.emulators.mistakes import Mistakes
 from tailbeat.emulators.optics import Optics, project
 from tailbeat.emulators.plant_shaft import PlantShaft
 from tailbeat.emulators.rig import close_rig, open_filmed_rig, open_rig

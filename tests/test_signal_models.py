@@ -90,6 +90,16 @@ def test_the_turning_is_the_camera_s_less_the_imu_s() -> None:
     assert math.isnan(at.drifting(rows[-round(7 / PERIOD) :]))  # under 5 s came before
 
 
+def test_the_stroke_is_compared_with_the_shaft_s_own_before() -> None:
+    rows, expected = window(10.0), expecting()
+    rows[:, at.ANGLE] *= 0.8
+    rows[-round(at.SPAN / PERIOD) :, at.ANGLE] *= 0.5
+    assert at.weakening(rows, expected) == pytest.approx(0.5, abs=1e-6)
+    assert math.isnan(at.weakening(rows[-round(6.9 / PERIOD) :], expected))  # under 5 s before
+    rows[: -round(at.SPAN / PERIOD), at.ANGLE] = 0.1  # frozen: the gain before is 0
+    assert math.isnan(at.weakening(rows, expected))
+
+
 def test_stroke_and_recoil_are_the_factors_that_were_put_in() -> None:
     rows, expected = window(), expecting(0.5, -0.2, 0.1)
     rows[:, at.ANGLE] = 0.3 * rows[:, at.MODELLED] + 0.2 + 0.1 * rows[:, at.TIME]  # lines are none

@@ -21,8 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from tailbeat.emulators.film import Filming
-from tailbeat.emulators.lab import pictures
-from tailbeat.emulators.mistakes import miscalibrated
+from tailbeat.emulators.lab import miscalibrated, pictures
 from tailbeat.files import BadInput
 from tailbeat.link import datagrams as link
 from tailbeat.link.places import TARGET

@@ -1,7 +1,8 @@
 """What a messy lab gets wrong, for the emulated devices: the same errors as in the trials.
 
 A station sends poses with all errors of the camera. A picture shows only what is wrong in the pool,
-where the tag is glued; scale, rotation and lens are errors of the calibration that reads it.
+where the tag is glued; scale, rotation and lens are errors of the calibration that reads it
+(`lab.py`).
 """
 
 from dataclasses import dataclass, field, replace
@@ -12,12 +13,9 @@ from numpy.typing import NDArray
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.measure import PATIENCE
 from tailbeat.env import errors
-from tailbeat.env.errors import Errors
 from tailbeat.pool.mess import AS_DESCRIBED, Lab
-from tailbeat.vision.calibration import Calibration
 
 Array = NDArray[np.float64]
-WIDE = 1.1  # tangent of the widest ray: more than to a corner of the pool from 3.2 m (0.96)
 LONG = 600.0  # s after which the bursts of lost frames repeat
 
 
@@ -61,32 +59,3 @@ class Mistakes:
         grown = wrong.yaw_rate_drift / PATIENCE
         heading = wrong.yaw_rate_bias * seconds + grown * warm * (seconds - warm / 2)
         return heading, wrong.yaw_rate_bias + grown * warm
-
-
-def miscalibrated(made: Calibration, wrong: Errors) -> Calibration:
-    """A calibration by which true pictures are read with the errors `scale`, `turn` and `lens`.
-
-    The camera's place and turn carry scale and rotation exactly, but for a tag's depth, which stays
-    (1 mm at 3 cm). The lens's radial terms carry `lens`, about the camera's axis.
-    """
-    cos, sin = np.cos(wrong.turn), np.sin(wrong.turn)
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    hung = replace(
-        made.hung,
-        rotation=made.hung.rotation @ turn.T,
-        position=(1 + wrong.scale) * turn @ made.hung.position,
-    )
-    if not wrong.lens:
-        return replace(made, hung=hung)
-    distortion = _bent(made.lens.distortion, wrong.lens * made.hung.position[2] ** 2)
-    return replace(made, lens=replace(made.lens, distortion=distortion), hung=hung)
-
-
-def _bent(distortion: Array, more: float) -> Array:
-    """Distortion (5,) by which a ray at `ray` from the axis is read at ray + `more` ray^3."""
-    ray = np.linspace(0.05, WIDE, 50)
-    powers = np.array([2, 4, 6])
-    pixel = ray * (1 + (ray[:, None] ** powers) @ distortion[[0, 1, 4]])
-    read = ray + more * ray**3
-    terms = np.linalg.lstsq(read[:, None] ** (1 + powers), pixel - read, rcond=None)[0]
-    return np.array([*terms[:2], *distortion[2:4], terms[2]])
