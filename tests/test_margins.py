@@ -2,6 +2,7 @@
 glued sideways has the margin that geometry allows."""
 
 import json
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -187,6 +188,11 @@ def test_a_cell_swum_as_a_job_of_its_own_is_the_one_swum_among_others(monkeypatc
         (("--targets", 15), "--targets 15: give 16 or more."),
         (("--nuisances", "hom"), "nuisance 'hom': allowed are horn,"),
         (("--fish", "crank-fish"), "crank-fish"),
+        pytest.param(
+            ("--address", "nowhere"),
+            "--address nowhere: no Ray cluster answers",
+            marks=pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed"),
+        ),
     ],
 )
 def test_what_cannot_be_measured_is_refused_in_one_sentence(words, said, tmp_path):

@@ -52,7 +52,10 @@ Report = Callable[[Row], None]
 
 def connect(address: str | None) -> None:
     """Connect to the cluster of which this machine is a node, or start Ray on this machine's cores.
-    `address` is auto or HOST:PORT. Raises BadInput if nobody answers there."""
+    `address` is auto or HOST:PORT. A second call does nothing. Raises BadInput if nobody answers
+    there."""
+    if ray.is_initialized():
+        return
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
     logging.getLogger("ray").setLevel(logging.CRITICAL)  # we say in one line why a trial failed
     if address is None:
