@@ -95,7 +95,7 @@ def test_the_stroke_is_compared_with_the_shaft_s_own_before() -> None:
     rows[:, at.ANGLE] *= 0.8
     rows[-round(at.SPAN / PERIOD) :, at.ANGLE] *= 0.5
     assert at.weakening(rows, expected) == pytest.approx(0.5, abs=1e-6)
-    assert math.isnan(at.weakening(rows[-round(6.9 / PERIOD) :], expected))  # under 5 s before
+    assert math.isnan(at.weakening(rows[-round(3.9 / PERIOD) :], expected))  # under 2 s before
     rows[: -round(at.SPAN / PERIOD), at.ANGLE] = 0.1  # frozen: the gain before is 0
     assert math.isnan(at.weakening(rows, expected))
 

@@ -25,7 +25,7 @@ TIME, ANGLE, MODELLED, RATE, TURNED, STAMP, X, Y, YAW, TARGET = range(10)
 SPAN = 2.0  # s of most statistics
 SHORT = 1.0  # s of the stroke, which varies little, and of the target's wandering
 NEWEST, LONGEST = 2.5, 20.0  # s: the camera's drift in the newest, compared with all before
-EARLIER = 5.0  # s that the earlier part must last, of the drift and of the stroke
+EARLIER = 5.0  # s that the earlier part must last
 FOLLOWED = 0.1  # of the stroke; less before says nothing (chosen)
 END = 0.2  # s over which a place is averaged at both ends of a window
 FEWEST = 10  # frames for a slope
@@ -117,9 +117,9 @@ def stroke(window: Array, expected: Expected) -> float:
 
 def weakening(window: Array, expected: Expected) -> float:
     """`stroke` in the newest 2 s, over the same before, which leaves a weak servo out. NaN until
-    5 s came before, while the tail does not beat, or if the shaft did not follow before."""
+    2 s came before, while the tail does not beat, or if the shaft did not follow before."""
     begin = window[-1, TIME] - SPAN
-    if begin - window[0, TIME] < EARLIER:
+    if begin - window[0, TIME] < SPAN:
         return float("nan")
     new = window[:, TIME] > begin
     before = stroke(window[~new], expected)
