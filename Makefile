@@ -45,7 +45,7 @@ tests: $(READY)
 	$(VENV)/bin/pytest -n auto --no-loadscope-reorder $(ARGS) || \
 	{ test $$? = 1 && $(VENV)/bin/pytest --last-failed --last-failed-no-failures none --again; }
 
-thorough: browser $(READY)  ## the tests that take longer than all of `make test` leaves time for
+thorough: $(READY)  ## the tests that take longer than all of `make test` leaves time for
 	$(VENV)/bin/pytest -n auto --no-loadscope-reorder -m thorough $(ARGS)
 
 mutation: $(READY)  ## change the code in one place at a time; which changes does no test notice? (half an hour)

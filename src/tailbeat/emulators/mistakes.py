@@ -5,7 +5,7 @@ where the tag is glued; scale, rotation and lens are errors of the calibration t
 (`lab.py`).
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ class Mistakes:
         rng = np.random.default_rng([self.seed, 77])
         self.dark = errors.dark_steps(wrong.dark, steps, rng) if wrong.dark else np.zeros(1, bool)
         self.row = errors.rows([wrong])
-        self.glued = errors.rows([replace(wrong, scale=0.0, turn=0.0, lens=0.0)])
+        self.glued = errors.rows([errors.true_frame(wrong)])
 
     def filmed(self, pose: Array) -> Array:
         """The pose (3,) that a camera finds, from the true pose of the described tag."""

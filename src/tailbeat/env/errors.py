@@ -79,6 +79,11 @@ def draw(widths: Errors, rng: np.random.Generator) -> Errors:
     return replace(widths, **{name: getattr(widths, name) * side for name, side in sides.items()})
 
 
+def true_frame(wrong: Errors) -> Errors:
+    """The same errors, but for those of the camera's frame."""
+    return replace(wrong, **dict.fromkeys(FRAME, 0.0))
+
+
 def rows(each: Sequence[Errors]) -> Rows:
     """Rows (n,) of `ROW`. Raises BadInput."""
     for errors in set(each):

@@ -13,7 +13,7 @@ from dataclasses import astuple, dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.env.errors import BURSTS, Errors
+from tailbeat.env.errors import BURSTS, Errors, true_frame
 from tailbeat.files import BadInput
 from tailbeat.pool.dynamics import FADING
 from tailbeat.pool.plant import Surroundings, stirred
@@ -136,7 +136,7 @@ def widths(sizes: Sizes) -> Errors:
     """Half widths for a training of what a robot has wrong: of all errors but those of the camera's
     frame, in which relabelled targets would be wrong."""
     size = _si(sizes)
-    return replace(_errors(size, size), scale=0.0, turn=0.0, lens=0.0)
+    return true_frame(_errors(size, size))
 
 
 def fingerprint() -> str:
