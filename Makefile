@@ -41,12 +41,14 @@ docs: $(READY)  ## build the documentation site into build/site; a wrong link is
 test: browser  ## check and, at the same time, every test that is neither slow nor needs a GPU
 	@$(MAKE) --no-print-directory -j 2 check tests
 
+AGAIN = $(VENV)/bin/pytest --last-failed --last-failed-no-failures none --again
+
 tests: $(READY)
-	$(VENV)/bin/pytest -n auto --no-loadscope-reorder $(ARGS) || \
-	{ test $$? = 1 && $(VENV)/bin/pytest --last-failed --last-failed-no-failures none --again; }
+	$(VENV)/bin/pytest -n auto --no-loadscope-reorder $(ARGS) || { test $$? = 1 && $(AGAIN); }
 
 thorough: $(READY)  ## the tests that take longer than all of `make test` leaves time for
-	$(VENV)/bin/pytest -n auto --no-loadscope-reorder -m thorough $(ARGS)
+	$(VENV)/bin/pytest -n auto --no-loadscope-reorder -m thorough $(ARGS) || \
+	{ test $$? = 1 && $(AGAIN) -m thorough; }
 
 mutation: $(READY)  ## change the code in one place at a time; which changes does no test notice? (half an hour)
 	$(VENV)/bin/python tests/mutation.py $(ARGS)

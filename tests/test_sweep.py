@@ -18,6 +18,7 @@ from tailbeat.cluster import plan, summary, trial, tune
 from tailbeat.cluster.plan import Trial
 from tailbeat.cluster.summary import TrialRow
 from tailbeat.files import write_json
+from tailbeat.train.train import train
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "sweep.toml"
 TINY = """
@@ -195,7 +196,7 @@ def test_a_sweep_that_is_killed_goes_on_and_loses_nothing(tmp_path):
     assert "Traceback" not in done.stdout + done.stderr
     found = results(out)
     assert sorted(found) == ["pulley-fish-pool-seed-0", "pulley-fish-pool-seed-1"]
-    assert all(6.0 <= one["seconds"] < 12.0 and one["stalled"] for one in found.values())
+    assert all(6.0 <= one["seconds"] < 12.0 and one["stalled"] for one in found.values()), found
     assert beginnings(out) == begun
     table = pl.read_parquet(out / "sweep.parquet")
     assert table["state"].to_list() == ["done", "done"] and table["seed"].to_list() == [0, 1]
@@ -211,6 +212,22 @@ def test_a_training_that_was_over_when_its_trial_was_killed_is_not_continued(tmp
     trial._train(run, folder)
     assert json.loads((folder / "trained.json").read_text())["seconds"] == 4.0
     assert [path.name for path in run.out.iterdir()] == ["curve.json"]
+
+
+@pytest.mark.thorough
+@pytest.mark.realtime
+def test_a_training_that_stalled_gets_no_second_budget_when_its_trial_is_killed(tmp_path):
+    """Killed after the checkpoint that says so, before its curve was written."""
+    made, folder = plan.read(tiny(tmp_path, seconds=2.0)), tmp_path / "a"
+    run = trial.run_of(plan.trials(made)[0], made, folder)
+    first = train(run)
+    assert first.stalled and 2.0 <= first.seconds < 4.0
+    for name in ("curve.json", "policy.onnx"):
+        (run.out / name).unlink()
+    trial._train(run, folder)
+    found = json.loads((folder / "trained.json").read_text())
+    assert found["stalled"] and found["seconds"] < first.seconds + 1.0
+    assert (run.out / "policy.onnx").is_file()
 
 
 def test_a_worker_with_other_versions_is_refused(tmp_path):

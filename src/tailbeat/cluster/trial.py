@@ -109,7 +109,8 @@ def _over(course: dict[str, Any]) -> bool:
 
 
 def _learn(run: RunConfig) -> float:
-    """Train from the last checkpoint, or from the start; returns how long [s]."""
+    """Train from the last checkpoint, or from the start; returns how long [s]. A stage that had
+    stalled when the trial was killed gets no second budget."""
     resume = any((run.out / name).is_dir() for name in ("checkpoint", "checkpoint.old"))
     if not resume:
         shutil.rmtree(run.out, ignore_errors=True)  # it ended before its first checkpoint
@@ -119,7 +120,7 @@ def _learn(run: RunConfig) -> float:
         began.append(row.seconds)
         say(updates=row.updates, stage=row.stage, success=row.success, seconds=row.seconds)
 
-    course = train(run, resume, report)
+    course = train(run, resume, report, again=False)
     return course.seconds - (began[0] if began else 0.0)
 
 

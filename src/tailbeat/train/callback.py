@@ -76,6 +76,7 @@ class TrainingCallback(BaseCallback):
         self.progress.seconds = self.before + time.monotonic() - self.began
         if self.locals["dones"].any():
             self._judge_stage()
+        self._end_stalled_stage()
         for name, work in (("report", self._tell), ("exam", self._examine), ("keep", self.keep)):
             if time.monotonic() >= self.due[name]:
                 work()
@@ -128,9 +129,14 @@ class TrainingCallback(BaseCallback):
         if self._ripe(judged) and (swims := self._passed()) is not None:
             self._promote(swims)
             return
-        if self.progress.seconds - self.progress.stage_began > 3600 * self.run.recipe.budget_hours:
-            self.progress.stalled = True
         self._set_pace(judged)
+
+    def _end_stalled_stage(self) -> None:
+        """At every step: on a slow machine no episode may end for longer than a short budget."""
+        progress = self.progress
+        spent = progress.seconds - progress.stage_began
+        if not progress.finished and spent > 3600 * self.run.recipe.budget_hours:
+            progress.stalled = True
 
     def _ripe(self, judged: list[bool]) -> bool:
         """Whether exploring fish do so well that a verdict is worth its swims. After a failed one

@@ -31,13 +31,18 @@ def silent(row: TrainingRow) -> None:
 
 
 def train(
-    run: RunConfig, resume: bool = False, report: Report = silent, stage: str | None = None
+    run: RunConfig,
+    resume: bool = False,
+    report: Report = silent,
+    stage: str | None = None,
+    again: bool = True,
 ) -> Progress:
     """Train until the last stage is passed, the hours are over, a stage stalls or Ctrl-C.
 
-    With a `stage` the run continues in that stage, whatever it has passed. However it ends, it
-    writes `policy.onnx`, a checkpoint and `curve.json` into the folder. Raises BadInput for a bad
-    config before anything is built, and if the disk is full.
+    With a `stage` the run continues in that stage, whatever it has passed. A stage that has stalled
+    gets the time of another budget when it is resumed; without `again` it does not. However it
+    ends, it writes `policy.onnx`, a checkpoint and `curve.json` into the folder. Raises BadInput
+    for a bad config before anything is built, and if the disk is full.
     """
     run = config.measured_run(run)
     config.check(run, resume)
@@ -52,7 +57,7 @@ def train(
     if place is None:
         config.begin(run)
     else:
-        progress = _restored(place, model, env)
+        progress = _restored(place, model, env, again)
     if stage is not None:
         _put_into(stage, run, progress)
     elif progress.finished:
@@ -135,15 +140,16 @@ def learner(run: RunConfig, env: FishVecEnv) -> SAC:
     )
 
 
-def _restored(place: Path, model: SAC, env: FishVecEnv) -> Progress:
-    """Load a checkpoint into model and world; returns the progress."""
+def _restored(place: Path, model: SAC, env: FishVecEnv, again: bool) -> Progress:
+    """Load a checkpoint into model and world; returns the progress, in which a stalled stage has
+    another budget if it is begun `again`."""
     state = checkpoint.load(place, model, env.world)
     model.num_timesteps, model._n_updates = state.decisions, state.updates
     progress = state.progress
     # running episodes are lost with the world; those that ended early are mostly arrivals
     progress.recent = progress.over(env.num_envs, env.world.steps_per_episode)
-    progress.stage_began = progress.seconds if progress.stalled else progress.stage_began
-    progress.stalled = False  # it gets the time of another budget
+    if progress.stalled and again:
+        progress.stage_began, progress.stalled = progress.seconds, False
     return progress
 
 
