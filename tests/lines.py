@@ -52,7 +52,7 @@ def served(serve: Callable[..., None], device: Any) -> Iterator[tuple[str, Calla
     def pull() -> None:
         if not ended.is_set():
             ended.set()
-            thread.join(2)
+            thread.join()  # first, or it writes into what is opened next under the same number
             close_line(line)
 
     yield line.path, pull
