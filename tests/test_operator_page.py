@@ -177,7 +177,7 @@ def test_the_target_s_velocity_and_the_distance_of_the_last_minute_are_shown(lab
     leading.start()
     try:  # the jump from the place before also passes through 0.1 m/s, to the right
         until(lambda: arrow() == pytest.approx((-0.2, 0.0), abs=0.05)
-              and re.search(r"moves at 0\.(09|10|11) m/s", shown(page, "where")), arrow)  # fmt: skip
+              and re.search(r"moves at 0\.(09|10|11) m", shown(page, "where")), arrow)  # fmt: skip
     finally:
         ended.set()
         leading.join()
