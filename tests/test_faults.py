@@ -64,6 +64,8 @@ def test_killed_at_random_moments_the_torque_goes_and_the_log_stays(patient):
     for row in rows:
         assert row.off_s < 5.0  # 0.5 s is asked; a busy machine is not the fish
         assert row.log_lost_s < 2.0
+    left = [name for swum in patient.folder.glob("*/") for name in os.listdir(swum)]
+    assert left and not {"servo", "imu"} & set(left)  # or a late watchdog finds a stranger's servo
 
 
 def test_a_swim_s_process_has_one_thread_and_this_one_keeps_its_own(patient, monkeypatch):

@@ -10,7 +10,7 @@ import os
 import secrets
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -205,6 +205,10 @@ FAULTS: dict[str, Callable[[Rig], None]] = {
 }
 
 
+NAMES = ("servo", "imu")  # of the links to the ports
+UNPLUGGED = {"servo cable": ("servo",), "imu cable": ("imu",)}  # links that a fault takes away
+
+
 @dataclass(eq=False)
 class Look:
     """What the servo did since a fault was made; times [s] monotonic, NaN: not yet."""
@@ -229,18 +233,25 @@ def _watch(rig: Rig, look: Look) -> None:
 
 def _link_to(rig: Rig, folder: Path) -> None:
     """Link the ports to constant names, as udev does."""
-    for name, path in zip(("servo", "imu"), rig.ports, strict=True):
-        (folder / name).unlink(missing_ok=True)
+    _unlink(folder)
+    for name, path in zip(NAMES, rig.ports, strict=True):
         os.symlink(path, folder / name)
 
 
-def serve_broken(pipe: Connection, fish: Fish, key: bytes, folder: Path) -> None:
+def _unlink(folder: Path, names: Iterable[str] = NAMES) -> None:
+    """Take names away before their lines close, as udev does: the next line to open, of whomever,
+    gets the same number, and a watchdog that still tries would turn its torque off."""
+    for name in names:
+        (folder / name).unlink(missing_ok=True)
+
+
+def serve_broken(pipe: Connection, fish: Fish, key: bytes) -> None:
     """Serve rigs, one after the other, until the pipe closes.
 
-    Orders: ("new", robot, fault) opens a rig, with a fault unless it is "", and answers with the
-    station's address; ("break", name)
-    answers with the time; ("plug",) reconnects both cables; ("look",) answers with a `Look` and
-    whether torque is on; ("end",) closes the rig.
+    Orders: ("new", robot, fault, folder) opens a rig, with a fault unless it is "", links its ports
+    in the folder and answers with the station's address; ("break", name) answers with the time;
+    ("plug",) reconnects both cables; ("look",) answers with a `Look` and whether torque is on;
+    ("end",) closes the rig.
     """
     timing.claim(timing.BESIDE)
     warm = PlantShaft(fish=fish)  # compiled once, before anyone waits for it
@@ -250,14 +261,16 @@ def serve_broken(pipe: Connection, fish: Fish, key: bytes, folder: Path) -> None
     gc.disable()
     pipe.send("ready")
     while (order := pipe.recv())[0] == "new":
-        rig = bench.open_rig(fish, key, order[1], (1.5, 0.5))
-        if order[2]:
-            FAULTS[order[2]](rig)
+        robot, fault, folder = order[1:]
+        rig = bench.open_rig(fish, key, robot, (1.5, 0.5))
+        if fault:
+            FAULTS[fault](rig)
         own = rig.station.sender
         own.socket = Network(own.socket, np.random.default_rng(0))  # type: ignore
         _link_to(rig, folder)
         pipe.send(rig.station.socket.getsockname())
         _serve(pipe, rig, folder)
+        _unlink(folder)
         bench.close_rig(rig)
         pipe.send("closed")
 
@@ -273,6 +286,7 @@ def _serve(pipe: Connection, rig: Rig, folder: Path) -> None:
         match pipe.recv():
             case ("break", name):
                 look.broken = time.monotonic()
+                _unlink(folder, UNPLUGGED.get(name, ()))
                 FAULTS[name](rig)
                 pipe.send(look.broken)
             case ("plug",):

@@ -115,8 +115,8 @@ def _be_patient(own: Any, patience: float) -> None:
 
 @dataclass(eq=False)
 class Bench:
-    """The emulators' process: its pipe, the folder with its ports, and the factor `patience` on the
-    loop's times."""
+    """The emulators' process: its pipe, the folder with a folder per swim for ports and log, and
+    the factor `patience` on the loop's times."""
 
     pipe: Connection
     folder: Path
@@ -140,7 +140,7 @@ def open_bench(fish: Fish, preload: list[str], patience: float = 1.0) -> Iterato
         folder = Path(name)
         link.make_key(folder / "key")
         ours, theirs = context.Pipe()
-        words = (theirs, fish, link.read_key(folder / "key"), folder)
+        words = (theirs, fish, link.read_key(folder / "key"))
         process = context.Process(target=serve_broken, args=words, daemon=True)
         process.start()
         theirs.close()
@@ -187,10 +187,12 @@ def swimming(bench: Bench, policy: str, drive: Drive, fault: str = "") -> Iterat
     from the start: the loop does the sign test and is waited for until it ends. Raises RuntimeError
     if it does not start to swim."""
     robot = link.free_address()
-    station = bench.ask("new", robot, fault)
     bench.swims += 1
-    log = bench.folder / f"{bench.swims}.mcap"
-    ports = Ports(str(bench.folder / "servo"), str(bench.folder / "imu"), robot, station)
+    own = bench.folder / str(bench.swims)  # what is left of an earlier swim cannot find it
+    own.mkdir()
+    station = bench.ask("new", robot, fault, own)
+    log = own / "swim.mcap"
+    ports = Ports(str(own / "servo"), str(own / "imu"), robot, station)
     ours, theirs = bench.context.Pipe()
     config = DriveConfig(policy, ports, bench.key, log, seconds=1e3, sign_test=bool(fault))
     process = bench.context.Process(target=_run, args=(theirs, drive, config, bench.patience))
