@@ -16,7 +16,7 @@ from tailbeat.robot.doctor_camera import check_camera
 from tailbeat.robot.findings import Finding
 from tailbeat.vision.calibration import write_calibration
 
-pytestmark = pytest.mark.realtime("robot")
+pytestmark = pytest.mark.realtime
 
 IDS = (0, 1)
 WELL = Scene(fish=(0.6, -0.4, 0.7), target=(-1.0, 0.5, 0.0))

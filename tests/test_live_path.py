@@ -50,6 +50,7 @@ def not_rendered(shot: Shot, path: Path, _: object) -> None:
     path.touch()
 
 
+@pytest.mark.thorough
 def test_the_targets_in_the_fish_s_log_are_those_of_the_clock(swum):
     path = target_path(PathAsked("circle", speed=0.1, seconds=SECONDS))
     began = json.loads((swum / "path.json").read_text())["began"]
@@ -64,6 +65,7 @@ def test_the_targets_in_the_fish_s_log_are_those_of_the_clock(swum):
     assert moved > 0.2  # it did not wait
 
 
+@pytest.mark.thorough
 def test_the_results_are_written_and_say_what_happened(swum):
     result = json.loads((swum / "summary.json").read_text())["result"]
     held = json.loads((swum / "path.json").read_text())["holds"]

@@ -79,6 +79,7 @@ def test_the_search_finds_the_size_that_three_quarters_stand():
         assert len(table) < 24
 
 
+@pytest.mark.thorough
 def test_its_intervals_hold_the_population_s_size_as_often_as_they_say():
     """95 % are said; 60 policies, whose targets are drawn from a known population."""
     exact = 8.0 * np.exp(0.6 * -0.6745)  # a quarter stands less
@@ -152,6 +153,7 @@ def test_a_tag_glued_sideways_stands_what_geometry_allows(tmp_path):
     assert done["clean"]["arrived"] == 1.0 and done["thinnest"] == ["tag sideways"]
 
 
+@pytest.mark.thorough
 def test_an_interrupted_run_goes_on_to_the_same_numbers(tmp_path, monkeypatch):
     """With the last cells lost, those of the largest size; a folder of other cells is refused, and
     nothing is rewritten. Four targets, and an encoder that the policy does not read, are quick."""

@@ -12,6 +12,7 @@ from tailbeat.robot import timing
 pytestmark = pytest.mark.realtime
 
 
+@pytest.mark.thorough
 def test_rows_of_the_loop_alone_and_beside_busy_programs():
     rows = punctuality.punctuality_bench(minutes=0.02)
     assert [row.busy for row in rows] == [0, os.cpu_count()]
