@@ -6,11 +6,10 @@ Torque and goal are read inside the servo, a thousand times a second.
 """
 
 import gc
-import os
 import secrets
 import socket
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from tailbeat.emulators import rig as bench
-from tailbeat.emulators.line import close_line, open_line
+from tailbeat.emulators.line import close_line, link_lines, open_line, unlink_lines
 from tailbeat.emulators.plant_shaft import PlantShaft
 from tailbeat.emulators.rig import Rig
 from tailbeat.emulators.servo import Dynamixel
@@ -205,7 +204,6 @@ FAULTS: dict[str, Callable[[Rig], None]] = {
 }
 
 
-NAMES = ("servo", "imu")  # of the links to the ports
 UNPLUGGED = {"servo cable": ("servo",), "imu cable": ("imu",)}  # links that a fault takes away
 
 
@@ -231,20 +229,6 @@ def _watch(rig: Rig, look: Look) -> None:
         look.straight = now
 
 
-def _link_to(rig: Rig, folder: Path) -> None:
-    """Link the ports to constant names, as udev does."""
-    _unlink(folder)
-    for name, path in zip(NAMES, rig.ports, strict=True):
-        os.symlink(path, folder / name)
-
-
-def _unlink(folder: Path, names: Iterable[str] = NAMES) -> None:
-    """Take names away before their lines close, as udev does: the next line to open, of whomever,
-    gets the same number, and a watchdog that still tries would turn its torque off."""
-    for name in names:
-        (folder / name).unlink(missing_ok=True)
-
-
 def serve_broken(pipe: Connection, fish: Fish, key: bytes) -> None:
     """Serve rigs, one after the other, until the pipe closes.
 
@@ -267,10 +251,10 @@ def serve_broken(pipe: Connection, fish: Fish, key: bytes) -> None:
             FAULTS[fault](rig)
         own = rig.station.sender
         own.socket = Network(own.socket, np.random.default_rng(0))  # type: ignore
-        _link_to(rig, folder)
+        link_lines(rig.lines, folder)
         pipe.send(rig.station.socket.getsockname())
         _serve(pipe, rig, folder)
-        _unlink(folder)
+        unlink_lines(folder)
         bench.close_rig(rig)
         pipe.send("closed")
 
@@ -286,11 +270,11 @@ def _serve(pipe: Connection, rig: Rig, folder: Path) -> None:
         match pipe.recv():
             case ("break", name):
                 look.broken = time.monotonic()
-                _unlink(folder, UNPLUGGED.get(name, ()))
+                unlink_lines(folder, UNPLUGGED.get(name, ()))
                 FAULTS[name](rig)
                 pipe.send(look.broken)
             case ("plug",):
-                _link_to(rig, folder)
+                link_lines(rig.lines, folder)
                 pipe.send(time.monotonic())
             case ("look",):
                 pipe.send((look, bool(_servo(rig).get(64))))
