@@ -48,6 +48,7 @@ def synthetic_runs(noise: float = 0.0):
     ]
 
 
+@pytest.mark.thorough
 @pytest.mark.long
 def test_known_coefficients_of_one_zone_come_back(tmp_path):
     """One set of five numbers for all zones; the slow test after this one has fifteen."""

@@ -171,6 +171,7 @@ def test_an_interrupted_run_goes_on_to_the_same_numbers(tmp_path, monkeypatch):
     assert (out / "margins.json").read_text() == before
 
 
+@pytest.mark.thorough
 def test_a_cell_swum_as_a_job_of_its_own_is_the_one_swum_among_others(monkeypatch):
     """To the bit, as on a cluster (a slow test)."""
     monkeypatch.setattr(cells, "FEW", 3)

@@ -88,6 +88,7 @@ def few(monkeypatch):
     monkeypatch.setattr(next_swim, "candidates", lambda fish: chosen)
 
 
+@pytest.mark.thorough
 def test_a_turn_tells_most_about_turning(few):
     """The unknown number is the drag across the fin, which a fast turn shows."""
     known = posterior(fitted=("fluid-01",))

@@ -48,6 +48,7 @@ def folder(tmp_path_factory):
     return out
 
 
+@pytest.mark.thorough
 def test_what_is_recorded_is_what_sensors_give(folder):
     sweep = read_recording(folder / "tail-sweep.csv")
     counts = sweep.columns["angle_rad"] / COUNT
@@ -107,18 +108,21 @@ def test_check_swims_stay_inside_the_limits_and_every_seed_has_others():
         assert abs(np.corrcoef(mine, theirs)[0, 1]) < 0.9, name
 
 
+@pytest.mark.thorough
 def test_check_swims_judge_the_fit_and_are_never_fitted(folder):
     sorted_out = read_folder(folder)
     assert len(sorted_out.check) == 10
     assert not {*sorted_out.check} & {*sorted_out.fluid_fit, *sorted_out.fluid_validate}
 
 
+@pytest.mark.thorough
 def test_the_bench_gives_back_the_plant_s_stiffness(folder):
     fit = identify_tail([read_recording(folder / "tail-sweep.csv")])
     assert fit.k_eff.value == pytest.approx(shaft_stiffness(FISH), rel=0.02)
     assert fit.k_eff.interval[0] < shaft_stiffness(FISH) < fit.k_eff.interval[1]
 
 
+@pytest.mark.thorough
 def test_a_change_of_one_stage_s_inputs_keeps_the_stages_before_it(folder):
     """It was one key for all: other draws, and tail and servo were fitted anew."""
     data = read_folder(folder)
@@ -199,6 +203,7 @@ def test_given_commands_are_played_and_checked(tmp_path):
     assert not list((tmp_path / "two").glob("*"))
 
 
+@pytest.mark.thorough
 def test_a_folder_without_a_bench_is_refused(folder, tmp_path):
     with pytest.raises(BadInput, match="begins with tail-sweep"):
         identify_all(

@@ -65,6 +65,7 @@ def test_the_shipped_generator_reaches_its_targets_in_twin_and_pool():
     assert pool.arrived > 0.9, pool
 
 
+@pytest.mark.thorough
 def test_the_shipped_generator_does_not_circle_a_target_behind_it():
     """Seed 0, which reached 998 of 1,000 targets in its twin, needs up to 25 s for these, and in a
     tour of the whole robot it circled the first target for 30 s. The shipped one needs 10 s."""

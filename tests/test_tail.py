@@ -242,6 +242,7 @@ def two_terms(fit: TailFit) -> float:
     return k.value
 
 
+@pytest.mark.thorough
 def test_a_tail_driven_beyond_its_resonance_keeps_its_stiffness():
     """Its next mode makes it seem 14 % stiffer where it counts as one spring and one inertia."""
     fit, true = driven(SOFT)
@@ -255,6 +256,7 @@ def test_a_tail_that_stiffens_with_the_stroke_keeps_the_stiffness_of_small_strok
     assert fit.bend is not None and fit.k_eff.interval[0] <= true <= fit.k_eff.interval[1]
 
 
+@pytest.mark.thorough
 def test_a_tail_without_either_is_fitted_by_two_terms():
     """Of forty benches few see what is not there: an interval of 95 % is above zero by chance in
     one of forty."""
