@@ -201,7 +201,8 @@ def swimming(bench: Bench, policy: str, drive: Drive, fault: str = "") -> Iterat
     swim = Swim(process, ours, log, [])
     try:
         began = ("run", "stop") if fault else ("run",)
-        wait(swim, lambda: swim.state in began or not process.is_alive(), START)
+        over = (*began, "hold")  # nobody arms it again
+        wait(swim, lambda: swim.state in over or not process.is_alive(), START)
         if swim.state not in began:
             raise RuntimeError(f"the fish did not start to swim: {swim.lines}")
         yield swim
