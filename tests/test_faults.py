@@ -52,6 +52,7 @@ def test_a_fault_leads_to_its_safe_state_and_says_why(patient, case):
         assert case.words in row.operator_sees
 
 
+@pytest.mark.thorough
 def test_a_fish_that_goes_on_where_it_should_hold_is_not_called_safe(patient, monkeypatch):
     monkeypatch.setattr(faults, "WAIT", 1.0)
     wrong = Case("nothing is broken", "loop", "nothing", "hold", "no pose for")
