@@ -1,6 +1,7 @@
 """The page that a lab prints before its first day: it says what was measured, and names the command
 for what was not."""
 
+import json
 import re
 from html import unescape
 
@@ -42,14 +43,19 @@ def text_of(folder):
 
 
 def test_the_page_names_what_nobody_measured_and_every_check(tmp_path):
-    done = tailbeat("first-day", NAME, "--out", tmp_path / "page")
+    report = tmp_path / "day.json"
+    done = tailbeat("first-day", NAME, "--out", tmp_path / "page", "--json", report)
     assert done.returncode == 0, done.stderr
     text = text_of(tmp_path / "page")
     assert "tailbeat evaluate POLICY --tasks messy" in text
     assert "tailbeat margins POLICY" in text
     assert "<img" in (tmp_path / "page" / "report.html").read_text()
     assert all(check in text for check in findings.ADVICE)
-    assert re.search(r"numbers that the recordings decide\s+\d+ of 18", text)
+    said = re.search(r"numbers that the recordings decide\s+(\d+) of 18", text)
+    held = json.loads(report.read_text())
+    assert said and int(said[1]) == held["decided"] and len(held["twin"]) == 18
+    assert held["policy_digest"] == DIGEST and held["margins"] is held["messy"] is None
+    assert held["checks"] == dict(findings.ADVICE) and held["length_m"] == pytest.approx(0.54)
     assert "exists" in complaint("first-day", NAME, "--out", tmp_path / "page")
 
 

@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from tailbeat.cli import output
-from tailbeat.cli.options import PolicyFile, TwinOption
-from tailbeat.files import refuse_existing
+from tailbeat.cli.options import JsonOption, PolicyFile, TwinOption
+from tailbeat.files import refuse_existing, write_json
 
 
 def first_day(
@@ -18,11 +18,13 @@ def first_day(
         Path | None, typer.Option(help="Folder of `evaluate --tasks messy`.")
     ] = None,
     margins: Annotated[Path | None, typer.Option(help="Folder of `margins`.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Write a page to print before the first day at the pool. It has the fish, the success to
     expect in messy labs, what the policy stands, how sure the twin is, and what to check on site.
     What nobody measured is named with the command that measures it."""
-    refuse_existing(out / "report.html")
+    for path in filter(None, (out / "report.html", json)):
+        refuse_existing(path)
     from tailbeat.control.policy import load_policy
     from tailbeat.identify import posterior
     from tailbeat.report import first_day as page
@@ -33,3 +35,5 @@ def first_day(
     doubt = posterior.at_hand(twin or loaded.contract.fish)
     known = page.measured(loaded, evaluation, margins, doubt)
     output.say(f"page: {page.write(loaded, policy, fish, known, out)}")
+    if json is not None:
+        write_json(json, page.as_report(loaded, policy, fish, known))

@@ -74,6 +74,27 @@ def write(policy: Policy, name: str, fish: Fish, known: Measured, out: Path) -> 
     return html.write(out, sections, facts, f"{fish.name}: before the first day")
 
 
+def as_report(policy: Policy, name: str, fish: Fish, known: Measured) -> dict[str, Any]:
+    """The page's numbers; None where nobody measured them. `decided` of the twin's numbers are
+    decided by the recordings."""
+    doubt = known.posterior
+    found = None if doubt is None else estimates(doubt)
+    return {
+        "policy": name,
+        "policy_digest": contract_digest(policy.contract),
+        "fish": fish.name,
+        "length_m": length_of(fish),
+        "mass_kg": read_back(fish).mass,
+        "band_hz": policy.contract.band,
+        "messy": known.messy,
+        "margins": known.margins,
+        "twin": found,
+        "decided": found and sum(one.decided for one in found.values()),
+        "discrepancy": doubt and doubt.discrepancy,
+        "checks": dict(findings.ADVICE),
+    }
+
+
 def _facts(policy: Policy, name: str, fish: Fish) -> dict[str, Any]:
     held, contract = policy.contract.training, policy.contract
     low, high = contract.band
