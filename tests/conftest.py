@@ -60,13 +60,15 @@ def chromium() -> Iterator[Any]:
 
 def pytest_configure(config: pytest.Config) -> None:
     """No search for garbage among what is imported and collected, which stays: a quarter of a
-    second each time."""
-    gc.disable()
+    second each time. Not in a single process: hypothesis would warn of what it cannot find."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        gc.disable()
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    gc.freeze()
-    gc.enable()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

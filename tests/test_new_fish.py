@@ -19,7 +19,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish import check, convergence, first_draft, render
 from tailbeat.fish.buoyancy import buoyancy
 from tailbeat.fish.catalogue import profile, profiles
-from tailbeat.fish.description import Simulation, length_of
+from tailbeat.fish.description import Fish, Simulation, length_of
 from tailbeat.fish.proportions import Given, sketch
 from tailbeat.fish.show import read_back
 from tailbeat.fish.store import digest, load_fish, with_values
@@ -140,6 +140,29 @@ def test_the_servo_s_reach_is_what_the_compiled_twin_does():
     tail = check.tail_of(PULLEY)
     for one in check.reaches(PULLEY, tail)[1:]:
         assert one.stroke == pytest.approx(_stroke(one.frequency), rel=0.15), one
+
+
+def test_the_servo_alone_is_the_maker_s_and_holds_what_the_compiled_twin_holds():
+    """Speed without load and torque at standstill of the catalogue; a slow command bends the tail
+    as far as the torque does, in the engine."""
+    bought = profiles()["xl430"]
+    fish = first_draft.described(sketch(Given(0.408, 0.784, 3, "xl430")))
+    found = check.strength(fish, check.tail_of(fish))
+    assert found.no_load == pytest.approx(bought.no_load, rel=0.01)
+    assert found.stall == pytest.approx(bought.stall_nm, rel=0.01)
+    weak = with_values(PULLEY, {f"servos.{PULLEY.servo}.force_limit": 0.6})
+    bend = check.strength(weak, check.tail_of(weak)).bend
+    assert bend == pytest.approx(_held(weak), rel=0.03) and 0.3 < bend < 0.7
+
+
+def _held(fish: Fish) -> float:
+    """The shaft's angle in the engine under the whole torque, at rest [rad]."""
+    model = compile_twin(fish, Options(root="fixed")).model
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 1.3
+    for _ in range(round(20 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    return float(data.joint("motor").qpos[0])
 
 
 def _stroke(frequency: float) -> float:

@@ -171,8 +171,8 @@ def _say_task(fish: str) -> None:
 
 # Units of what `show` prints: by the end of a name, the longest first, and by the name itself.
 ENDS = {
-    "_n_m_rad": "N m/rad", "_kg_m2": "kg m^2", "_m_s": "m/s", "_kg": "kg", "_hz": "Hz",
-    "_deg": "deg", "_m": "m", "_s": "s",
+    "_n_m_rad": "N m/rad", "_n_m": "N m", "_rad_s": "rad/s", "_kg_m2": "kg m^2", "_m_s": "m/s",
+    "_kg": "kg", "_hz": "Hz", "_deg": "deg", "_m": "m", "_s": "s",
 }  # fmt: skip
 NAMED = {
     "k_eff_formula": "N m/rad", "k_eff_read": "N m/rad", "k_eff_stated": "N m/rad",

@@ -32,6 +32,16 @@ class Tail:
 
 
 @dataclass(frozen=True)
+class Strength:
+    """What the servo can do at all: its torque at standstill [N m], its speed without load [rad/s]
+    (inf without damping), and how far it holds the tail bent [rad]."""
+
+    stall: float
+    no_load: float
+    bend: float
+
+
+@dataclass(frozen=True)
 class Reach:
     """The largest stroke that the servo makes at a beat [Hz], in water and at its force limit
     [rad], and what limits it: range, gain or torque."""
@@ -47,6 +57,7 @@ class Check:
 
     buoyancy: Buoyancy
     tail: Tail | None
+    servo: Strength | None
     reach: tuple[Reach, ...]
     swims: tuple[Quick, ...]
     step: Deviation
@@ -58,6 +69,7 @@ def check(fish: Fish, length: float) -> Check:
     found = buoyancy(fish)
     tail = None if fish.motor.range is None else tail_of(fish)
     reach = () if tail is None else reaches(fish, tail)
+    servo = None if tail is None else strength(fish, tail)
     swims = quick_swims(fish, length)
     step = deviation(fish)
     said = (
@@ -67,7 +79,7 @@ def check(fish: Fish, length: float) -> Check:
         *swim_warnings(swims, length),
         *_step_warnings(step),
     )
-    return Check(found, tail, reach, swims, step, said)
+    return Check(found, tail, servo, reach, swims, step, said)
 
 
 # ---- tail and servo -----------------------------------------------------------------------------
@@ -78,6 +90,16 @@ def tail_of(fish: Fish) -> Tail:
     air, water = (at_shaft(fish, added) for added in (0.0, max(fish.added_inertia, 1.0)))
     rings = [math.sqrt(one.stiffness / one.inertia) / (2 * math.pi) for one in (air, water)]
     return Tail(air.stiffness, air.inertia, water.inertia, rings[0], rings[1])
+
+
+def strength(fish: Fish, tail: Tail) -> Strength:
+    """What the servo does slowly: friction takes its part of the torque, the tail's spring or the
+    range ends the bend. Damping (of a geared motor its back EMF) ends the speed."""
+    servo = fish.servos[fish.servo]
+    low, high = fish.motor.range or (-math.pi, math.pi)
+    torque = max(servo.force_limit - servo.friction, 0.0)
+    speed = torque / servo.damping if servo.damping else math.inf
+    return Strength(torque, speed, min(torque / tail.stiffness, (high - low) / 2))
 
 
 def reaches(fish: Fish, tail: Tail) -> tuple[Reach, ...]:

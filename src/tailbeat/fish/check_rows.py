@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from tailbeat.fish.buoyancy import Buoyancy
-from tailbeat.fish.check import Check, Reach, Tail
+from tailbeat.fish.check import Check, Reach, Strength, Tail
 from tailbeat.fish.convergence import Deviation
 from tailbeat.fish.quick_swims import Quick
 
@@ -16,6 +16,7 @@ def check_tables(found: Check) -> dict[str, Rows]:
     return {
         "buoyancy": [_buoyancy(found.buoyancy)],
         "tail at the shaft": [] if found.tail is None else [_tail(found.tail)],
+        "servo alone": [] if found.servo is None else [_strength(found.servo)],
         "servo's reach in water": [_reach(one) for one in found.reach],
         "quick swims": [_quick(one) for one in found.swims],
         "step": [_step(found.step)],
@@ -39,6 +40,14 @@ def _tail(found: Tail) -> dict[str, Any]:
         "inertia_in_water_kg_m2": found.inertia_water,
         "resonance_in_air_hz": found.resonance_air,
         "resonance_in_water_hz": found.resonance_water,
+    }
+
+
+def _strength(found: Strength) -> dict[str, Any]:
+    return {
+        "stall_torque_n_m": found.stall,
+        "no_load_speed_rad_s": found.no_load,
+        "static_bend_deg": math.degrees(found.bend),
     }
 
 
