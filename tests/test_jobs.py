@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from pickle import loads
 
 import pytest
 
@@ -13,8 +14,12 @@ from tailbeat.cluster.jobs import map_jobs
 from tailbeat.control.policy import load_policy
 from tailbeat.evaluate.compare import ComparisonConfig, cells_of, swim_cell
 from tailbeat.evaluate.comparison import cell_path
+from tailbeat.evaluate.evaluation import EvaluationConfig, evaluate
 from tailbeat.evaluate.margins import MarginsConfig, margins
 from tailbeat.files import BadInput, write_json
+from tailbeat.identify import stages
+from tailbeat.identify.job import FluidConfig, search_ahead, seeds_of
+from tailbeat.identify.search import Effort
 
 POLICY = "pulley-fish-pool-generator"
 CONFIG = ComparisonConfig((POLICY,), targets=2)
@@ -97,6 +102,8 @@ import sys
 from pathlib import Path
 from ray.cluster_utils import Cluster
 from tailbeat.cluster.comparison import compare
+from tailbeat.cluster.evaluation import evaluate_on
+from tailbeat.cluster.identification import search_ahead
 from tailbeat.cluster.margins import margins_on
 from tailbeat.evaluate.compare import ComparisonConfig
 from tailbeat.evaluate.margins import MarginsConfig
@@ -106,13 +113,24 @@ out = Path(sys.argv[2])
 compare(config, out, print, cluster.address)
 asked = MarginsConfig(targets=16, nuisances=("encoder",))
 margins_on(cluster.address, sys.argv[1], asked, out / "margins", print)
+from test_jobs import EVALUATED, FITTED, fitted
+evaluate_on(cluster.address, sys.argv[1], EVALUATED, out / "evaluated", print)
+search_ahead(cluster.address, fitted(Path(sys.argv[3]), out), FITTED, print)
 """
+EVALUATED = EvaluationConfig(pool="full", tasks=("reach",), episodes=2)
+FITTED = FluidConfig(zones=1, seeds=2, effort=Effort(generations=2, polish=2), draws=4)
+
+
+def fitted(swim: Path, out: Path) -> stages.Paths:
+    return stages.Paths("pulley-fish", [swim], out / "fitted.toml", [], None, [])
 
 
 @pytest.mark.slow
-def test_comparison_and_margins_on_a_cluster_are_those_of_this_machine(tmp_path):
-    words = [sys.executable, "-c", ON_RAY, POLICY, str(tmp_path / "ray")]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=400)
+def test_what_is_swum_on_a_cluster_is_what_this_machine_swims(tmp_path, swim):
+    """To the bit: a comparison, margins, an evaluation, the searches of an identification."""
+    words = [sys.executable, "-c", ON_RAY, POLICY, str(tmp_path / "ray"), str(swim)]
+    own = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    done = subprocess.run(words, capture_output=True, text=True, timeout=400, env=own)
     assert done.returncode == 0, done.stderr[-3000:]
     comparison.compare(CONFIG, tmp_path / "here", lambda *_: None)
     for cell in cells_of(CONFIG):
@@ -122,3 +140,18 @@ def test_comparison_and_margins_on_a_cluster_are_those_of_this_machine(tmp_path)
     margins(load_policy(POLICY), asked, tmp_path / "margins", lambda *_: None)
     there, here = (path / "margins/cells.json" for path in (tmp_path / "ray", tmp_path))
     assert there.read_bytes() == here.read_bytes()
+    evaluate(load_policy(POLICY), EVALUATED, tmp_path / "evaluated", lambda *_: None)
+    names = [path.name for path in (tmp_path / "evaluated").glob("*.npz")]
+    assert len(names) > 3
+    for name in names:
+        there, here = (path / "evaluated" / name for path in (tmp_path / "ray", tmp_path))
+        assert there.read_bytes() == here.read_bytes(), name
+    (scratch := tmp_path / "scratch").mkdir()
+    fish, (fit, *_) = stages.swims_of(fitted(swim, tmp_path), FITTED)
+    for seed in seeds_of(FITTED):
+        search_ahead(fish, fit, FITTED, scratch, seed)
+        (there,), (here,) = (
+            [loads(path.read_bytes()) for path in folder.glob(f"**/*/seed{seed}.fit")]
+            for folder in (tmp_path / "ray", scratch)
+        )
+        assert there.cost == here.cost and there.z.tolist() == here.z.tolist()

@@ -14,6 +14,8 @@ import pytest
 from scipy import stats
 
 from support import tailbeat, tailbeat_process
+from tailbeat.benchmarks import sweeps
+from tailbeat.benchmarks.sweeps import SweepRow
 from tailbeat.cluster import plan, summary, trial, tune
 from tailbeat.cluster.plan import Trial
 from tailbeat.cluster.summary import TrialRow
@@ -279,3 +281,26 @@ def test_a_trial_s_fields_are_those_of_a_sweep():
     """A field that may vary and that no trial has would be ignored."""
     own = set(Trial.__dataclass_fields__) - {"name", "group", "changed"}
     assert own == set(plan.Varied.model_fields)
+
+
+# ---- how efficient it is ------------------------------------------------------------------------
+
+
+def test_more_cores_are_as_the_arithmetic_says():
+    """A thousand trials of 10 s, each with 1 s more, on 100 cores: ten rounds. A driver that needs
+    0.1 s of each serves 100 at once, and more cores give nothing."""
+    row = SweepRow(8, 2, 50.0, 60.0, 50 / 60, 5.0, 10.0, 1.0, 0.1)
+    ten, hundred, thousand, _, *usual = sweeps.more_cores(row)
+    assert ten.hours == pytest.approx((5 + 100 * 11) / 3600)
+    assert hundred.hours == thousand.hours == pytest.approx((5 + 10 * 11) / 3600)
+    assert hundred.efficiency == pytest.approx(1000 * 10 / (100 * 115))
+    assert hundred.most_cores == 100
+    assert thousand.efficiency == pytest.approx(hundred.efficiency / 10)
+    assert usual[0].efficiency > 0.99 and usual[0].most_cores == 12_000
+
+
+@pytest.mark.slow
+def test_a_sweep_is_measured_against_one_training_after_the_other():
+    row = sweeps.sweep_bench(trials=2)
+    assert row.trials == 2 and row.ratio == pytest.approx(row.sweep_s / row.in_turn_s)
+    assert 5 < row.trial_s < row.sweep_s and row.overhead_s > 0 and 0 < row.driver_s < row.trial_s

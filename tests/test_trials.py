@@ -25,7 +25,7 @@ from tailbeat.evaluate import (
 )  # fmt: skip
 from tailbeat.evaluate.evaluation import EvaluationConfig
 from tailbeat.evaluate.runs import Runs, surge
-from tailbeat.evaluate.trial import Condition, Pool, swim, swim_all
+from tailbeat.evaluate.trial import Condition, Pool, chunks_of, swim, swim_all
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.runs import tracked_pose
@@ -173,11 +173,11 @@ def test_a_trial_cut_short_is_taken_up_and_gives_the_same(tmp_path, monkeypatch)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        swim_all(beat, [condition], tmp_path / "a", 0, stop_after_one)
+        swim_all(beat, chunks_of([condition], tmp_path / "a", 0), stop_after_one)
     half, short = store.load(tmp_path / "a", "test", 2)
     assert half.count == 2 and short
-    swim_all(beat, [condition], tmp_path / "a", 0, stop_after_one)
-    swim_all(beat, [condition], tmp_path / "b", 0, lambda *_: None)
+    swim_all(beat, chunks_of([condition], tmp_path / "a", 0), stop_after_one)
+    swim_all(beat, chunks_of([condition], tmp_path / "b", 0), lambda *_: None)
     whole, short = store.load(tmp_path / "a", "test", 2)
     assert not short and said[-1] == ("test", 4, 4)
     for name, values in vars(store.load(tmp_path / "b", "test", 2)[0]).items():

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tailbeat.cli import output, results
-from tailbeat.cli.extras import need_camera, need_robot
+from tailbeat.cli.extras import need_camera, need_robot, need_training
 from tailbeat.cli.options import (
     JsonOption,
     MessOption,
@@ -15,7 +15,7 @@ from tailbeat.cli.options import (
     SeedOption,
     TargetOption,
 )
-from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.files import BadInput, need, refuse_existing, write_json
 from tailbeat.link.places import TARGET
 
 
@@ -88,15 +88,21 @@ def benchmark(
     env: Annotated[
         bool, typer.Option(help="Also measure environment and updates, and compare with SB3.")
     ] = True,
+    sweep: Annotated[
+        bool, typer.Option("--sweep", help="Also measure a sweep of eight short trainings.")
+    ] = False,
     json: JsonOption = None,
 ) -> None:
     """Measure speed and accuracy on this machine. It measures step, pool, environment, updates,
     camera and control loop, and compares the step with a bare engine loop."""
     if json is not None:
         refuse_existing(json)
+    if sweep:
+        need_training()
+        need("sweeps", "ray")
     from tailbeat.benchmarks import suite
 
-    result = suite.benchmark(env)
+    result = suite.benchmark(env, sweep)
     results.benched(result)
     if json is not None:
         write_json(json, result)

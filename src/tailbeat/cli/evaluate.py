@@ -48,6 +48,7 @@ def evaluate(
             " 5.5x2.7, in the fish's measure."
         ),
     ] = None,
+    address: AddressOption = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -55,6 +56,9 @@ def evaluate(
     command resumes an interrupted evaluation."""
     if json is not None:
         refuse_existing(json)
+    if address is not None:
+        need("a cluster", "ray")
+    from tailbeat.cluster.evaluation import evaluate_on
     from tailbeat.control.policy import load_policy
     from tailbeat.evaluate.evaluation import EvaluationConfig
     from tailbeat.evaluate.evaluation import evaluate as swim_all
@@ -62,7 +66,10 @@ def evaluate(
     tasks = tuple(task or NAMES)
     config = EvaluationConfig(fish, twin, pool, tasks, episodes, _walls(walls), seed)
     with progress.counting() as count:
-        done = swim_all(load_policy(policy), config, out, count)
+        if address is None:
+            done = swim_all(load_policy(policy), config, out, count)
+        else:
+            done = evaluate_on(address, policy, config, out, count)
     results.evaluated(done)
     _page(out, fish, twin, done, json)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -9,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from tailbeat.cli import identified, output, progress
-from tailbeat.cli.options import FishOption, JsonOption, SeedOption
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.cli.options import AddressOption, FishOption, JsonOption, SeedOption
+from tailbeat.files import need, refuse_existing, write_json
 
 if TYPE_CHECKING:
     from tailbeat.identify.stages import Paths
@@ -68,6 +69,7 @@ def identify_fluid(
     added_inertia: AddedOption = None,
     law: LawOption = "described",
     draws: DrawsOption = 100,
+    address: AddressOption = None,
     json: JsonOption = None,
 ) -> None:
     """Fit the fluid coefficients to recorded swims. Writes the fish and, beside it, a report
@@ -80,6 +82,12 @@ def identify_fluid(
     effort, whole = Effort(generations=generations, polish=iterations), law == "whole"
     config = job.FluidConfig(zones, seeds, seed, effort, start_weight, added_inertia, whole, draws)
     paths = stages.Paths(fish, fit, out, validate or [], json, check or [])
+    if address is not None:
+        need("a cluster", "ray")
+        from tailbeat.cluster.identification import search_ahead
+
+        with progress.counting() as count:
+            search_ahead(address, paths, config, partial(count, "searches"))
     with progress.search_progress() as report:
         stages.fluid(paths, config, report, measured_against_twin)
     said = _report(paths)

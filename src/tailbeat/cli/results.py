@@ -110,4 +110,6 @@ def benched(result: "Benchmark") -> None:
         "against SB3": as_rows(peers),
         "an update of the training": as_rows(result.update),
         "control loop beside busy programs": as_rows(result.loop),
+        "a sweep, against one training after the other": as_rows(filter(None, [result.sweep])),
+        "by arithmetic, on more cores": as_rows(result.more_cores),
     })  # fmt: skip

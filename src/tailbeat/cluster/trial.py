@@ -9,6 +9,7 @@ import fcntl
 import json
 import shutil
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from psutil import Process
 
 from tailbeat.cluster.plan import Evaluated, Sweep, Trial, Tried
 from tailbeat.control.policy import Policy, load_policy
@@ -81,7 +83,14 @@ def swim(folder: Path) -> None:
     pool = None if sweep.evaluate is None else _evaluated(policy, sweep.evaluate, folder)
     trained = json.loads((folder / TRAINED).read_text(encoding="utf-8"))
     tried = json.loads((folder / TRIED).read_text(encoding="utf-8"))
-    write_json(folder / RESULT, {"trained": trained, "twin": tried, "pool": pool}, overwrite=True)
+    spent = time.time() - Process().create_time()
+    result = {"trained": trained, "twin": tried, "pool": pool, "process_s": spent}
+    write_json(folder / RESULT, result, overwrite=True)
+
+
+def process_seconds(folder: Path) -> float:
+    """How long the process that ended a trial lived [s], with its start and imports."""
+    return float(json.loads((folder / RESULT).read_text(encoding="utf-8"))["process_s"])
 
 
 def _train(run: RunConfig, folder: Path) -> None:

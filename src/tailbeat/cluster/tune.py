@@ -83,6 +83,11 @@ def _check_answers(address: str) -> None:
     socket.create_connection((host, int(port)), timeout=ANSWER).close()
 
 
+def disconnect() -> None:
+    """Leave the cluster; Ray that was started on this machine ends."""
+    ray.shutdown()
+
+
 def versions() -> dict[str, str]:
     """The versions that driver and workers must share."""
     return {"python": platform.python_version()} | {
@@ -93,11 +98,7 @@ def versions() -> dict[str, str]:
 def swim(sweep: Sweep, todo: Sequence[Trial], out: Path, report: Report) -> dict[str, str]:
     """Swim the trials `todo` in `out/trials`; returns why each failed one did, by its name. Ray
     must be connected. Ctrl-C ends it; trials keep their checkpoints."""
-    for trial in todo:
-        folder = out / "trials" / trial.name
-        folder.mkdir(parents=True, exist_ok=True)
-        held = {"trial": asdict(trial), "sweep": sweep.model_dump()}
-        write_json(folder / TRIAL, held, overwrite=True)
+    write_trials(sweep, todo, out)
     told = _Told(report)
     tuner = tune.Tuner(
         tune.with_resources(_work, {"cpu": sweep.cores}),
@@ -118,6 +119,16 @@ def swim(sweep: Sweep, todo: Sequence[Trial], out: Path, report: Report) -> dict
     )
     tuner.fit()
     return told.failed
+
+
+def write_trials(sweep: Sweep, todo: Sequence[Trial], out: Path) -> list[Path]:
+    """Write what each trial is into its folder in `out/trials`; returns the folders."""
+    folders = [out / "trials" / trial.name for trial in todo]
+    for folder, trial in zip(folders, todo, strict=True):
+        folder.mkdir(parents=True, exist_ok=True)
+        held = {"trial": asdict(trial), "sweep": sweep.model_dump()}
+        write_json(folder / TRIAL, held, overwrite=True)
+    return folders
 
 
 def _scheduler(name: str) -> Any:

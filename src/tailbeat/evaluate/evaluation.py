@@ -29,7 +29,15 @@ from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.spectrum import SpectrumRow
 from tailbeat.evaluate.store import RunDescription
 from tailbeat.evaluate.track import TrackResult
-from tailbeat.evaluate.trial import CHUNK, Condition, Pool, Progress, swim_all
+from tailbeat.evaluate.trial import (
+    CHUNK,
+    Chunk,
+    Condition,
+    Pool,
+    Progress,
+    chunks_of,
+    swim_all,
+)  # fmt: skip
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import digest, load_fish
 from tailbeat.identify import posterior
@@ -37,6 +45,8 @@ from tailbeat.link.places import POOL
 from tailbeat.pool import mess
 from tailbeat.pool.water import Water, ablations, ensemble, fingerprint
 from tailbeat.robot.fits import check_swims
+
+Swim = Callable[[Sequence[Chunk], Progress], None]  # swims the chunks that are not on disk
 
 POOLS = 16  # waters of the ensemble
 ENSEMBLE_SEED = 0
@@ -129,18 +139,26 @@ def conditions_of(pool: Pool, tasks: Sequence[str]) -> list[Condition]:
     return [one for name in tasks if name in CONDITIONS for one in CONDITIONS[name](pool)]
 
 
-def evaluate(policy: Policy, config: EvaluationConfig, out: Path, progress: Progress) -> Evaluation:
-    """Swim what is missing, then `read`; an evaluation that was stopped continues.
+def evaluate(
+    policy: Policy,
+    config: EvaluationConfig,
+    out: Path,
+    progress: Progress,
+    swim: Swim | None = None,
+) -> Evaluation:
+    """Swim what is missing, then `read`; an evaluation that was stopped continues. `swim` may swim
+    elsewhere; default: in this process.
 
     Raises BadInput if the policy does not fit, or the folder has other runs.
     """
+    swim = swim or partial(swim_all, partial(decide, policy))
     pool, tasks = pool_of(policy, config), config.tasks
     check_tasks(tasks)
     swum = dict.fromkeys(["reach", *tasks] if "spectrum" in tasks else tasks)
     conditions = conditions_of(pool, list(swum))
     store.begin(out, describe(policy, pool))
     store.keep_fish(out, pool.twin)
-    swim_all(partial(decide, policy), conditions, out, pool.seed, progress)
+    swim(chunks_of(conditions, out, pool.seed), progress)
     if "twin" in tasks:
         fresh_recordings.record(pool.fish, out / "twin", pool.seed)
         found = fresh_recordings.numbers(out / "twin", pool.fish, pool.twin)

@@ -144,20 +144,41 @@ def in_labs(condition: Condition, labs: Sequence[Lab]) -> Condition:
     return replace(condition, water=waters, around=places, wear=wear, wrong=wrong)
 
 
-def swim_all(
-    decide: Decide, conditions: Sequence[Condition], out: Path, seed: int, progress: Progress
-) -> None:
-    """Swim every chunk that is not on disk. The same seed gives the same noise under all
-    conditions, so swim i of one is paired with swim i of another."""
-    total, swum = sum(condition.count for condition in conditions), 0
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """A chunk of a condition's swims, their seeds, and the file to write."""
+
+    condition: Condition
+    seeds: tuple[int, ...]
+    path: Path
+
+
+def chunks_of(conditions: Sequence[Condition], out: Path, seed: int) -> list[Chunk]:
+    """Every chunk of some conditions. The same seed gives the same noise under all conditions, so
+    swim i of one is paired with swim i of another."""
+    found = []
     for condition in conditions:
         seeds = seeds_from(seed, condition.count)
         for chunk in range(condition.chunks):
-            path, own = store.chunk_path(out, condition.name, chunk), part(condition, chunk)
-            if not path.is_file():
-                store.save(swim(decide, own, seeds[chunk * CHUNK :][:CHUNK]), path)
-            swum += own.count
-            progress(condition.name, swum, total)
+            own = tuple(seeds[chunk * CHUNK :][:CHUNK])
+            path = store.chunk_path(out, condition.name, chunk)
+            found.append(Chunk(part(condition, chunk), own, path))
+    return found
+
+
+def swim_all(decide: Decide, chunks: Sequence[Chunk], progress: Progress) -> None:
+    """Swim every chunk that is not on disk."""
+    total, swum = sum(one.condition.count for one in chunks), 0
+    for one in chunks:
+        if not one.path.is_file():
+            swim_chunk(decide, one)
+        swum += one.condition.count
+        progress(one.condition.name, swum, total)
+
+
+def swim_chunk(decide: Decide, chunk: Chunk) -> None:
+    """Swim a chunk and write its file."""
+    store.save(swim(decide, chunk.condition, list(chunk.seeds)), chunk.path)
 
 
 def swim(decide: Decide, condition: Condition, seeds: list[int]) -> Runs:

@@ -31,7 +31,7 @@ from tailbeat.identify.launch import Launched, check_launches, gaits
 from tailbeat.identify.predict import Prediction, predict, speed_mae
 from tailbeat.identify.runs import Run
 from tailbeat.identify.search import Effort, Fit, search_once
-from tailbeat.identify.space import Parameter, values
+from tailbeat.identify.space import Parameter, Residuals, values
 
 Array = NDArray[np.float64]
 THIRD, MANY = 3, 12  # CMA-ES sees every third swim where there are so many; the polish sees all
@@ -139,14 +139,8 @@ def identify_fluid(
     if not fit:
         raise BadInput("--fit is empty; give at least one recording to fit.")
     space, idle = _sensitive_space(fish, fit, config)
-    residuals = residual_function(fish, fit, space, config.start_weight)
-    many = len(fit) >= MANY
-    cheap = residual_function(fish, fit[::THIRD], space, config.start_weight) if many else None
-    key = _key(fish, fit, config)
-    fits = [
-        search_once(residuals, space, seed, config.effort, scratch / key, progress, cheap)
-        for seed in range(config.first_seed, config.first_seed + config.seeds)
-    ]
+    residuals, search = _search(fish, fit, space, config, scratch)
+    fits = [search(seed, progress) for seed in seeds_of(config)]
     fits.sort(key=lambda found: found.cost)
     owner = owners(apply(fish, values(space, fits[0].z)), fit)
     doubts = tuple(by_swims(one, owner) for one in fits)
@@ -155,6 +149,38 @@ def identify_fluid(
         fish, space, idle, doubts, np.array([list(values(space, z).values()) for z in drawn])
     )
     return _conclude(found, fit, validate, check or validate, began)
+
+
+def seeds_of(config: FluidConfig) -> range:
+    """The seeds of the searches."""
+    return range(config.first_seed, config.first_seed + config.seeds)
+
+
+def search_ahead(
+    fish: Fish, fit: Sequence[Run], config: FluidConfig, scratch: Path, seed: int
+) -> None:
+    """One of the searches of `identify_fluid`, which finds its result in the folder `scratch`."""
+    space, _ = _sensitive_space(fish, fit, config)
+    _search(fish, fit, space, config, scratch)[1](seed, lambda *_: None)
+
+
+def _search(
+    fish: Fish,
+    fit: Sequence[Run],
+    space: tuple[Parameter, ...],
+    config: FluidConfig,
+    scratch: Path,
+) -> tuple[Residuals, Callable[[int, Progress], Fit]]:
+    """The residuals of the fit, and the search from a seed."""
+    residuals = residual_function(fish, fit, space, config.start_weight)
+    many = len(fit) >= MANY
+    cheap = residual_function(fish, fit[::THIRD], space, config.start_weight) if many else None
+    key = _key(fish, fit, config)
+
+    def search(seed: int, progress: Progress) -> Fit:
+        return search_once(residuals, space, seed, config.effort, scratch / key, progress, cheap)
+
+    return residuals, search
 
 
 def _sensitive_space(

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tailbeat.files import refuse_existing, write_json
+from tailbeat.fish.description import Fish
 from tailbeat.fish.store import (
     Entries,
     check_fish_name,
@@ -32,7 +33,7 @@ from tailbeat.identify import (
 from tailbeat.identify.clean import clean_pull, clean_tail
 from tailbeat.identify.decay import ring_down, static_loop
 from tailbeat.identify.predict import Prediction
-from tailbeat.identify.runs import as_runs
+from tailbeat.identify.runs import Run, as_runs
 from tailbeat.identify.servo import as_benches
 from tailbeat.identify.servo_job import ServoConfig, ServoFit
 from tailbeat.identify.step_check import Held
@@ -113,6 +114,16 @@ def fluid(
     paths: Paths, config: job.FluidConfig, progress: Progress, draw: DrawFluid
 ) -> job.Identified:
     """Fit the fluid coefficients, write fish, report and figure. Raises BadInput as `tail` does."""
+    described, (fit, validate, check) = swims_of(paths, config)
+    found = job.identify_fluid(described, fit, validate, config, paths.scratch, progress, check)
+    _write_fluid(paths, found, config, draw)
+    job.clear(paths.scratch)
+    return found
+
+
+def swims_of(paths: Paths, config: job.FluidConfig) -> tuple[Fish, list[list[Run]]]:
+    """The fish as it is fitted, and its swims to fit, to validate and to check on. Raises BadInput,
+    also for what `fluid` may not overwrite."""
     job.check(config)
     _refuse_taken(paths)
     refuse_existing(posterior.beside(paths.out))
@@ -121,14 +132,11 @@ def fluid(
         described = with_values(described, {"added_inertia": config.added_inertia})
     if config.whole:
         described = whole(described)
-    fit, validate, check = (
+    groups = (paths.fit, paths.validate, paths.check)
+    return described, [
         [run for path in group for run in as_runs(read_recording(path), described)]
-        for group in (paths.fit, paths.validate, paths.check)
-    )
-    found = job.identify_fluid(described, fit, validate, config, paths.scratch, progress, check)
-    _write_fluid(paths, found, config, draw)
-    job.clear(paths.scratch)
-    return found
+        for group in groups
+    ]
 
 
 def _write_fluid(
