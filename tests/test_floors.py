@@ -51,6 +51,7 @@ EDGES = {
         "operator.client": "OperatorClient.show OperatorClient.commands",
         "operator.replay": "snapshot Run.rows",
         "operator.snapshot": "snapshot",
+        "report.first_day": "as_report",
         "report.following": "row",
         "report.html": "table values Block.rows",
         "report.identified": "page",

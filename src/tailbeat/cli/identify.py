@@ -10,19 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from tailbeat.cli import identified, output, progress
-from tailbeat.cli.options import AddressOption, FishOption, JsonOption, SeedOption
+from tailbeat.cli.options import AddedOption, AddressOption, FishOption, JsonOption, SeedOption
 from tailbeat.files import need, refuse_existing, write_json
 
 if TYPE_CHECKING:
     from tailbeat.identify.stages import Paths
 
 OutFish = Annotated[Path, typer.Option("--out", help="Fish to write, .toml.")]
-AddedOption = Annotated[
-    float | None,
-    typer.Option(
-        help="Fraction of the described added mass that acts as inertia; default: the fish's own."
-    ),
-]
 LawOption = Annotated[
     Literal["described", "whole"],
     typer.Option(

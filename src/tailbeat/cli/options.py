@@ -47,6 +47,12 @@ ForceCamera = Annotated[
         help="With --imu none: swim a policy that was trained with an IMU.",
     ),
 ]
+AddedOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Fraction of the described added mass that acts as inertia; default: the fish's own."
+    ),
+]
 AddressOption = Annotated[
     str | None,
     typer.Option(
