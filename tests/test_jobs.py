@@ -9,6 +9,7 @@ from pickle import loads
 
 import pytest
 
+from synthetic import record
 from tailbeat.cluster import comparison
 from tailbeat.cluster.jobs import map_jobs
 from tailbeat.control.policy import load_policy
@@ -17,9 +18,11 @@ from tailbeat.evaluate.comparison import cell_path
 from tailbeat.evaluate.evaluation import EvaluationConfig, evaluate
 from tailbeat.evaluate.margins import MarginsConfig, margins
 from tailbeat.files import BadInput, write_json
+from tailbeat.fish.store import load_fish
 from tailbeat.identify import stages
 from tailbeat.identify.job import FluidConfig, search_ahead, seeds_of
 from tailbeat.identify.search import Effort
+from tailbeat.recording import write_recording
 
 POLICY = "pulley-fish-pool-generator"
 CONFIG = ComparisonConfig((POLICY,), targets=2)
@@ -126,10 +129,13 @@ def fitted(swim: Path, out: Path) -> stages.Paths:
 
 
 @pytest.mark.slow
-def test_what_is_swum_on_a_cluster_is_what_this_machine_swims(tmp_path, swim):
+def test_what_is_swum_on_a_cluster_is_what_this_machine_swims(tmp_path):
     """To the bit: a comparison, margins, an evaluation, the searches of an identification."""
+    swim = tmp_path / "swim.csv"
+    write_recording(record(load_fish("pulley-fish"), "swim", 1.5, 0.5, seconds=3.0), swim)
     words = [sys.executable, "-c", ON_RAY, POLICY, str(tmp_path / "ray"), str(swim)]
-    own = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+    own = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
     done = subprocess.run(words, capture_output=True, text=True, timeout=400, env=own)
     assert done.returncode == 0, done.stderr[-3000:]
     comparison.compare(CONFIG, tmp_path / "here", lambda *_: None)
@@ -141,10 +147,10 @@ def test_what_is_swum_on_a_cluster_is_what_this_machine_swims(tmp_path, swim):
     there, here = (path / "margins/cells.json" for path in (tmp_path / "ray", tmp_path))
     assert there.read_bytes() == here.read_bytes()
     evaluate(load_policy(POLICY), EVALUATED, tmp_path / "evaluated", lambda *_: None)
-    names = [path.name for path in (tmp_path / "evaluated").glob("*.npz")]
+    names = [path.name for path in (tmp_path / "evaluated/runs").glob("*.npz")]
     assert len(names) > 3
     for name in names:
-        there, here = (path / "evaluated" / name for path in (tmp_path / "ray", tmp_path))
+        there, here = (path / "evaluated/runs" / name for path in (tmp_path / "ray", tmp_path))
         assert there.read_bytes() == here.read_bytes(), name
     (scratch := tmp_path / "scratch").mkdir()
     fish, (fit, *_) = stages.swims_of(fitted(swim, tmp_path), FITTED)
