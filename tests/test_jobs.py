@@ -4,11 +4,13 @@ import os
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 from pickle import loads
 
 import pytest
 
+from support import complaint
 from synthetic import record
 from tailbeat.cluster import comparison
 from tailbeat.cluster.jobs import map_jobs
@@ -98,6 +100,19 @@ def test_a_comparison_goes_on_and_its_cells_are_those_swum_alone(tmp_path):
     write_json(alone, swim_cell(CONFIG, *second))
     assert alone.read_bytes() == path.read_bytes()
     assert b'"targets": 7' in cell_path(out, *first).read_bytes()
+
+
+@pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed")
+@pytest.mark.parametrize("verb", ["evaluate", "identify fluid"])
+def test_an_address_without_a_cluster_leaves_nothing_behind(tmp_path, verb):
+    write_recording(
+        record(load_fish("pulley-fish"), "s", 1.5, 0.5, seconds=3.0), tmp_path / "s.csv"
+    )
+    own = {"evaluate": (POLICY,), "identify fluid": ("--fish", "pulley-fish", "--fit", "s.csv")}
+    words = (*verb.split(), *own[verb], "--out", "new.toml", "--address", "127.0.0.1:1")
+    said = complaint(*words, cwd=tmp_path)
+    assert "--address 127.0.0.1:1: no Ray cluster answers" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["s.csv"]
 
 
 ON_RAY = """
