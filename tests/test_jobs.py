@@ -115,64 +115,77 @@ def test_an_address_without_a_cluster_leaves_nothing_behind(tmp_path, verb):
     assert [path.name for path in tmp_path.iterdir()] == ["s.csv"]
 
 
-ON_RAY = """
+CLUSTER = """
 import sys
 from pathlib import Path
 from ray.cluster_utils import Cluster
+from test_jobs import ASKED, CONFIG, EVALUATED, FITTED, POLICY, fitted
 from tailbeat.cluster.comparison import compare
 from tailbeat.cluster.evaluation import evaluate_on
 from tailbeat.cluster.identification import search_ahead
 from tailbeat.cluster.margins import margins_on
-from tailbeat.evaluate.compare import ComparisonConfig
-from tailbeat.evaluate.margins import MarginsConfig
 cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
-config = ComparisonConfig((sys.argv[1],), targets=2)
-out = Path(sys.argv[2])
-compare(config, out, print, cluster.address)
-asked = MarginsConfig(targets=16, nuisances=("encoder",))
-margins_on(cluster.address, sys.argv[1], asked, out / "margins", print)
-from test_jobs import EVALUATED, FITTED, fitted
-evaluate_on(cluster.address, sys.argv[1], EVALUATED, out / "evaluated", print)
-search_ahead(cluster.address, fitted(Path(sys.argv[3]), out), FITTED, print)
+address, out = cluster.address, Path(sys.argv[1])
 """
+ASKED = MarginsConfig(targets=16, nuisances=("encoder",))
 EVALUATED = EvaluationConfig(pool="full", tasks=("reach",), episodes=2)
 FITTED = FluidConfig(zones=1, seeds=2, effort=Effort(generations=2, polish=2), draws=4)
 
 
-def fitted(swim: Path, out: Path) -> stages.Paths:
-    return stages.Paths("pulley-fish", [swim], out / "fitted.toml", [], None, [])
+def fitted(out: Path) -> stages.Paths:
+    return stages.Paths("pulley-fish", [out / "swim.csv"], out / "fitted.toml", [], None, [])
+
+
+def on_ray(script: str, out: Path) -> None:
+    """Run a script on a cluster of two cores; nodes import what this process imports."""
+    paths = [str(Path(__file__).parent), *filter(None, sys.path)]
+    own = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    words = [sys.executable, "-c", CLUSTER + script, str(out)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=280, env=own)
+    assert done.returncode == 0, done.stderr[-3000:]
 
 
 @pytest.mark.slow
-def test_what_is_swum_on_a_cluster_is_what_this_machine_swims(tmp_path):
-    """To the bit: a comparison, margins, an evaluation, the searches of an identification."""
-    swim = tmp_path / "swim.csv"
-    write_recording(record(load_fish("pulley-fish"), "swim", 1.5, 0.5, seconds=3.0), swim)
-    words = [sys.executable, "-c", ON_RAY, POLICY, str(tmp_path / "ray"), str(swim)]
-    paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
-    own = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
-    done = subprocess.run(words, capture_output=True, text=True, timeout=400, env=own)
-    assert done.returncode == 0, done.stderr[-3000:]
-    comparison.compare(CONFIG, tmp_path / "here", lambda *_: None)
+def test_comparison_and_margins_on_a_cluster_are_those_of_this_machine(tmp_path):
+    there, here = tmp_path / "there", tmp_path / "here"
+    on_ray(
+        """
+compare(CONFIG, out, print, address)
+margins_on(address, POLICY, ASKED, out / "margins", print)
+""",
+        there,
+    )
+    comparison.compare(CONFIG, here, lambda *_: None)
     for cell in cells_of(CONFIG):
-        there, here = (cell_path(tmp_path / name, *cell) for name in ("ray", "here"))
-        assert there.read_bytes() == here.read_bytes(), cell
-    asked = MarginsConfig(targets=16, nuisances=("encoder",))
-    margins(load_policy(POLICY), asked, tmp_path / "margins", lambda *_: None)
-    there, here = (path / "margins/cells.json" for path in (tmp_path / "ray", tmp_path))
-    assert there.read_bytes() == here.read_bytes()
-    evaluate(load_policy(POLICY), EVALUATED, tmp_path / "evaluated", lambda *_: None)
-    names = [path.name for path in (tmp_path / "evaluated/runs").glob("*.npz")]
+        assert cell_path(there, *cell).read_bytes() == cell_path(here, *cell).read_bytes(), cell
+    margins(load_policy(POLICY), ASKED, here / "margins", lambda *_: None)
+    name = "margins/cells.json"
+    assert (there / name).read_bytes() == (here / name).read_bytes()
+
+
+@pytest.mark.slow
+def test_an_evaluation_and_searches_on_a_cluster_are_those_of_this_machine(tmp_path):
+    there, here = tmp_path / "there", tmp_path / "here"
+    for folder in (there, here):
+        folder.mkdir()
+        swim = record(load_fish("pulley-fish"), "swim", 1.5, 0.5, seconds=3.0)
+        write_recording(swim, folder / "swim.csv")
+    on_ray(
+        """
+evaluate_on(address, POLICY, EVALUATED, out / "evaluated", print)
+search_ahead(address, fitted(out), FITTED, print)
+""",
+        there,
+    )
+    evaluate(load_policy(POLICY), EVALUATED, here / "evaluated", lambda *_: None)
+    names = [path.relative_to(here) for path in here.glob("evaluated/runs/*.npz")]
     assert len(names) > 3
     for name in names:
-        there, here = (path / "evaluated/runs" / name for path in (tmp_path / "ray", tmp_path))
-        assert there.read_bytes() == here.read_bytes(), name
-    (scratch := tmp_path / "scratch").mkdir()
-    fish, (fit, *_) = stages.swims_of(fitted(swim, tmp_path), FITTED)
+        assert (there / name).read_bytes() == (here / name).read_bytes(), name
+    fish, (fit, *_) = stages.swims_of(fitted(here), FITTED)
     for seed in seeds_of(FITTED):
-        search_ahead(fish, fit, FITTED, scratch, seed)
-        (there,), (here,) = (
-            [loads(path.read_bytes()) for path in folder.glob(f"**/*/seed{seed}.fit")]
-            for folder in (tmp_path / "ray", scratch)
+        search_ahead(fish, fit, FITTED, fitted(here).scratch, seed)
+        theirs, ours = (
+            loads(next(folder.rglob(f"seed{seed}.fit")).read_bytes()) for folder in (there, here)
         )
-        assert there.cost == here.cost and there.z.tolist() == here.z.tolist()
+        assert theirs.cost == ours.cost and theirs.z.tolist() == ours.z.tolist()
