@@ -7,6 +7,7 @@ take half an hour, and what needs their result.
 
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -64,6 +65,24 @@ def test_quick_commands_work_as_written(page, tmp_path):
     for line in told(page, QUICK):
         done = tailbeat(*shlex.split(line)[1:], cwd=tmp_path)
         assert done.returncode == 0, (line, done.stderr)
+
+
+def shown(text: str) -> set[tuple[str, str]]:
+    """Names and values of tables with two columns."""
+    return set(re.findall(r"^│ (\S.*?) +│ (\S.*?) +│$", text, re.M))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("verb", ["show", "swim"])
+def test_the_tutorial_shows_what_its_commands_print(verb, tmp_path):
+    """Of a fish whose description is an example: nothing is measured or trained."""
+    page = DOCS / "your-fish" / "index.md"
+    shutil.copy(ROOT / "examples" / "your-fish" / "my-fish.toml", tmp_path)
+    (line,) = told(page, (verb,))
+    after = page.read_text("utf-8").split(f"```sh\n{line}\n```", 1)[1]
+    promised = shown(re.findall(r"```text\n(.*?)```", after, re.S)[0])
+    done = tailbeat(*shlex.split(line)[1:], cwd=tmp_path)
+    assert len(promised) >= 4 and not promised - shown(done.stdout)
 
 
 def test_there_are_quick_commands_and_blocks_that_need_hardware():
