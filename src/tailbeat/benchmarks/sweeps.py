@@ -23,7 +23,7 @@ from pathlib import Path
 from tailbeat.cluster import plan, tune
 from tailbeat.cluster.plan import Sweep, Trial
 from tailbeat.cluster.trial import process_seconds
-from tailbeat.processes import cores
+from tailbeat.processes import ALONE, cores
 
 TRIALS = 8
 FILE = """
@@ -82,8 +82,7 @@ def sweep_bench(trials: int = TRIALS) -> SweepRow:
 
 def _in_turn(asked: Sweep, made: Sequence[Trial], out: Path) -> float:
     """Time [s] of all trials one after the other, each with every core."""
-    names = ("TAILBEAT_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
-    env = {**os.environ, **dict.fromkeys(names, str(cores()))}
+    env = {**os.environ, **dict.fromkeys(ALONE, str(cores()))}
     folders = tune.write_trials(asked, made, out)
     began = time.monotonic()
     for folder in folders:

@@ -19,7 +19,7 @@ from typing import Any
 
 from tailbeat.cluster.plan import Sweep, Trial
 from tailbeat.files import BadInput, write_json
-from tailbeat.processes import cores, end, end_with_parent, start
+from tailbeat.processes import ALONE, cores, end, end_with_parent, start
 
 # Ray reads these when it is imported: our own table is shown, and no file that nobody reads.
 os.environ.setdefault("RAY_AIR_NEW_OUTPUT", "0")
@@ -156,15 +156,14 @@ def _work(config: dict[str, Any]) -> None:
     differ = [f"{k} {own[k]}, not {v}" for k, v in config["versions"].items() if own[k] != v]
     if differ:
         raise RuntimeError(f"{platform.node()} has {'; '.join(differ)}: install the same versions.")
-    threads = str(config["cores"])
-    names = ("TAILBEAT_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+    threads = dict.fromkeys(ALONE, str(config["cores"]))
     with open(folder / "log.txt", "a", encoding="utf-8") as log:
         child = start(
             ["-m", "tailbeat.cluster.trial", str(folder)],
             stdout=subprocess.PIPE,
             stderr=log,
             text=True,
-            env={**os.environ, **dict.fromkeys(names, threads)},
+            env={**os.environ, **threads},
             preexec_fn=end_with_parent,
         )
     try:

@@ -161,7 +161,8 @@ def search_ahead(
 ) -> None:
     """One of the searches of `identify_fluid`, which finds its result in the folder `scratch`."""
     space, _ = _sensitive_space(fish, fit, config)
-    _search(fish, fit, space, config, scratch)[1](seed, lambda *_: None)
+    _, search = _search(fish, fit, space, config, scratch)
+    search(seed, lambda *_: None)
 
 
 def _search(
