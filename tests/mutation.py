@@ -88,8 +88,8 @@ ROOMS = {
     ),
     "motion": Room(("control/motion.py",), ("test_motion.py",), needs=LEARNING),
     "signals": Room(
-        ("control/consistency.py", "control/expected.py", "control/sign_test.py"),
-        ("test_signal_models.py", "test_signals.py", "test_expected.py"),
+        tuple(f"control/{one}.py" for one in ("consistency", "expected", "load", "sign_test")),
+        ("test_signal_models.py", "test_signals.py", "test_load.py", "test_expected.py"),
         "not one_period",  # it swims for minutes
         LEARNING,
     ),

@@ -35,6 +35,7 @@ from tailbeat.link.reasons import Reason
 from tailbeat.link.status import State
 from tailbeat.recording import read_recording
 from tailbeat.robot import session
+from tailbeat.robot.checks import CHECKS
 from tailbeat.robot.devices import Devices
 from tailbeat.robot.imu import connect as connect_imu
 from tailbeat.robot.loop import Loop
@@ -42,7 +43,6 @@ from tailbeat.robot.plausible import Bounds
 from tailbeat.robot.poses import Poses
 from tailbeat.robot.safety import SafetyLimits
 from tailbeat.robot.servo import connect as connect_servo
-from tailbeat.robot.signals import CHECKS
 
 pytestmark = pytest.mark.realtime("robot")
 

@@ -70,7 +70,7 @@ def test_dry_friction_stops_a_free_shaft_in_its_time() -> None:
 def window(seconds: float = 3.0) -> np.ndarray:
     """Rows of a fish that beats at 1.5 Hz and swims at 0.2 m/s; a frame every second period."""
     time = PERIOD * np.arange(round(seconds / PERIOD))
-    rows = np.zeros((len(time), 11))
+    rows = np.zeros((len(time), len(at.COLUMNS)))
     rows[:, at.TIME] = time
     rows[:, at.ANGLE] = rows[:, at.MODELLED] = 0.4 * np.sin(2 * np.pi * 1.5 * time)
     rows[:, at.STAMP] = 2 * PERIOD * (np.arange(len(time)) // 2)
@@ -182,8 +182,10 @@ def test_the_program_beats_bends_and_goes_back(low: float, high: float, rest: fl
     assert not away[: plan.beats.start].any()
     assert np.abs(away[plan.beats]).max() == pytest.approx(stroke, rel=0.05)
     assert away[plan.bend][-1] == pytest.approx(bend)
-    back = away[plan.bend.stop - 1 :]
+    back = away[plan.bend.stop - 1 : plan.other.start]
     assert (np.diff(back) < 0).all() and back[-1] == pytest.approx(0.0, abs=1e-9)
+    assert np.array_equal(away[plan.other], -away[plan.bend])  # the same to the other side
+    assert away[-1] == pytest.approx(0.0, abs=1e-9) and len(away) - plan.other.stop == len(back) - 1
     spans = plan.beats.start, plan.bend.stop - plan.bend.start, len(back) - 1
     wanted = [sign_test.STILL, sign_test.BEND, sign_test.BACK]
     assert [PERIOD * span for span in spans] == pytest.approx(wanted)
@@ -193,7 +195,7 @@ def test_the_sign_test_measures_the_tag_s_motion_beyond_its_drift() -> None:
     """The camera's picture drifts sideways; the tag moves 50 mm at 30 degrees to its heading."""
     plan = sign_test.program((1.0, 4.0), -1.4, 1.4)
     time = PERIOD * np.arange(len(plan.setpoints))
-    rows = np.zeros((len(time), 11))
+    rows = np.zeros((len(time), len(at.COLUMNS)))
     rows[:, at.TIME] = rows[:, at.STAMP] = time
     share = np.clip((time - time[plan.beats.start]) / (time[plan.beats.stop] - time[0]), 0, 1)
     share = np.where(time > time[plan.beats.stop], 1.0, share)

@@ -28,7 +28,8 @@ from tailbeat.operator.target_path import PathAsked, target_path
 from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water
-from tailbeat.robot.signals import ASIDE, CHECKS, NAMES, SAME, TIMES, WALL, WANDER, Signals
+from tailbeat.robot.checks import ASIDE, CHECKS, SAME, TIMES, WANDER
+from tailbeat.robot.signals import NAMES, WALL, Signals
 from tailbeat.train import expect
 
 POLICY = load_policy("pulley-fish-pool-generator")
@@ -135,8 +136,8 @@ def broken(found: Signs, known: Expected) -> list[str]:
     return [
         one.sign
         for one in CHECKS
-        if one.broken(getattr(found, one.sign), known.limits, POLICY.contract.measure)
-        and math.isfinite(getattr(found, one.sign))
+        if math.isfinite(value := getattr(found, one.sign, math.nan))
+        and one.broken(value, known.limits, POLICY.contract.measure)
     ]
 
 
@@ -253,7 +254,7 @@ def test_a_check_must_be_broken_several_times_in_a_row(known, toured):
     SPOILT["stroke"](window)
     for row in window:
         own.window.add(tuple(row))
-    names, said = len(vars(Signs())), []
+    names, said = len(NAMES), []
     for _ in range(names * TIMES):
         own.look(None)
         said.append(bool(own.trouble))
@@ -263,7 +264,7 @@ def test_a_check_must_be_broken_several_times_in_a_row(known, toured):
 def test_without_expectations_nothing_is_tested(toured):
     own = Signals(None, POLICY.contract.band, (LOW, HIGH))
     own.begin(0.0)
-    own.add(0.0, 0.0, 0.0, 0.0, None, (0.0, 0.0))
+    own.add(0.0, 0.0, (0.0, 0.0), 0.0, None, (0.0, 0.0))
     own.look(POOL)
     assert not own.wanted and not own.trouble and own.window.count == 0
 
@@ -279,7 +280,7 @@ def trouble(places: np.ndarray) -> str:
     rng = np.random.default_rng(0)
     for k, (x, y) in enumerate(places.tolist()):
         pose = tuple(rng.normal(scale=1e-3, size=3).tolist())
-        own.add(PERIOD * k, 0.0, 0.0, 0.0, (PERIOD * k, PERIOD * k, pose), (x, y))
+        own.add(PERIOD * k, 0.0, (0.0, 0.0), 0.0, (PERIOD * k, PERIOD * k, pose), (x, y))
     for _ in range(TIMES * len(NAMES)):
         own.look(POOL)
     return own.trouble

@@ -1,6 +1,6 @@
 """Do the robot's own signals agree with each other? Statistics of its last seconds.
 
-Each is a pure function of a window, an array (k, 11) with one row for each control period and the
+Each is a pure function of a window, an array (k, 13) with one row for each control period and the
 columns `COLUMNS`. `control.expected` has the models and the bounds, which come from a policy's own
 simulated swims. Needs only numpy, for training and robot alike.
 """
@@ -17,11 +17,14 @@ from tailbeat.control.expected import Expected
 Array = NDArray[np.float64]
 # Time [s]; motor angle [rad], the angle that the shaft's model has for the same setpoints; yaw rate
 # of the IMU [rad/s] and its integral [rad]; capture time [s] of the newest camera frame, its x, y
-# [m] and yaw [rad], continued over a turn; target x, y [m].
+# [m] and yaw [rad], continued over a turn; target x, y [m]; the setpoint [rad]; the servo's current
+# [A], NaN if it measures none.
 COLUMNS = (
     "time", "angle", "modelled", "rate", "turned", "stamp", "x", "y", "yaw", "target_x", "target_y",
+    "sent", "current",
 )  # fmt: skip
 TIME, ANGLE, MODELLED, RATE, TURNED, STAMP, X, Y, YAW, TARGET = range(10)
+SENT, CURRENT = 11, 12
 SPAN = 2.0  # s of most statistics
 SHORT = 1.0  # s of the stroke, which varies little, and of the target's wandering
 NEWEST, LONGEST = 2.5, 20.0  # s: the camera's drift in the newest, compared with all before
@@ -58,7 +61,7 @@ class Signs:
 
 
 def signs(window: Array, expected: Expected) -> Signs:
-    """All statistics of a window (k, 11) of the paper's fish or one of its measure, oldest row
+    """All statistics of a window (k, 13) of the paper's fish or one of its measure, oldest row
     first; NaN where it is too short."""
     if len(window) < 2 or window[-1, TIME] - window[0, TIME] < SPAN:
         return Signs()

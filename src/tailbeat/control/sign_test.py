@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from tailbeat.control import consistency as signals
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.expected import Expected
+from tailbeat.control.load import HELD_PULL, OBEYED, Motor, held_pull, obeyed
 from tailbeat.control.observation import wrapped
 
 Array = NDArray[np.float64]
-STILL, BEND, BACK = 0.8, 0.8, 0.4  # s: at rest, holding the bend, going back to straight
+STILL, BEND, BACK = 0.8, 0.6, 0.2  # s: at rest, holding a bend, going back to straight
 BEATS = 4
 STROKE, HELD = 0.35, 0.5  # rad, at most this share of the range: of the beats, of the bend
 SHARE = 0.5
@@ -30,19 +31,22 @@ DOUBT = 10  # frames, the fewest that a comparison needs
 
 @dataclass(frozen=True)
 class Program:
-    """Setpoints (k,) [rad], one for each period, and the rows of the beats and of the bend."""
+    """Setpoints (k,) [rad], one for each period, and the rows of the beats, of the bend to the left
+    and of the one to the right."""
 
     setpoints: Array
     beats: slice
     bend: slice
+    other: slice
 
 
 @dataclass(frozen=True)
 class Answers:
     """What was measured, each over what was expected: 1 is as expected, -1 its opposite, 0 no
     answer; NaN: not known. `stroke` of the motor, `load` on the bent tail, yaw rate of the `imu`
-    and the `camera`. `forward` [m] of the tag over its drift, in the direction `askew` [rad],
-    positive to the left of its heading."""
+    and the `camera`; by the servo's current the pull of the `left` and the `right` tendon, and the
+    share of its setpoints that the servo `obeyed`. `forward` [m] of the tag over its drift, in the
+    direction `askew` [rad], positive to the left of its heading."""
 
     stroke: float
     load: float
@@ -50,6 +54,9 @@ class Answers:
     camera: float
     forward: float
     askew: float
+    left: float = math.nan
+    right: float = math.nan
+    obeyed: float = math.nan
 
 
 def program(band: tuple[float, float], low: float, high: float) -> Program:
@@ -59,22 +66,21 @@ def program(band: tuple[float, float], low: float, high: float) -> Program:
     still, bend, back = (round(one / PERIOD) for one in (STILL, BEND, BACK))
     count = round(BEATS / frequency / PERIOD)
     wave = math.tau * frequency * PERIOD * np.arange(1, count + 1)
-    away = min(HELD, room)
-    parts = [
-        np.zeros(still),
-        min(STROKE, room) * np.sin(wave),
-        away * np.minimum(np.arange(1, bend + 1) / back, 1.0),
-        away * (1 - np.arange(1, back + 1) / back),
-    ]
+    held = min(HELD, room) * np.minimum(np.arange(1, bend + 1) / back, 1.0)
+    straight = min(HELD, room) * (1 - np.arange(1, back + 1) / back)
+    beats = min(STROKE, room) * np.sin(wave)
+    parts = [np.zeros(still), beats, held, straight, -held, -straight]
     edges = np.cumsum([0, *map(len, parts)]).tolist()
     rest = min(max(0.0, low), high) if low <= 0 <= high else middle
     setpoints = np.clip(rest + np.concatenate(parts), low, high)
-    return Program(setpoints, slice(edges[1], edges[2]), slice(edges[2], edges[3]))
+    return Program(setpoints, *(slice(edges[at], edges[at + 1]) for at in (1, 2, 4)))
 
 
-def answers(plan: Program, rows: Array, expected: Expected) -> Answers:
-    """Compare the rows (k, 11) of a played program, see `consistency.COLUMNS`."""
-    beats, bend = rows[plan.beats], rows[plan.bend][-round(SETTLED / PERIOD) :]
+def answers(plan: Program, rows: Array, expected: Expected, motor: Motor | None = None) -> Answers:
+    """Compare the rows (k, 13) of a played program, see `consistency.COLUMNS`. Without a
+    `motor` the servo's current says nothing."""
+    last = slice(-round(SETTLED / PERIOD), None)
+    beats, bend, other = rows[plan.beats], rows[plan.bend][last], rows[plan.other][last]
     asked = plan.setpoints[plan.bend][-len(bend) :]
     wanted = float((asked - bend[:, signals.MODELLED]).mean())
     found = float((asked - bend[:, signals.ANGLE]).mean())
@@ -86,6 +92,9 @@ def answers(plan: Program, rows: Array, expected: Expected) -> Answers:
         camera=_camera(plan, rows, expected),
         forward=forward,
         askew=askew,
+        left=held_pull(bend, expected.shaft, motor) if motor else math.nan,
+        right=held_pull(other, expected.shaft, motor) if motor else math.nan,
+        obeyed=obeyed(rows[plan.beats.start :], expected.shaft, motor) if motor else math.nan,
     )
 
 
@@ -123,7 +132,7 @@ def motion(plan: Program, rows: Array) -> tuple[float, float]:
     stamp = frames[:, signals.STAMP]
     begin, end = (rows[at, signals.TIME] for at in (plan.beats.start, plan.beats.stop))
     before = frames[(stamp > begin - STILL / 2) & (stamp <= begin)]
-    after = frames[(stamp > end) & (stamp <= end + STILL / 4)]
+    after = frames[(stamp > end) & (stamp <= end + STILL / 2)]
     still = frames[stamp <= begin]
     if min(len(before), len(after)) < DOUBT / 2:
         return math.nan, math.nan
@@ -147,8 +156,7 @@ def verdict(found: Answers) -> str:
             f"the shaft moved {100 * found.stroke:.0f} % of the stroke: check the servo's drive"
             f" mode, gain and limits with `tailbeat doctor`"
         )
-    said = _body(found)
-    return said or _heading(found)
+    return _body(found) or _current(found) or _heading(found)
 
 
 def _body(found: Answers) -> str:
@@ -170,8 +178,26 @@ def _body(found: Answers) -> str:
     return "the camera does not show the beat: check that the tag is fixed to the fish"
 
 
+def _current(found: Answers) -> str:
+    """What the servo's current says."""
+    if found.obeyed < OBEYED:
+        return (
+            f"the servo obeys {100 * found.obeyed:.0f} % of its setpoints: check its horn and its"
+            f" encoder, and its settings with `tailbeat doctor`"
+        )
+    for side, pull in (("left", found.left), ("right", found.right)):
+        if pull < HELD_PULL:
+            return (
+                f"the {side} tendon pulls by {100 * pull:.0f} % of what it should: check that it is"
+                f" tight"
+            )
+    return ""
+
+
 def _heading(found: Answers) -> str:
     """What the tag's motion says."""
+    if math.isnan(found.forward):
+        return "the camera lost the tag: check the picture with `tailbeat doctor --camera`"
     if not found.forward > SEEN:
         return (
             f"the fish did not move: {1e3 * found.forward:.0f} mm in {BEATS} beats; is it held, or"

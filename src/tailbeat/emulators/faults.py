@@ -190,6 +190,8 @@ FAULTS: dict[str, Callable[[Rig], None]] = {
     "half stroke": lambda rig: _broken(rig, stroke=0.5),
     "horn slips": lambda rig: _broken(rig, slipping=0.5),
     "tendon snapped": lambda rig: rig.shaft.snap(),
+    "left tendon cut": lambda rig: rig.shaft.snap(right=False),
+    "right tendon cut": lambda rig: rig.shaft.snap(left=False),
     "held still": lambda rig: rig.shaft.hold(),
     "encoder 30 %": lambda rig: setattr(rig.servo.faults, "shown", 0.3),
     "encoder 20 %": lambda rig: setattr(rig.servo.faults, "shown", 0.2),

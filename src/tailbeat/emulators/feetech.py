@@ -3,7 +3,7 @@
 Its memory is `feetech_table`; packets have their own encoder and parser (`feetech_packet`). It is
 tested with the maker's SDK and with another maker's client. It holds positions only. The manual
 lets a servo under overload hold with a lower torque (register 34); here torque goes off for every
-error in register 19. Load and current are what a test sets: the shaft knows no torque.
+error in register 19. Its load is what a test sets.
 """
 
 import math
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from tailbeat.emulators.feetech_packet import status, take
 from tailbeat.emulators.feetech_table import SCS, Table
-from tailbeat.emulators.servo import TICK, Faults, Profile, Shaft
+from tailbeat.emulators.servo import TICK, Faults, Profile, Shaft, torque_of_count
 from tailbeat.fish.description import Hardware
 
 PING, READ, WRITE, REG_WRITE, ACTION, RESET, REBOOT = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x08
@@ -45,6 +45,7 @@ class Feetech:
         self.table = Table(self.hardware)
         self.put, self.kind = self.table.put, self.table.kind
         self.count = math.radians(self.kind.span) / self.kind.steps
+        self.torque_count = torque_of_count(self.hardware)
 
     def get(self, address: int, signed: bool = False) -> int:
         """Read a register, with its sign if it has one."""
@@ -78,6 +79,8 @@ class Feetech:
         if not self.faults.frozen:
             self.put(56, self._counts(self.shaft.angle))
             self.put(58, self._sign * round(self.shaft.velocity / self._speed))
+        if math.isfinite(counts := self.shaft.drawn / self.torque_count):
+            self.put(69, self._sign * round(counts))
 
     @property
     def _speed(self) -> float:

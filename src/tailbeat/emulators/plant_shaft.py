@@ -49,7 +49,11 @@ class PlantShaft(Shaft):
         if steps:
             self.owed -= steps * self.plant.dt
             turned = share * broken.stroke * (goal or 0.0) + wrong.horn
-            step_plant(self.plant, self.state, np.full((1, steps), turned), steps)
+            swum = step_plant(self.plant, self.state, np.full((1, steps), turned), steps)
+            # Of a motor without torque the circuit is open; else its back EMF, which a description
+            # counts as damping of the shaft, takes from its current.
+            lost = float(self.plant.servo["damping"][0]) * float(self.state.v[0, 3])
+            self.drawn = share * (float(swum.torque[0, -1]) - lost) if goal is not None else 0.0
         self.angle = (float(self.state.q[0, 3]) - wrong.horn) / share + wrong.encoder
         self.velocity = float(self.state.v[0, 3]) / share
 
@@ -59,10 +63,10 @@ class PlantShaft(Shaft):
         ahead = self.pose[:2]
         self.state.q[0, :2] = tag[0] - ahead[0], tag[1] - ahead[1]
 
-    def snap(self) -> None:
-        """Cut the tendons: motor and tail turn freely of each other."""
+    def snap(self, left: bool = True, right: bool = True) -> None:
+        """Cut tendons; with both, motor and tail turn freely of each other."""
         tendon = self.plant.own.tendon
-        tendon["stiffness"][0] = tendon["damping"][0] = 0.0
+        tendon["left_cut"][0], tendon["right_cut"][0] = left, right
 
     def hold(self) -> None:
         """Clamp the head where it is."""

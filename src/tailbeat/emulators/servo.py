@@ -20,6 +20,7 @@ from tailbeat.emulators.line import Line
 from tailbeat.emulators.packet import take
 from tailbeat.emulators.servo_commands import ALL, execute
 from tailbeat.emulators.servo_table import HOLDING, RAM, Table
+from tailbeat.fish.catalogue import by_number
 from tailbeat.fish.description import Hardware
 
 TICK, WATCHDOG = 1e-3, 0.020  # s
@@ -37,10 +38,14 @@ TCGETS2, SETTINGS, SPEED = 0x802C542A, 44, 36  # request, bytes, place of the sp
 
 @dataclass
 class Shaft:
-    """A shaft without a plant: speed proportional to the error, at most the no-load speed."""
+    """A shaft without a plant: speed proportional to the error, at most the no-load speed.
+
+    `drawn` [N m]: the torque that the motor's current makes; NaN: not known, and the register of
+    the current keeps what was put into it."""
 
     angle: float = 0.0
     velocity: float = 0.0
+    drawn: float = math.nan
     stiffness: float = 25.0  # 1/s
 
     def advance(self, goal: float | None, dt: float) -> None:
@@ -48,6 +53,14 @@ class Shaft:
         wanted = 0.0 if goal is None else self.stiffness * (goal - self.angle)
         self.velocity = max(-NO_LOAD, min(NO_LOAD, wanted))
         self.angle += self.velocity * dt
+
+
+def torque_of_count(hardware: Hardware | None) -> float:
+    """Torque [N m] of one count of a servo's current, or of its load; NaN for a servo whose stall
+    current the catalogue lacks."""
+    number, unit = (1280, 2.69e-3) if hardware is None else (hardware.number, hardware.current_unit)
+    known = by_number(number)
+    return unit * known.torque_per_ampere if known else math.nan
 
 
 @dataclass
@@ -118,6 +131,7 @@ class Dynamixel:
     def __post_init__(self) -> None:
         self.table = Table(self.hardware)
         self.get, self.put, self.units = self.table.get, self.table.put, self.table.units
+        self.torque_count = torque_of_count(self.hardware)
 
     @property
     def baud(self) -> int | None:
@@ -151,6 +165,8 @@ class Dynamixel:
         if not self.faults.frozen:
             self.put(132, self._counts(self.faults.shown * self.shaft.angle))
             self.put(128, self._sign * round(self.shaft.velocity / self.units.speed))
+        if math.isfinite(counts := self.shaft.drawn / self.torque_count):
+            self.put(126, self._sign * round(counts))
 
     @property
     def _sign(self) -> int:

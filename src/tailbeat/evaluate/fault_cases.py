@@ -51,9 +51,16 @@ CASES = (
     Case("tag turned by 90 degrees", "start", "tag askew", "stop", "turn the tag"),
     Case("IMU upside down", "start", "imu upside down", "stop", "upside down"),
     Case("tendon cut before the start", "start", "tendon snapped", "stop", "does not answer"),
+    Case("left tendon cut before the start", "start", "left tendon cut", "stop", "the left tendon"),
+    Case(
+        "right tendon cut before the start", "start", "right tendon cut", "stop", "the right tendon"
+    ),
+    Case("half stroke from the start", "start", "half stroke", "stop", "servo obeys"),
     Case("fish held at the start", "start", "held still", "stop", "does not answer"),
     Case("encoder shows 20 % from the start", "start", "encoder 20 %", "stop", "of the stroke"),
     Case("tendon snaps", "bench", "tendon snapped", "hold", "tendons", 3.0),
+    Case("left tendon cut", "bench", "left tendon cut", "hold", "tendon", 3.0),
+    Case("right tendon cut", "bench", "right tendon cut", "hold", "tendon", 3.0),
     Case("encoder shows 30 %", "bench", "encoder 30 %", "hold", "check servo", 3.0),
     Case("half stroke", "bench", "half stroke", "hold", "check servo", 3.0),
     Case("horn slips: half the tail's stroke", "bench", "horn slips", "hold", "tendons", 3.0),

@@ -12,7 +12,7 @@ from tailbeat.link.places import POOL
 from tailbeat.operator.target_path import TargetPath
 
 Array = NDArray[np.float64]
-TEST_SWIM = 0.5  # m that the paper's fish moves before the swim, in the sign test and coasting
+TEST_SWIM = 0.6  # m that the paper's fish moves before the swim, in the sign test and coasting
 CLEAR = 0.1  # m of the paper's fish: a turned start is so far from the walls (chosen)
 TURNS = np.radians([0, *(side * turn for turn in range(5, 181, 5) for side in (1, -1))]).tolist()
 

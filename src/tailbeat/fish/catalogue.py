@@ -57,6 +57,12 @@ class Profile:
         """No-load speed of the shaft [rad/s]."""
         return self.no_load_rpm * 2 * math.pi / 60
 
+    @property
+    def torque_per_ampere(self) -> float:
+        """Torque at the shaft of an ampere [N m/A]: of a DC motor that of its stall, less what its
+        gears take. NaN without a stall current."""
+        return self.stall_nm / self.stall_a if self.stall_a else math.nan
+
     def servo(self) -> Servo:
         """Numbers to start from, before a bench has measured this servo."""
         damping = self.stall_nm / self.no_load
@@ -94,6 +100,11 @@ def profiles() -> dict[str, Profile]:
     """Every servo of the catalogue, by name."""
     text = (resources.files("tailbeat.fish") / "servos.toml").read_text("utf-8")
     return {name: Profile(name, **numbers) for name, numbers in tomllib.loads(text).items()}
+
+
+def by_number(number: int) -> Profile | None:
+    """The catalogue's servo that reports this model number; None for one that it lacks."""
+    return next((one for one in profiles().values() if number and one.number == number), None)
 
 
 def profile(name: str) -> Profile:

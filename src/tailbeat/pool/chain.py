@@ -45,7 +45,7 @@ GUIDE = np.dtype([("body", int), ("x", float), ("y", float)])
 SIZES = ("x", "radius", "half_width", "sign", "inertia", "mass")
 MOTOR = np.dtype([("crank", bool), *((name, float) for name in SIZES)])  # no crank: a pulley
 LAW = (("stiffness", float), ("damping", float), ("slack", float), ("two_way", bool))
-TENDON = np.dtype([*LAW, ("tied", bool)])
+TENDON = np.dtype([*LAW, ("tied", bool), ("left_cut", bool), ("right_cut", bool)])
 
 
 class Chain(NamedTuple):
@@ -188,8 +188,8 @@ def _motor(fish: Fish) -> Rows:
 
 def _tendon(fish: Fish) -> Rows:
     tendons = fish.tendons
-    row = (tendons.stiffness, tendons.damping, tendons.slack, tendons.two_way, False)
-    tie = (TIE, TIE_DAMPING, 0.0, True, True)
+    row = (tendons.stiffness, tendons.damping, tendons.slack, tendons.two_way, False, False, False)
+    tie = (TIE, TIE_DAMPING, 0.0, True, True, False, False)
     return np.array([tie if tendons.stiffness is None else row], dtype=TENDON)
 
 

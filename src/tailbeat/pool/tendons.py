@@ -74,11 +74,14 @@ def add_tendons(chain, work):  # type: ignore[no-untyped-def]
     tendon, neutral, lengths = chain.tendon[0], chain.neutral, work.lengths
     tendon_lengths(work.q, chain, work.frames, lengths, work.pulls)
     if tendon.tied:
-        _pull_tied(tendon, (lengths[0] - neutral[0] - lengths[1] + neutral[1]) / 2, work)
+        stretch = (lengths[0] - neutral[0] - lengths[1] + neutral[1]) / 2
+        if not (tendon.left_cut if stretch > 0 else tendon.right_cut):
+            _pull_tied(tendon, stretch, work)
         return
     for side in range(2):
         stretch = lengths[side] - neutral[side] - tendon.slack
-        if stretch > 0 or tendon.two_way:
+        cut = tendon.left_cut if side == 0 else tendon.right_cut
+        if not cut and (stretch > 0 or tendon.two_way):
             work.row[:] = work.pulls[side]
             _pull(tendon.stiffness, tendon.damping, stretch, work)
 

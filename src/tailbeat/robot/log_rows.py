@@ -48,6 +48,9 @@ NUMBERS = {
     "signal_progress": "speed over the rms of the motor velocity [m]",
     "signal_same": "equal poses in a row",
     "signal_wander": "path of the target within 1 s, without its displacement [m]",
+    "signal_left": "pull of the left tendon over the one that the motor angle leads to, over 2 s",
+    "signal_right": "the same of the right tendon",
+    "signal_obeyed": "share of its setpoints that the servo obeys, by its current, over 1 s",
     "signal_course": "direction in which the tag moves over 1 s, minus its heading [rad]",
 }
 ABSENT = dict.fromkeys(NUMBERS)  # a row without a number

@@ -18,6 +18,7 @@ import numpy as np
 from tailbeat.control import runner
 from tailbeat.control.band import Monitor
 from tailbeat.control.corrections import zero
+from tailbeat.control.load import Motor
 from tailbeat.control.policy import Policy
 from tailbeat.link.arrival import arrived
 from tailbeat.link.clock import SECOND
@@ -60,6 +61,7 @@ class Loop:
     alive: Callable[[bool], bool] = lambda torque: True
     pace: Pace = field(default_factory=Pace)
     sign_test: bool = True  # before the first swim, if the policy's file says what to expect
+    motor: Motor | None = None  # what the servo's current says; None: nothing
 
     def __post_init__(self) -> None:
         contract = self.policy.contract
@@ -75,7 +77,7 @@ class Loop:
         self.torque, self.reporter = Torque(), Reporter()
         turns = (self.low, self.high)
         self.signals = Signals(self.policy.expected, contract.band, turns, contract.measure)
-        self.signals.tested = not self.sign_test
+        self.signals.tested, self.signals.motor = not self.sign_test, self.motor
         self.signals.imu = self.devices.imu is not None
         self.runner_state, self.decided_on = runner.begin(self.policy), np.zeros((FRAMES, 6))
         self.finite, self.guarded, self.ordered = True, True, False
@@ -139,7 +141,8 @@ class Loop:
             return
         stamped = self.poses.stamped(now, time.monotonic_ns())
         target = self.poses.newest_target() or (math.nan, math.nan)
-        self.signals.add(now, self.torque.sent, servo.angle, self.sensors.yaw.rate, stamped, target)
+        shown = (servo.angle, servo.current)
+        self.signals.add(now, self.torque.sent, shown, self.sensors.yaw.rate, stamped, target)
         if self.safety_status.state is State.RUN:
             self.signals.look(receiver.room if receiver.told >= 0 else None)
 

@@ -1,7 +1,11 @@
-"""Which servo models the drivers refuse: another than the fish's, or one with other addresses."""
+"""Servo models: which the drivers refuse, and what the current of one says of its torque."""
 
+import math
+
+from tailbeat.control.load import Motor
 from tailbeat.files import BadInput
-from tailbeat.fish.description import Hardware
+from tailbeat.fish.catalogue import by_number
+from tailbeat.fish.description import Fish, Hardware
 from tailbeat.robot.dynamixel_tables import P_NUMBERS, P_STEPS
 
 # ROBOTIS servos that speak Protocol 2.0 and have other addresses, by model number (DynamixelSDK).
@@ -44,3 +48,14 @@ def no_answer(path: str, ident: int, baud: int, fault: Exception) -> BadInput:
         f"{path}: no servo {ident} answers at {baud} baud ({fault}); check cable, power,"
         f" id and baud rate, or find it with `tailbeat prepare --servo {path} --fish FISH`."
     )
+
+
+def motor_of(twin: Fish, hardware: Hardware) -> Motor | None:
+    """What the current of a servo says of its torque, with the inertia and the back EMF that its
+    twin has; None for a model that the catalogue lacks, and for one that reports a load: that is
+    its duty, not its torque. Stall torque over stall current was not checked on a servo."""
+    known = by_number(hardware.number)
+    if known is None or not known.current_ma or math.isnan(known.torque_per_ampere):
+        return None
+    servo = twin.servos[twin.servo]
+    return Motor(known.torque_per_ampere, servo.armature, servo.damping)

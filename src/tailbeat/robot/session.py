@@ -15,7 +15,7 @@ from pathlib import Path
 from tailbeat import __version__
 from tailbeat.control.policy import Contract, Policy, load_policy, policy_path
 from tailbeat.files import BadInput, refuse_existing
-from tailbeat.fish.description import Hardware
+from tailbeat.fish.description import Fish, Hardware
 from tailbeat.fish.store import hardware_of, load_fish
 from tailbeat.link import datagrams as link
 from tailbeat.link.reasons import Reason
@@ -33,6 +33,7 @@ from tailbeat.robot.fits import NONE, carried, check_driven, check_swims, check_
 from tailbeat.robot.imu import PATIENCE, ImuFault
 from tailbeat.robot.imus import YawSensor
 from tailbeat.robot.loop import Loop
+from tailbeat.robot.models import motor_of
 from tailbeat.robot.mounting import WRONG, mounting_of, named
 from tailbeat.robot.ports import Ports
 from tailbeat.robot.results import DriveResult, summarise
@@ -86,7 +87,8 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
     loaded, secret = load_policy(config.policy), link.read_key(config.key)
     check_driven(loaded.contract)
     check_yaw_rate(loaded.contract, config.ports.imu, config.force_camera)
-    hardware = _hardware(config, loaded)
+    fish = _that_drives(config, loaded)
+    hardware = hardware_of(fish)
     if hardware.family.startswith("feetech"):
         say(f"        {hardware.model}: {NO_WATCHDOG}")
     refuse_existing(config.log)
@@ -100,6 +102,7 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
             own = Loop(
                 loaded, devices, written.put, limits,
                 target=config.target, sign_test=config.sign_test,
+                motor=motor_of(carried(loaded.contract), hardware),
             )  # fmt: skip
             own.logging = lambda: written.healthy
             _guarded(own, config, hardware, say, _noting(written, each))
@@ -109,11 +112,11 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
         return _result(own, config)
 
 
-def _hardware(config: DriveConfig, policy: Policy) -> Hardware:
-    """The servo of the fish that drives. Raises BadInput if the policy does not fit that fish."""
+def _that_drives(config: DriveConfig, policy: Policy) -> Fish:
+    """The fish that drives. Raises BadInput if the policy does not fit it."""
     fish = load_fish(config.fish) if config.fish else carried(policy.contract)
     check_swims(policy, None, fish)
-    return hardware_of(fish)
+    return fish
 
 
 def notes(policy: str, contract: Contract) -> dict[str, str]:

@@ -1,88 +1,36 @@
 """The robot's own signals while it has torque: the sign test before a swim, monitors during it.
 
-The statistics and their bounds are `control`'s; here are the last seconds of rows, the table of
-checks, and which of them is broken. One statistic is computed in each period, so that none is
-long.
+The statistics and their bounds are `control`'s, the table of checks is `checks`; here are the last
+seconds of rows, and which check is broken. One statistic is computed in each period, so that none
+is long.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control import consistency as at
-from tailbeat.control import sign_test
+from tailbeat.control import load, sign_test
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.consistency import Signs
-from tailbeat.control.expected import Expected, Limits, ShaftState, held, turn
+from tailbeat.control.expected import Expected, ShaftState, held, turn
+from tailbeat.control.load import Motor
 from tailbeat.control.measure import PAPER, Measure
+from tailbeat.robot.checks import CHECKS
 
 Array = NDArray[np.float64]
 Pose = tuple[float, float, float]
 ROWS = round(at.LONGEST / PERIOD)
-NAMES = tuple(one.name for one in fields(Signs))
-TIMES = 3  # looks in a row in which a check must be broken (chosen)
-SAME = 15  # equal poses in a row, a quarter of a second: a camera's noise never repeats (chosen)
-ASIDE = math.radians(70)  # between course and heading; 60 in 20 minutes of tours (chosen)
-WANDER = 5.0  # m within a second that a target may go to and fro: a hand that drags it (chosen)
+NAMES = (*(one.name for one in fields(Signs)), *load.NAMES)
 NEEDS_ROOM = ("progress", "course")
+INSTEAD = ("weakening",)  # of these, a servo's current tells more
 NEEDS_IMU = ("turning", "drifting", "recoil")
-# rad/s that a gyro may be off beyond its data sheet: twice an everyday lab's. A policy stands far
-# more (`tailbeat margins`), and a fish that held for it would swim in no everyday lab (chosen).
-BIAS = 0.2
-# Share of the stroke's lower bound: servos of everyday labs are weaker by a fifth, fade by a tenth
-# and have friction; 0.64 of the stroke was seen, where the bound is 0.74 (chosen).
-WEAKER = 0.75
-# Factors of the upper bounds of stroke and recoil: everyday labs, whose servos are stronger and
-# tails softer, had 1.25 and 1.40 in 100 minutes, where the bounds are 1.23 and 1.25 (chosen).
-STRONGER, LIVELIER = 1.08, 1.15
-# Stroke over the robot's own before, of which one look is enough: in 40 minutes of everyday labs no
-# window of 2 s had less than 0.656 (chosen from these); one in 140 unseen minutes had 0.63.
-WEAKENED = 0.65
 WALL = 0.3  # m of the paper's fish: nearer to a wall, the fish's way does not count
 # Share of the recoil's lower bound that counts there. A wall takes from the body's answer: 0.67 of
 # the bound or more was left in 18,000 windows of tours; cut tendons leave nothing (chosen).
 WALLED = 0.5
-
-
-@dataclass(frozen=True)
-class Check:
-    """A comparison of the robot's signals: the statistic of `Signs`, when it is broken, what the
-    operator reads (`{x}`: the value), whether the robot holds or only says so, and in how many
-    looks in a row it must be broken."""
-
-    sign: str
-    broken: Callable[[float, Limits, Measure], bool]
-    text: str
-    holds: bool = True
-    times: int = TIMES
-
-
-# In order: the first broken one is said. A NaN breaks none.
-CHECKS = (
-    Check("same", lambda x, lim, m: x >= SAME,
-          "{x:.0f} poses in a row are exactly equal: the tracker hangs; restart it"),
-    Check("wander", lambda x, lim, m: x > WANDER * m.reach,
-          "the target jumps: {x:.1f} m to and fro in a second; check its tag"),
-    Check("stroke", lambda x, lim, m: x < WEAKER * lim.stroke_low,
-          "the shaft moves {x:.0%} of its stroke: check servo and encoder"),
-    Check("stroke", lambda x, lim, m: x > STRONGER * lim.stroke_high,
-          "the shaft moves {x:.0%} of its stroke: its load is missing; check horn and tendons"),
-    Check("weakening", lambda x, lim, m: x < WEAKENED,
-          "the shaft moves {x:.0%} of what it moved before: check servo and tendons", times=1),
-    Check("turning", lambda x, lim, m: abs(x) > lim.turning + BIAS,
-          "IMU and camera differ by {x:.2f} rad/s in the fish's turning"),
-    Check("recoil", lambda x, lim, m: not lim.recoil_low <= x <= LIVELIER * lim.recoil_high,
-          "the body answers its tail by {x:.0%}: check tendons and IMU; is it held?"),
-    Check("progress", lambda x, lim, m: x < lim.progress_low,
-          "the tail beats and the fish stays where it is; is it held?"),
-    Check("course", lambda x, lim, m: abs(x) > ASIDE,
-          "the fish swims {x:.1f} rad off its heading: its tag is turned, or the picture mirrored"),
-    Check("drifting", lambda x, lim, m: abs(x) > lim.drifting,
-          "the camera turns by {x:.3f} rad/s: check that it is fixed", holds=False),
-)  # fmt: skip
 
 
 @dataclass(eq=False)
@@ -113,6 +61,8 @@ class Signals:
     `expected` is the policy's, or None: then nothing is tested. `broken` counts for each check, by
     its text, in how many looks in a row it was. `imu`: the yaw rate is an IMU's, not the camera's
     own, which agrees with the camera always. `tested`: the sign test was passed, or is skipped.
+    `motor`: None if the servo's current says nothing of its torque; else what it says is used in
+    place of the stroke's weakening, which a servo at its torque's limit hides.
     """
 
     expected: Expected | None
@@ -121,6 +71,7 @@ class Signals:
     measure: Measure = PAPER
     imu: bool = True
     tested: bool = False
+    motor: Motor | None = None
     window: Window = field(default_factory=Window)
     shaft: ShaftState | None = None
     turned: float = 0.0  # rad, the yaw rate's integral
@@ -132,8 +83,8 @@ class Signals:
     played: int = -1  # setpoints of the sign test that were sent; -1: it has not begun
     last: float = math.nan  # s, time of the newest row
     warned: str = ""  # the warning in force, as it was first said
-    angle: float = 0.0  # rad, of the newest row, and its yaw rate [rad/s]
-    rate: float = 0.0
+    shown: tuple[float, float] = (0.0, math.nan)  # rad, A, of the newest row
+    rate: float = 0.0  # rad/s, its yaw rate
 
     def __post_init__(self) -> None:
         self.plan = sign_test.program(self.band, *self.range)
@@ -154,20 +105,20 @@ class Signals:
         self.forget()
         self.window = Window()
         self.played, self.looks, self.turned, self.yaw = -1, 0, 0.0, math.nan
-        self.last, self.angle = math.nan, angle
+        self.last, self.shown = math.nan, (angle, math.nan)
 
     def add(
         self,
         time: float,
         sent: float,
-        angle: float,
+        shown: tuple[float, float],
         rate: float,
         frame: tuple[float, float, Pose] | None,
         target: tuple[float, float],
     ) -> None:
-        """Add a period: its time [s], setpoint and motor angle [rad], yaw rate [rad/s], the newest
-        camera frame (its capture on the station's clock, on the robot's [s], the pose) and the
-        target [m]."""
+        """Add a period: its time [s], setpoint [rad], what the servo has `shown` (its angle [rad],
+        its current [A]), yaw rate [rad/s], the newest camera frame (its capture on the station's
+        clock, on the robot's [s], the pose) and the target [m]."""
         if self.expected is None or self.shaft is None:
             return
         pose = self._newest(frame)
@@ -176,21 +127,26 @@ class Signals:
         missed = min(max(missed, 0), ROWS)
         for share in (np.arange(missed + 1) + 1.0) / (missed + 1):  # periods that were missed too
             at_time = before + share * (time - before) if missed else time
-            self._step(at_time, sent, (float(share), angle, rate), (*pose, *target))
-        self.angle, self.rate = angle, rate
+            self._step(at_time, sent, (float(share), *shown, rate), (*pose, *target))
+        self.shown, self.rate = shown, rate
 
     def _step(
-        self, time: float, sent: float, read: tuple[float, float, float], seen: tuple[float, ...]
+        self,
+        time: float,
+        sent: float,
+        read: tuple[float, float, float, float],
+        seen: tuple[float, ...],
     ) -> None:
         """One period: the modelled shaft, the integrated yaw rate, a row. `read`: the share of the
-        way to the newest reading, its motor angle and its yaw rate."""
+        way to the newest reading, its motor angle, current and yaw rate."""
         assert self.expected is not None and self.shaft is not None
-        share, angle, rate = read
+        share, *shown, rate = read
         self.shaft = turn(self.expected.shaft, self.shaft, sent)
         self.turned += PERIOD * (rate + self.rate) / 2
-        between = self.angle + share * (angle - self.angle)
+        angle, current = (a + share * (b - a) for a, b in zip(self.shown, shown, strict=True))
         turning = self.rate + share * (rate - self.rate)
-        self.window.add((time, between, self.shaft.angle, turning, self.turned, *seen))
+        row = (time, angle, self.shaft.angle, turning, self.turned, *seen, sent, current)
+        self.window.add(row)
 
     def _newest(self, frame: tuple[float, float, Pose] | None) -> tuple[float, float, float, float]:
         """Capture time, x, y and continued yaw of the newest frame; NaN without one."""
@@ -219,7 +175,7 @@ class Signals:
         rows = self.window.rows()
         if len(rows) * PERIOD < at.SPAN:
             return
-        value = at.sign(name, rows, self.expected, at.LEAST_SPEED * self.measure.speed)
+        value = self._sign(name, rows)
         limits, walled = self.expected.limits, self._by_a_wall(rows, room)
         if walled:
             low = limits.recoil_low
@@ -233,6 +189,14 @@ class Signals:
                 if math.isfinite(value):  # a pause of the beats proves nothing
                     self.broken[one.text] = self.broken.get(one.text, 0) + 1 if wrong else 0
         self.warned = (self.warned or self._said(False)) if self._said(False) else ""
+
+    def _sign(self, name: str, rows: Array) -> float:
+        assert self.expected is not None
+        if name in (load.NAMES if self.motor is None else INSTEAD):
+            return math.nan
+        if self.motor and name in load.NAMES:
+            return load.sign(name, rows, self.expected.shaft, self.motor)
+        return at.sign(name, rows, self.expected, at.LEAST_SPEED * self.measure.speed)
 
     @property
     def trouble(self) -> str:
@@ -283,7 +247,7 @@ class Signals:
         rows = self.window.rows()[-count:]
         if len(rows) < count:
             return "too few readings; arm again"
-        found = sign_test.answers(self.plan, rows, self.expected)
+        found = sign_test.answers(self.plan, rows, self.expected, self.motor)
         if not self.imu:
             found = replace(found, imu=found.camera)
         said = sign_test.verdict(found)

@@ -144,14 +144,16 @@ def fitted_recoil(swum: Tours) -> Array:
 
 
 def rows(draft: Expected, swum: Tours) -> Array:
-    """The windows' rows (n, k, 11), see `consistency.COLUMNS`, of whole tours."""
+    """The windows' rows (n, k, 13), see `consistency.COLUMNS`, of whole tours. No
+    current is known."""
     time = times(swum)
     mean = (swum.rate[:, 1:] + swum.rate[:, :-1]) / 2
     turned = np.concatenate([np.zeros((len(mean), 1)), np.cumsum(PERIOD * mean, axis=1)], axis=1)
     angles = modelled(draft.shaft, swum.sent)
     stamp = time - swum.frames[..., 5]
     columns = [np.broadcast_to(time, angles.shape), swum.angle, angles, swum.rate, turned, stamp]
-    return np.concatenate([np.stack(columns, axis=-1), swum.frames[..., :5]], axis=-1)
+    servo = np.stack([swum.sent, np.full_like(swum.sent, np.nan)], axis=-1)
+    return np.concatenate([np.stack(columns, axis=-1), swum.frames[..., :5], servo], axis=-1)
 
 
 def least_rms(draft: Expected, windows: Array) -> tuple[float, float]:
