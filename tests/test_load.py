@@ -99,8 +99,9 @@ def toured(break_it: Callable, mess: str, seed: int, seconds: float = CUT + WITH
     return swum(play, mess, seed, round(seconds / PERIOD))
 
 
-def after_the_sign_test(break_it: Callable, seed: int, own: Motor | None) -> list[str]:
-    """What the sign test says of each fish of everyday labs, broken before it."""
+def after_the_sign_test(break_it: Callable, seed: int) -> tuple[list[str], list[str]]:
+    """What the sign test says of each fish of everyday labs, broken before it: with the current,
+    and without."""
     low, high = FISH.motor.range or (0.0, 0.0)
     plan = sign_test.program(FISH.band, low, high)
 
@@ -111,7 +112,10 @@ def after_the_sign_test(break_it: Callable, seed: int, own: Motor | None) -> lis
         return np.full((len(seen), 1), 2 * (angle - low) / (high - low) - 1)
 
     rows = swum(play, "everyday", seed, len(plan.setpoints), Direct(low, high))
-    return [verdict(answers(plan, one, EXPECTED, own)) for one in rows]
+    found, before = (
+        [verdict(answers(plan, one, EXPECTED, own)) for one in rows] for own in (motor(), None)
+    )
+    return found, before
 
 
 def look(rows: np.ndarray, own: Motor | None) -> list[str]:
@@ -167,14 +171,14 @@ def test_halved_setpoints_are_told_where_the_stroke_hides_them():
 )
 def test_the_sign_test_names_what_only_the_current_shows(break_it, words, least):
     """In 20 everyday labs. Most of these pass without the current."""
-    found, before = (after_the_sign_test(break_it, 31, own) for own in (motor(), None))
+    found, before = after_the_sign_test(break_it, 31)
     assert sum(bool(one) for one in found) >= least
     assert sum(words in one for one in found) >= 10
     assert sum(not one for one in before) >= 12
 
 
 def test_a_sound_fish_of_an_everyday_lab_passes_the_sign_test():
-    assert after_the_sign_test(lambda simulator: None, 32, motor()) == [""] * COUNT
+    assert after_the_sign_test(lambda simulator: None, 32)[0] == [""] * COUNT
 
 
 # ---- what the statistics are --------------------------------------------------------------------
