@@ -2,6 +2,8 @@
 over a pseudo-terminal, and what goes wrong on a bus."""
 
 import math
+import os
+import threading
 import time
 from collections.abc import Callable, Iterator
 
@@ -288,3 +290,21 @@ def test_a_port_that_is_someone_else_s_is_refused(bench, tmp_path):
 def test_units_are_the_manual_s():
     assert math.degrees(X.count) == pytest.approx(0.087890625)
     assert X.velocity == pytest.approx(0.02398, abs=1e-5)
+
+
+def test_a_process_that_stands_still_after_a_write_has_no_cable_out(servo, monkeypatch):
+    """pyserial looks at the clock after it has written, and raises if the process stood still."""
+    write, here = os.write, threading.get_ident()
+
+    def slowly(number: int, data: bytes) -> int:
+        done = write(number, data)
+        if threading.get_ident() == here:
+            time.sleep(0.15)
+        return done
+
+    monkeypatch.setattr(os, "write", slowly)
+    assert math.isfinite(servo.read().angle)
+    monkeypatch.setattr(os, "write", lambda number, data: 0)  # a line that takes nothing
+    monkeypatch.setattr("select.select", lambda *lists: ([], [], []))
+    with pytest.raises(ServoFault, match="took no bytes"):
+        servo.read()

@@ -16,7 +16,7 @@ import serial
 
 from tailbeat.files import BadInput
 from tailbeat.robot.mounting import Mounting, Vector, direction
-from tailbeat.robot.wire import GONE, heard, reopen
+from tailbeat.robot.wire import GONE, heard, reopen, send
 
 CHIP_ID, ACCELERATION, GYRO, STATUS, UNITS, MODE, TRIGGER, PAGE = (
     0x00,
@@ -155,7 +155,7 @@ class Imu:
         """Send a request and read its reply: `length` bytes, or two bytes if it is an error."""
         try:
             self.port.reset_input_buffer()
-            self.port.write(question)
+            send(self.port, question)
             end, reply = time.monotonic() + self.deadline, b""
             while len(reply) < (2 if reply[:1] == b"\xee" else length):
                 data = heard(self.port, end, length - len(reply))

@@ -209,7 +209,7 @@ def torque_off(servo: str, ident: int, baud: int) -> None:
 def _once(path: str, ident: int, baud: int, families: Sequence[Family]) -> None:
     """Try each family three times with one opening of the port. Raises ServoFault, or one of
     `GONE`."""
-    with serial.Serial(path, baud, timeout=DEADLINE, write_timeout=0.1) as port:
+    with serial.Serial(path, baud, timeout=DEADLINE) as port:
         servos = [on_port(port, family, ident, 4 * DEADLINE) for family in families]
         for left in range(3 * len(servos) - 1, -1, -1):
             try:

@@ -1,7 +1,8 @@
-"""Reading bytes until a deadline, for all serial drivers.
+"""Writing bytes, and reading them until a deadline, for all serial drivers.
 
 pyserial configures the whole line again whenever a time-out changes, eight system calls for one
-reply. Here it is one `select` and one `read`.
+reply. Here it is one `select` and one `read`. After a write it looks at the clock, and takes a
+process that stood still for a cable that is out; here a write fails if the line takes nothing.
 """
 
 import contextlib
@@ -17,6 +18,7 @@ import serial
 from tailbeat.files import BadInput
 
 P = TypeVar("P")  # a packet
+WRITING = 0.1  # s in which a line must take bytes
 GONE = (serial.SerialException, OSError, termios.error)  # raised when the cable is unplugged
 
 
@@ -32,7 +34,7 @@ class Feeding(Protocol[P]):
 def open_port(path: str, baud: int, deadline: float) -> serial.Serial:
     """Open a servo's port for this process alone; `deadline` [s] is for a read. Raises BadInput."""
     try:
-        port = serial.Serial(path, baud, timeout=deadline, write_timeout=0.1, exclusive=True)
+        port = serial.Serial(path, baud, timeout=deadline, exclusive=True)
     except (serial.SerialException, OSError, ValueError) as error:
         raise BadInput(
             f"{path}: {error}; give the servo's port, closed in other programs."
@@ -47,6 +49,15 @@ def reopen(port: serial.Serial) -> None:
     with contextlib.suppress(*GONE):
         port.close()
     port.open()
+
+
+def send(port: serial.Serial, data: bytes) -> None:
+    """Write all bytes. Raises one of `GONE`, if for 0.1 s the line takes none."""
+    while data:
+        _, ready, _ = select.select([], [port.fileno()], [], WRITING)
+        if not ready:
+            raise serial.SerialTimeoutException(f"the line took no bytes for {WRITING:g} s")
+        data = data[os.write(port.fileno(), data) :]
 
 
 def heard(port: serial.Serial, end: float, most: int = 4096) -> bytes:
@@ -66,7 +77,7 @@ def replies(port: serial.Serial, sent: bytes, parser: Feeding[P], deadline: floa
     dropped, because it may be a late reply to an earlier request. Raises one of `GONE`."""
     port.reset_input_buffer()
     parser.held.clear()
-    port.write(sent)
+    send(port, sent)
     end = time.monotonic() + deadline
     while time.monotonic() < end and (data := heard(port, end)):
         yield from parser.feed(data)
