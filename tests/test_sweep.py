@@ -1,11 +1,15 @@
 """A sweep: its file, its rules, and real trainings on a real Ray, of which some are killed."""
 
+import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +24,7 @@ from tailbeat.cluster import plan, summary, trial, tune
 from tailbeat.cluster.plan import Trial
 from tailbeat.cluster.summary import TrialRow
 from tailbeat.files import write_json
+from tailbeat.link.datagrams import free_address
 from tailbeat.train.train import train
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "sweep.toml"
@@ -275,6 +280,55 @@ def test_a_node_that_is_killed_loses_no_trial(tmp_path):
     made = plan.trials(plan.read(path))
     assert summary.collect(out, made, {}).complete
     assert not working(out)
+
+
+@contextmanager
+def head() -> Iterator[str]:
+    """A cluster of two cores that a client reaches from outside; yields its address."""
+    first, clients = (free_address()[1] for _ in range(2))
+    words = ["--head", "--block", f"--port={first}", f"--ray-client-server-port={clients}"]
+    words += ["--num-cpus=2", "--include-dashboard=false", "--disable-usage-stats"]
+    paths = [str(Path(__file__).parent), *filter(None, sys.path)]
+    own = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    ray = Path(sys.executable).parent / "ray"
+    started = subprocess.Popen([ray, "start", *words], stdout=subprocess.DEVNULL, env=own)
+    try:
+        wait_for(lambda: connects(clients))
+        yield f"ray://127.0.0.1:{clients}"
+    finally:
+        started.send_signal(signal.SIGTERM)  # which ends all that it started
+        started.wait(60)
+
+
+def connects(port: int) -> bool:
+    with contextlib.suppress(OSError):
+        socket.create_connection(("127.0.0.1", port)).close()
+        return True
+    return False
+
+
+FROM_OUTSIDE = """
+import sys
+from test_jobs import slow_first
+from tailbeat.cluster.jobs import map_jobs
+print([job for job, _ in map_jobs(slow_first, range(6), lambda *row: None, sys.argv[1])])
+"""
+
+
+@pytest.mark.slow
+def test_a_machine_outside_a_cluster_swims_a_sweep_and_jobs_there(tmp_path):
+    with head() as address:
+        path, out = tiny(tmp_path), tmp_path / "out"
+        done = tailbeat_process("sweep", path, "--out", out, "--address", address)
+        assert done.returncode == 0, done.stderr
+        assert len(results(out)) == 2 and not working(out)
+        assert "trials over: 2 of 2" in done.stdout + done.stderr
+        paths = os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])
+        words = [sys.executable, "-c", FROM_OUTSIDE, address]
+        found = subprocess.run(
+            words, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": paths}
+        )
+        assert found.stdout.strip() == str(list(range(6))), found.stderr
 
 
 def test_a_trial_s_fields_are_those_of_a_sweep():

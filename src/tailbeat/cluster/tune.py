@@ -4,6 +4,7 @@ Ray places trials, begins failed ones again and ends hopeless ones. What a trial
 its folder, not in Ray: a trial that is begun again, here or on another node, goes on from there.
 """
 
+import contextlib
 import importlib.metadata
 import json
 import logging
@@ -27,9 +28,12 @@ os.environ.setdefault("TUNE_DISABLE_AUTO_CALLBACK_LOGGERS", "1")
 os.environ.setdefault("RAY_TRAIN_ENABLE_V2_MIGRATION_WARNINGS", "0")
 
 import ray
+import ray.util.client
 from ray import tune
 from ray.tune.schedulers import ASHAScheduler, FIFOScheduler, MedianStoppingRule
+from ray.util.queue import Empty, Queue
 
+OUTSIDE, CLIENTS = "ray://", 10001  # of an address; the port of `ray start` for them
 ANSWER = 5.0  # s that a cluster may take to answer
 STORE = 100_000_000  # bytes of shared memory for Ray's objects; ours are small
 LONGEST, PATIENCE = 10_000_000, 2_000  # updates: a trial's most, and before which none is ended
@@ -51,9 +55,11 @@ Report = Callable[[Row], None]
 
 
 def connect(address: str | None) -> None:
-    """Connect to the cluster of which this machine is a node, or start Ray on this machine's cores.
-    `address` is auto or HOST:PORT. A second call does nothing. Raises BadInput if nobody answers
-    there."""
+    """Connect to a cluster, or start Ray on this machine's cores.
+
+    `address` is auto or HOST:PORT of a cluster of which this machine is a node, or ray://HOST:PORT
+    of another. A second call does nothing. Raises BadInput if nobody answers there.
+    """
     if ray.is_initialized():
         return
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
@@ -68,8 +74,9 @@ def connect(address: str | None) -> None:
     except (OSError, RuntimeError, ValueError) as error:
         raise BadInput(
             f"--address {address}: no Ray cluster answers ({type(error).__name__}); allowed are"
-            f" auto and HOST:PORT of a cluster of which this machine is a node. Start one with"
-            f" `ray start --head`, or omit --address to use this machine alone."
+            f" auto and HOST:PORT of a cluster of which this machine is a node, and"
+            f" ray://HOST:{CLIENTS} of another. Start one with `ray start --head`, or omit"
+            f" --address to use this machine alone."
         ) from None
 
 
@@ -77,7 +84,7 @@ def _check_answers(address: str) -> None:
     """Raises OSError or ValueError at once where Ray would try for minutes."""
     if address == "auto":
         return
-    host, _, port = address.rpartition(":")
+    host, _, port = address.removeprefix(OUTSIDE).rpartition(":")
     if not host or "/" in host:
         raise ValueError(address)
     socket.create_connection((host, int(port)), timeout=ANSWER).close()
@@ -99,11 +106,32 @@ def swim(sweep: Sweep, todo: Sequence[Trial], out: Path, report: Report) -> dict
     """Swim the trials `todo` in `out/trials`; returns why each failed one did, by its name. Ray
     must be connected. Ctrl-C ends it; trials keep their checkpoints."""
     write_trials(sweep, todo, out)
+    if ray.util.client.ray.is_connected():
+        return _swim_from_outside(sweep, out.resolve(), [trial.name for trial in todo], report)
+    return _swim(sweep, out, [trial.name for trial in todo], report)
+
+
+def _swim_from_outside(
+    sweep: Sweep, out: Path, names: Sequence[str], report: Report
+) -> dict[str, str]:
+    """Let a worker of the cluster run Ray Tune, and repeat what it tells: from outside, Tune would
+    call `report` in the cluster."""
+    rows = Queue(actor_options={"num_cpus": 0})
+    there = ray.remote(num_cpus=0, max_retries=0)(_swim)
+    task = there.remote(sweep, out, names, rows.put)
+    while not ray.wait([task], timeout=0)[0] or not rows.empty():
+        with contextlib.suppress(Empty):
+            report(rows.get(timeout=1.0))
+    found: dict[str, str] = ray.get(task)
+    return found
+
+
+def _swim(sweep: Sweep, out: Path, names: Sequence[str], report: Report) -> dict[str, str]:
     told = _Told(report)
     tuner = tune.Tuner(
         tune.with_resources(_work, {"cpu": sweep.cores}),
         param_space={
-            "name": tune.grid_search([trial.name for trial in todo]),
+            "name": tune.grid_search(list(names)),
             "out": str(out.resolve()),
             "cores": sweep.cores,
             "versions": versions(),
