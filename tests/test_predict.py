@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from synthetic import clock_of, filmed, record
-from tailbeat.cli import identify
+from tailbeat.cli import predict as verb
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish, value_at, with_values
 from tailbeat.identify import kinematic
@@ -104,7 +104,7 @@ def test_a_run_without_a_beat_is_fitted_drawn_and_written(tmp_path):
 
 def test_the_verb_writes_null_for_what_a_run_cannot_say(tmp_path):
     write_recording(without_yaw(wandering()), tmp_path / "log.csv")
-    identify.predict("pulley-fish", [tmp_path / "log.csv"], json=tmp_path / "out.json")
+    verb.predict("pulley-fish", [tmp_path / "log.csv"], json=tmp_path / "out.json")
     (found,) = json.loads((tmp_path / "out.json").read_text())["runs"]
     assert found["beat_frequency"] is None and found["heading_error_deg"] is None
     assert found["measured_speed"] > 0 and found["distance"] > 0

@@ -10,12 +10,13 @@ import pytest
 
 from tailbeat.evaluate import fresh_recordings
 from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
 from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import load_fish
-from tailbeat.identify import posterior
-from tailbeat.identify.chain import ChainPaths, Folder, _keys, identify_all, read_folder
+from tailbeat.identify import posterior, stages
+from tailbeat.identify.chain import ChainPaths, Folder, Report, _keys, identify_all, read_folder
 from tailbeat.identify.check_swims import check_swims
-from tailbeat.identify.job import FluidConfig
+from tailbeat.identify.job import FluidConfig, search_ahead, seeds_of
 from tailbeat.identify.manoeuvres import FULL
 from tailbeat.identify.protocol import fluid_runs, limits, servo_commands
 from tailbeat.identify.search import Effort
@@ -169,6 +170,26 @@ def test_one_folder_one_command(folder, tmp_path):
     assert known is not None and known.held_out == ("check-01-wander", "check-02-wander")
     assert known.discrepancy is not None and known.discrepancy.swims == 2
     assert not list(tmp_path.glob(".*"))
+    elsewhere = searched_elsewhere(few, tmp_path / "other.toml")
+    assert elsewhere.model_copy(update={"name": "mine"}) == fish
+
+
+def searched_elsewhere(few: Path, out: Path) -> Fish:
+    """The fish of a whole chain whose searches of the fluid were done before its stage, as a
+    cluster does them; the stage itself must search no more."""
+    seen: list[float] = []
+
+    def ahead(swims: stages.Paths, config: FluidConfig, report: Report) -> None:
+        described, (fit, *_) = stages.swims_of(swims, config)
+        for seed in seeds_of(config):
+            search_ahead(described, fit, config, swims.scratch, seed)
+        report(1, 1)
+        seen.clear()
+
+    paths = ChainPaths("pulley-fish", few, out)
+    identify_all(paths, LITTLE, lambda *row: seen.append(row[2]), DRAWINGS, ahead)
+    assert [share for share in seen if share < 1] == []  # no search has begun
+    return load_fish(out)
 
 
 def test_a_folder_recorded_before_the_renaming_is_read(tmp_path):

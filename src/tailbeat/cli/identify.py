@@ -1,4 +1,4 @@
-"""Identify a fish and test what it predicts."""
+"""Identify a fish: tail, servo and water."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -14,6 +14,7 @@ from tailbeat.cli.options import AddedOption, AddressOption, FishOption, JsonOpt
 from tailbeat.files import need, refuse_existing, write_json
 
 if TYPE_CHECKING:
+    from tailbeat.identify.chain import Ahead
     from tailbeat.identify.stages import Paths
 
 OutFish = Annotated[Path, typer.Option("--out", help="Fish to write, .toml.")]
@@ -29,6 +30,15 @@ IterationsOption = Annotated[
     int, typer.Option(help="Most least-squares iterations after the search of the fluid.")
 ]
 DrawsOption = Annotated[int, typer.Option(help="Number of draws of the posterior.")]
+
+
+def _on_cluster(address: str) -> "Ahead":
+    """Searches on the cluster of this address, to which this connects. Raises BadInput."""
+    need("a cluster", "ray")
+    from tailbeat.cluster import identification, tune
+
+    tune.connect(address)
+    return partial(identification.search_ahead, address)
 
 
 def _exit_untrusted(report: Mapping[str, Any]) -> None:
@@ -77,11 +87,9 @@ def identify_fluid(
     config = job.FluidConfig(zones, seeds, seed, effort, start_weight, added_inertia, whole, draws)
     paths = stages.Paths(fish, fit, out, validate or [], json, check or [])
     if address is not None:
-        need("a cluster", "ray")
-        from tailbeat.cluster.identification import search_ahead
-
+        ahead = _on_cluster(address)
         with progress.counting() as count:
-            search_ahead(address, paths, config, partial(count, "searches"))
+            ahead(paths, config, partial(count, "searches"))
     with progress.search_progress() as report:
         stages.fluid(paths, config, report, measured_against_twin)
     said = _report(paths)
@@ -215,10 +223,12 @@ def identify_all(
     added_inertia: AddedOption = None,
     law: LawOption = "described",
     draws: DrawsOption = 100,
+    address: AddressOption = None,
     json: JsonOption = None,
 ) -> None:
     """Fit tail, servo and fluid to the recordings of one folder. Writes fish, report, page and
-    figures; the same command resumes an interrupted search."""
+    figures; the same command resumes an interrupted search. With --address, a cluster searches for
+    the fluid."""
     from tailbeat.identify import chain, job
     from tailbeat.identify.search import Effort
     from tailbeat.report.identified import DRAWINGS
@@ -226,73 +236,13 @@ def identify_all(
     effort, whole = Effort(generations=generations, polish=iterations), law == "whole"
     config = job.FluidConfig(zones, seeds, seed, effort, None, added_inertia, whole, draws)
     paths = chain.ChainPaths(fish, folder, out, json)
+    ahead = None if address is None else _on_cluster(address)
     with progress.search_progress() as report:
-        found = chain.identify_all(paths, config, report, DRAWINGS)
+        found = chain.identify_all(paths, config, report, DRAWINGS, ahead)
     identified.first(found.verdict)
     output.tables({"summary": [{k: v for k, v in asdict(found).items() if k != "verdict"}]})
     output.say(f"wrote {out} and, beside it, {out.with_suffix('.md').name}")
     _exit_untrusted(asdict(found))
-
-
-def predict(
-    fish: FishOption,
-    recordings: Annotated[
-        list[Path],
-        typer.Argument(help="Recordings or logs, .csv or .parquet, or an evaluation's runs/*.npz."),
-    ],
-    fitted_on: Annotated[
-        list[Path] | None,
-        typer.Option("--fitted-on", help="Recordings to fit a naive model of five numbers on."),
-    ] = None,
-    posterior: Annotated[
-        Path | None,
-        typer.Option(help="Posterior for 95 % bands; default: the one beside the fish, if any."),
-    ] = None,
-    json: JsonOption = None,
-) -> None:
-    """Predict recorded swims with the twin and compare with what was measured. Exit code 1 if the
-    twin diverged or reached no steady speed. With --fitted-on, compare it with a naive model. With
-    a posterior, give 95 % bands and count the swims inside."""
-    from tailbeat.evaluate import replay
-
-    if json is not None:
-        refuse_existing(json)
-    found = replay.predict_swims(fish, recordings, fitted_on or [], posterior)
-    result = replay.as_json(found)
-    if json is not None:
-        write_json(json, result)
-    identified.predicted(result)
-    if not found.settled:
-        raise typer.Exit(1)
-
-
-def coverage(
-    swims: Annotated[
-        list[Path],
-        typer.Argument(
-            help="A policy's swims: logs as .csv or .parquet, or an evaluation's runs/*.npz."
-        ),
-    ],
-    against: Annotated[
-        list[Path], typer.Option("--against", help="Recordings that the fish was identified on.")
-    ],
-    fish: FishOption,
-    json: JsonOption = None,
-) -> None:
-    """Check whether an identification's recordings cover a policy's swims. List what to record
-    next. Exit code 1 if over 5 % of a quantity is outside the recorded range."""
-    from tailbeat.evaluate import replay
-    from tailbeat.identify.coverage import as_json
-
-    if json is not None:
-        refuse_existing(json)
-    found = replay.coverage(fish, swims, against)
-    result = as_json(found)
-    if json is not None:
-        write_json(json, result)
-    identified.covered(result)
-    if not found.covered:
-        raise typer.Exit(1)
 
 
 def _report(paths: "Paths") -> Any:

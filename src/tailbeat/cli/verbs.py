@@ -89,13 +89,13 @@ PANELS = {
         ),
         Verb(
             "predict",
-            "identify:predict",
+            "predict:predict",
             "Predict recorded swims with the twin and compare with what was measured.",
             "swim.csv --fish mine.toml",
         ),
         Verb(
             "coverage",
-            "identify:coverage",
+            "predict:coverage",
             "Check whether an identification's recordings cover a policy's swims.",
             "swim.csv --against swim1.csv swim2.csv --fish mine.toml",
         ),

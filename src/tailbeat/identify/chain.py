@@ -1,6 +1,7 @@
 """Identify a whole fish from a folder of recordings: tail, then servo, then fluid."""
 
 import hashlib
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -16,6 +17,8 @@ from tailbeat.identify.protocol import EVERY, HELD_OUT_SERVO, present_name
 from tailbeat.identify.servo_job import ServoConfig
 from tailbeat.identify.stages import DrawFluid, DrawServo, DrawTail, Paths, Progress
 
+Report = Callable[[int, int], None]  # searches done, all searches
+Ahead = Callable[[Paths, job.FluidConfig, Report], None]  # searches before the fluid's stage
 SERVO_GENERATIONS = 10  # of the servo's search for each of the fluid's; 150 by default
 
 
@@ -104,12 +107,17 @@ class Summary:
 
 
 def identify_all(
-    paths: ChainPaths, config: job.FluidConfig, progress: Progress, drawings: Drawings
+    paths: ChainPaths,
+    config: job.FluidConfig,
+    progress: Progress,
+    drawings: Drawings,
+    ahead: Ahead | None = None,
 ) -> Summary:
     """Identify tail, then servo, then fluid, and write fish, report, page and figures.
 
     Each stage starts from the result of the one before. Finished stages are kept beside `out` until
-    all are finished, so the same call resumes an interrupted one. Raises BadInput for a missing or
+    all are finished, so the same call resumes an interrupted one. `ahead` searches for the fluid
+    elsewhere, before its stage, which then finds the results. Raises BadInput for a missing or
     unusable recording, and if an output exists.
     """
     job.check(config)
@@ -119,7 +127,15 @@ def identify_all(
     work = paths.out.parent / f".{paths.out.stem}.chain"
     keys = _keys(paths.fish, data, config)
     places = {name: work / f"{name}-{key}" / paths.out.name for name, key in keys.items()}
-    _run_stages(paths.fish, data, places, config, progress, drawings)
+    _run_tail_and_servo(paths.fish, data, places, config, progress, drawings)
+    if not _done(places["fluid"]):
+        swims = Paths(
+            str(places["servo"]), data.fluid_fit, places["fluid"], data.fluid_validate,
+            check=data.check,
+        )  # fmt: skip
+        if ahead is not None:
+            ahead(swims, config, _as_search(config, progress))
+        stages.fluid(swims, config, progress, drawings.fluid)
     reports = {name: _read_json(path.with_suffix(".json")) for name, path in places.items()}
     found = _summary(reports)
     report = {"fish": described.name, "source": str(fish_path(paths.fish)), "stages": reports}
@@ -163,7 +179,12 @@ def _keys(fish: str, data: Folder, config: job.FluidConfig) -> dict[str, str]:
     return keys
 
 
-def _run_stages(
+def _as_search(config: job.FluidConfig, progress: Progress) -> Report:
+    """Tells of searches that are over as if the first seed's were so far."""
+    return lambda done, of: progress(config.first_seed, "search", done / of, math.nan)
+
+
+def _run_tail_and_servo(
     fish: str,
     data: Folder,
     places: dict[str, Path],
@@ -172,7 +193,7 @@ def _run_stages(
     drawings: Drawings,
 ) -> None:
     """Each stage starts from the fish that the one before it wrote."""
-    tail, servo, fluid = (places[name] for name in ("tail", "servo", "fluid"))
+    tail, servo = places["tail"], places["servo"]
     servo_config = _servo_config(config)
     if not _done(tail):
         sweeps = Paths(fish, data.sweeps, tail)
@@ -180,9 +201,6 @@ def _run_stages(
     if not _done(servo):
         commands = Paths(str(tail), data.servo_fit, servo, data.servo_validate)
         stages.servo(commands, servo_config, progress, drawings.servo)
-    if not _done(fluid):
-        swims = Paths(str(servo), data.fluid_fit, fluid, data.fluid_validate, check=data.check)
-        stages.fluid(swims, config, progress, drawings.fluid)
 
 
 def _servo_config(config: job.FluidConfig) -> ServoConfig:
