@@ -16,12 +16,12 @@ from tailbeat.control.expected import ShaftModel, split
 Array = NDArray[np.float64]
 NAMES = ("left", "right", "obeyed")
 LEAST = 0.1  # of the torque limit: rms over a window of a pull that can be compared (chosen)
+LITTLE = 0.05  # the same in the sign test, where friction is left out (chosen)
+TURNING = 0.15  # rad/s of a shaft that turns: of a slower one friction may have either sign
 STRAINED = 0.15  # of the torque limit: rms of a torque that says which setpoints were obeyed
 # Of what a tendon should pull: 0.45 was the least in 24 everyday minutes, and cut ones have 0.2.
 PULL = 0.25
-# The same of a tendon that holds a bend, where friction and a tail that stays bent pull too: 0.44
-# was the least in 48 everyday labs, and 0.37 the most of cut ones.
-HELD_PULL = 0.4
+TEST_PULL = 0.3  # in the sign test: 0.35 was the least of 100 everyday labs
 OBEYED = 0.775  # of the setpoints: 0.8 was the least there; nine of ten halved ones have less
 ASTRAY = 2.0  # factor by which a servo's gain or the unit of its current may be off (chosen)
 DOUBT = 0.01  # of the torque's power, which explains a share as well as the best (chosen)
@@ -48,27 +48,43 @@ def sign(name: str, window: Array, shaft: ShaftModel, motor: Motor) -> float:
 
 def pulls(window: Array, shaft: ShaftModel, motor: Motor) -> tuple[float, float]:
     """How hard the left and the right tendon pull on the tail, each over what the angles of the
-    motor lead to; NaN where a tendon has little to pull. A slack one's is near 0."""
+    motor lead to; a slack one's is near 0. NaN for a tendon that has little to pull, or if a torque
+    is not known. Where the shaft rests it is left out: the friction of the gears holds a part."""
+    left, right, _, seen = _parts(window, shaft, motor)
+    enough = len(window) * (LEAST * shaft.force_limit) ** 2
+    factors = [
+        float(side @ seen) / power if (power := float(side @ side)) > enough else float("nan")
+        for side in (left, right)
+    ]
+    return factors[0], factors[1]
+
+
+def bent_pulls(window: Array, shaft: ShaftModel, motor: Motor) -> tuple[float, float]:
+    """The same of a tail that is bent to both sides, as in the sign test, where little else pulls:
+    a friction of any size and a tail that rests bent are fitted, and left out."""
+    *sides, turned, seen = _parts(window, shaft, motor)
+    columns = np.stack([*sides, turned, np.ones(len(seen))], axis=1)
+    enough = len(window) * (LITTLE * shaft.force_limit) ** 2
+    known = np.square(columns).sum(axis=0) > [enough, enough, 0.0, 0.0]
+    factors = np.full(4, np.nan)
+    if np.isfinite(seen).all() and seen.size > 4:
+        factors[known] = np.linalg.lstsq(columns[:, known], seen, rcond=None)[0]
+    return float(factors[0]), float(factors[1])
+
+
+def _parts(window: Array, shaft: ShaftModel, motor: Motor) -> tuple[Array, Array, Array, Array]:
+    """Of the periods (k,) in which the shaft turns: what the left and the right tendon should pull
+    [N m], the direction of turning, and what the current shows of the pull."""
     velocity, acceleration = rates(window)
-    tail = (max(shaft.inertia - motor.inertia, 0.0), max(shaft.damping - motor.damping, 0.0))
-    wanted = tail[0] * acceleration + tail[1] * velocity + shaft.stiffness * window[:, ANGLE]
+    wanted = (
+        max(shaft.inertia - motor.inertia, 0.0) * acceleration
+        + max(shaft.damping - motor.damping, 0.0) * velocity
+        + shaft.stiffness * window[:, ANGLE]
+    )
     seen = motor.per_ampere * window[:, CURRENT] - motor.inertia * acceleration
-    least = len(window) * (LEAST * shaft.force_limit) ** 2
-    return _pull(seen, np.maximum(wanted, 0.0), least), _pull(seen, np.minimum(wanted, 0.0), least)
-
-
-def held_pull(window: Array, shaft: ShaftModel, motor: Motor) -> float:
-    """The same of the tendon that holds the tail bent, over a window at rest."""
-    wanted = shaft.stiffness * window[:, ANGLE]
-    least = len(window) * (LEAST * shaft.force_limit) ** 2
-    return _pull(motor.per_ampere * window[:, CURRENT], wanted, least)
-
-
-def _pull(seen: Array, wanted: Array, least: float) -> float:
-    """Least-squares factor of a pull (k,) [N m] where it acts; NaN if its power is below `least`,
-    or if a torque is not known."""
-    power = float(wanted @ wanted)
-    return float(seen @ wanted) / power if power > least else float("nan")
+    turning = np.abs(velocity) > TURNING
+    wanted, seen = wanted[turning], seen[turning]
+    return np.maximum(wanted, 0.0), np.minimum(wanted, 0.0), np.sign(velocity[turning]), seen
 
 
 def obeyed(window: Array, shaft: ShaftModel, motor: Motor) -> float:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tailbeat.control import consistency as signals
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.expected import Expected
-from tailbeat.control.load import HELD_PULL, OBEYED, Motor, held_pull, obeyed
+from tailbeat.control.load import OBEYED, TEST_PULL, Motor, bent_pulls, obeyed
 from tailbeat.control.observation import wrapped
 
 Array = NDArray[np.float64]
@@ -79,12 +79,15 @@ def program(band: tuple[float, float], low: float, high: float) -> Program:
 def answers(plan: Program, rows: Array, expected: Expected, motor: Motor | None = None) -> Answers:
     """Compare the rows (k, 13) of a played program, see `consistency.COLUMNS`. Without a
     `motor` the servo's current says nothing."""
-    last = slice(-round(SETTLED / PERIOD), None)
-    beats, bend, other = rows[plan.beats], rows[plan.bend][last], rows[plan.other][last]
+    beats, bend = rows[plan.beats], rows[plan.bend][-round(SETTLED / PERIOD) :]
     asked = plan.setpoints[plan.bend][-len(bend) :]
     wanted = float((asked - bend[:, signals.MODELLED]).mean())
     found = float((asked - bend[:, signals.ANGLE]).mean())
     forward, askew = motion(plan, rows)
+    left, right = math.nan, math.nan
+    if motor is not None:
+        bent = rows[plan.beats.start :]
+        left, right = bent_pulls(bent, expected.shaft, motor)
     return Answers(
         stroke=signals.gain(beats[:, signals.ANGLE], beats[:, signals.MODELLED], 0.0),
         load=found / wanted if wanted else math.nan,
@@ -92,8 +95,8 @@ def answers(plan: Program, rows: Array, expected: Expected, motor: Motor | None 
         camera=_camera(plan, rows, expected),
         forward=forward,
         askew=askew,
-        left=held_pull(bend, expected.shaft, motor) if motor else math.nan,
-        right=held_pull(other, expected.shaft, motor) if motor else math.nan,
+        left=left,
+        right=right,
         obeyed=obeyed(rows[plan.beats.start :], expected.shaft, motor) if motor else math.nan,
     )
 
@@ -186,7 +189,7 @@ def _current(found: Answers) -> str:
             f" encoder, and its settings with `tailbeat doctor`"
         )
     for side, pull in (("left", found.left), ("right", found.right)):
-        if pull < HELD_PULL:
+        if pull < TEST_PULL:
             return (
                 f"the {side} tendon pulls by {100 * pull:.0f} % of what it should: check that it is"
                 f" tight"
