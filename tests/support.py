@@ -1,6 +1,7 @@
 """What many tests do: run the command, and wait until something holds."""
 
 import io
+import os
 import subprocess
 import sys
 import time
@@ -16,6 +17,12 @@ from tailbeat.cli.app import main
 def command(*words: object) -> list[str]:
     """The command `tailbeat` with these words, for a process of its own."""
     return [sys.executable, "-m", "tailbeat", *map(str, words)]
+
+
+def importing_as_here() -> dict[str, str]:
+    """The environment of a process that imports what this one does, the tests too."""
+    paths = [str(Path(__file__).parent), *filter(None, sys.path)]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
 
 def tailbeat_process(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -10,7 +10,7 @@ from pickle import loads
 
 import pytest
 
-from support import complaint
+from support import complaint, importing_as_here
 from synthetic import record
 from tailbeat.cluster import comparison
 from tailbeat.cluster.jobs import map_jobs
@@ -138,10 +138,10 @@ def fitted(out: Path) -> stages.Paths:
 
 def on_ray(script: str, out: Path) -> None:
     """Run a script on a cluster of two cores; nodes import what this process imports."""
-    paths = [str(Path(__file__).parent), *filter(None, sys.path)]
-    own = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
     words = [sys.executable, "-c", CLUSTER + script, str(out)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=280, env=own)
+    done = subprocess.run(
+        words, capture_output=True, text=True, timeout=280, env=importing_as_here()
+    )
     assert done.returncode == 0, done.stderr[-3000:]
 
 

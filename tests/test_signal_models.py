@@ -182,10 +182,12 @@ def test_the_program_beats_bends_and_goes_back(low: float, high: float, rest: fl
     assert not away[: plan.beats.start].any()
     assert np.abs(away[plan.beats]).max() == pytest.approx(stroke, rel=0.05)
     assert away[plan.bend][-1] == pytest.approx(bend)
-    back = away[plan.bend.stop - 1 : plan.other.start]
+    first, count = plan.bend.stop + round(sign_test.BACK / PERIOD), len(away[plan.bend])
+    other = slice(first, first + count)  # the bend to the right
+    back = away[plan.bend.stop - 1 : other.start]
     assert (np.diff(back) < 0).all() and back[-1] == pytest.approx(0.0, abs=1e-9)
-    assert np.array_equal(away[plan.other], -away[plan.bend])  # the same to the other side
-    assert away[-1] == pytest.approx(0.0, abs=1e-9) and len(away) - plan.other.stop == len(back) - 1
+    assert np.array_equal(away[other], -away[plan.bend])
+    assert away[-1] == pytest.approx(0.0, abs=1e-9) and len(away) - other.stop == len(back) - 1
     spans = plan.beats.start, plan.bend.stop - plan.bend.start, len(back) - 1
     wanted = [sign_test.STILL, sign_test.BEND, sign_test.BACK]
     assert [PERIOD * span for span in spans] == pytest.approx(wanted)

@@ -370,6 +370,7 @@ def test_what_the_tail_drives_is_told_from_its_load():
     assert "is it held" in verdict(sound)
     assert "tendons" in verdict(replace(sound, load=0.0))
     assert "did not move" in verdict(Answers(1.0, 1.0, 1.0, 1.0, 0.001, 0.0))
+    assert "lost the tag" in verdict(Answers(1.0, 1.0, 1.0, 1.0, math.nan, math.nan))
 
 
 def test_the_program_is_inside_the_range_and_the_band():

@@ -17,7 +17,7 @@ import polars as pl
 import pytest
 from scipy import stats
 
-from support import tailbeat, tailbeat_process
+from support import command, importing_as_here, tailbeat, tailbeat_process
 from tailbeat.benchmarks import sweeps
 from tailbeat.benchmarks.sweeps import SweepRow
 from tailbeat.cluster import plan, summary, trial, tune
@@ -282,22 +282,42 @@ def test_a_node_that_is_killed_loses_no_trial(tmp_path):
     assert not working(out)
 
 
+@pytest.fixture
+def token(monkeypatch) -> None:
+    """Ray's own token, for cluster and client alike, whatever this machine has."""
+    monkeypatch.setenv("RAY_AUTH_MODE", "token")
+    monkeypatch.setenv("RAY_AUTH_TOKEN", "0123456789abcdef" * 4)
+
+
 @contextmanager
 def head() -> Iterator[str]:
     """A cluster of two cores that a client reaches from outside; yields its address."""
     first, clients = (free_address()[1] for _ in range(2))
     words = ["--head", "--block", f"--port={first}", f"--ray-client-server-port={clients}"]
     words += ["--num-cpus=2", "--include-dashboard=false", "--disable-usage-stats"]
-    paths = [str(Path(__file__).parent), *filter(None, sys.path)]
-    own = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
     ray = Path(sys.executable).parent / "ray"
-    started = subprocess.Popen([ray, "start", *words], stdout=subprocess.DEVNULL, env=own)
+    started = subprocess.Popen(
+        [ray, "start", *words], stdout=subprocess.DEVNULL, env=importing_as_here()
+    )
     try:
         wait_for(lambda: connects(clients))
         yield f"ray://127.0.0.1:{clients}"
     finally:
         started.send_signal(signal.SIGTERM)  # which ends all that it started
         started.wait(60)
+
+
+@pytest.mark.slow
+def test_a_cluster_that_ends_while_a_machine_outside_uses_it_is_one_sentence(tmp_path, token):
+    with head() as address:
+        words = ["sweep", tiny(tmp_path, seconds=60.0), "--out", tmp_path / "out"]
+        swimming = subprocess.Popen(
+            command(*words, "--address", address), stderr=subprocess.PIPE, text=True
+        )
+        wait_for(lambda: beginnings(tmp_path / "out"), 120.0)
+    said = swimming.communicate(timeout=120)[1]
+    assert swimming.returncode == 2 and "the Ray cluster was lost" in said, said[-2000:]
+    assert "Traceback" not in said and "--resume" in said
 
 
 def connects(port: int) -> bool:
@@ -316,18 +336,15 @@ print([job for job, _ in map_jobs(slow_first, range(6), lambda *row: None, sys.a
 
 
 @pytest.mark.slow
-def test_a_machine_outside_a_cluster_swims_a_sweep_and_jobs_there(tmp_path):
+def test_a_machine_outside_a_cluster_swims_a_sweep_and_jobs_there(tmp_path, token):
     with head() as address:
         path, out = tiny(tmp_path), tmp_path / "out"
         done = tailbeat_process("sweep", path, "--out", out, "--address", address)
         assert done.returncode == 0, done.stderr
         assert len(results(out)) == 2 and not working(out)
         assert "trials over: 2 of 2" in done.stdout + done.stderr
-        paths = os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])
         words = [sys.executable, "-c", FROM_OUTSIDE, address]
-        found = subprocess.run(
-            words, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": paths}
-        )
+        found = subprocess.run(words, capture_output=True, text=True, env=importing_as_here())
         assert found.stdout.strip() == str(list(range(6))), found.stderr
 
 

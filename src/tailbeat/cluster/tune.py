@@ -13,6 +13,7 @@ import platform
 import signal
 import socket
 import subprocess
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -34,6 +35,8 @@ from ray.tune.schedulers import ASHAScheduler, FIFOScheduler, MedianStoppingRule
 from ray.util.queue import Empty, Queue
 
 OUTSIDE, CLIENTS = "ray://", 10001  # of an address; the port of `ray start` for them
+# Ray's client from outside sends its token only if told; else the cluster seems not to answer.
+TOKEN = " If it has a token of Ray's, copy it to this machine and set RAY_AUTH_MODE=token."
 ANSWER = 5.0  # s that a cluster may take to answer
 STORE = 100_000_000  # bytes of shared memory for Ray's objects; ours are small
 LONGEST, PATIENCE = 10_000_000, 2_000  # updates: a trial's most, and before which none is ended
@@ -70,13 +73,15 @@ def connect(address: str | None) -> None:
         return
     try:
         _check_answers(address)
-        ray.init(address=address, **quiet)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # we say in one line that nobody answers
+            ray.init(address=address, **quiet)
     except (OSError, RuntimeError, ValueError) as error:
         raise BadInput(
             f"--address {address}: no Ray cluster answers ({type(error).__name__}); allowed are"
             f" auto and HOST:PORT of a cluster of which this machine is a node, and"
             f" ray://HOST:{CLIENTS} of another. Start one with `ray start --head`, or omit"
-            f" --address to use this machine alone."
+            f" --address to use this machine alone.{TOKEN if address.startswith(OUTSIDE) else ''}"
         ) from None
 
 
@@ -104,21 +109,32 @@ def versions() -> dict[str, str]:
 
 def swim(sweep: Sweep, todo: Sequence[Trial], out: Path, report: Report) -> dict[str, str]:
     """Swim the trials `todo` in `out/trials`; returns why each failed one did, by its name. Ray
-    must be connected. Ctrl-C ends it; trials keep their checkpoints."""
+    must be connected. Ctrl-C ends it; trials keep their checkpoints. Raises BadInput if a cluster
+    of which this machine is no node is lost."""
     write_trials(sweep, todo, out)
-    if ray.util.client.ray.is_connected():
-        return _swim_from_outside(sweep, out.resolve(), [trial.name for trial in todo], report)
-    return _swim(sweep, out, [trial.name for trial in todo], report)
+    space = {
+        "name": tune.grid_search([trial.name for trial in todo]),
+        "out": str(out.resolve()),
+        "cores": sweep.cores,
+        "versions": versions(),
+    }
+    if not ray.util.client.ray.is_connected():
+        return _swim(sweep, space, report)
+    try:
+        return _swim_from_outside(sweep, space, report)
+    except (ConnectionError, ray.exceptions.RayError) as error:
+        raise BadInput(
+            f"the Ray cluster was lost ({type(error).__name__}); run the command again with"
+            f" --resume."
+        ) from None
 
 
-def _swim_from_outside(
-    sweep: Sweep, out: Path, names: Sequence[str], report: Report
-) -> dict[str, str]:
+def _swim_from_outside(sweep: Sweep, space: dict[str, Any], report: Report) -> dict[str, str]:
     """Let a worker of the cluster run Ray Tune, and repeat what it tells: from outside, Tune would
     call `report` in the cluster."""
     rows = Queue(actor_options={"num_cpus": 0})
     there = ray.remote(num_cpus=0, max_retries=0)(_swim)
-    task = there.remote(sweep, out, names, rows.put)
+    task = there.remote(sweep, space, rows.put)
     while not ray.wait([task], timeout=0)[0] or not rows.empty():
         with contextlib.suppress(Empty):
             report(rows.get(timeout=1.0))
@@ -126,20 +142,16 @@ def _swim_from_outside(
     return found
 
 
-def _swim(sweep: Sweep, out: Path, names: Sequence[str], report: Report) -> dict[str, str]:
+def _swim(sweep: Sweep, space: dict[str, Any], report: Report) -> dict[str, str]:
+    """Run Ray Tune over a space of trials, which are on disk."""
     told = _Told(report)
     tuner = tune.Tuner(
         tune.with_resources(_work, {"cpu": sweep.cores}),
-        param_space={
-            "name": tune.grid_search(list(names)),
-            "out": str(out.resolve()),
-            "cores": sweep.cores,
-            "versions": versions(),
-        },
+        param_space=space,
         tune_config=tune.TuneConfig(scheduler=_scheduler(sweep.scheduler)),
         run_config=tune.RunConfig(
             name="ray",
-            storage_path=str((out / ".tune").resolve()),
+            storage_path=str(Path(space["out"]) / ".tune"),
             failure_config=tune.FailureConfig(max_failures=sweep.retries),
             callbacks=[told],
             verbose=0,

@@ -31,13 +31,12 @@ DOUBT = 10  # frames, the fewest that a comparison needs
 
 @dataclass(frozen=True)
 class Program:
-    """Setpoints (k,) [rad], one for each period, and the rows of the beats, of the bend to the left
-    and of the one to the right."""
+    """Setpoints (k,) [rad], one for each period, and the rows of the beats and of the bend to the
+    left; one to the right follows."""
 
     setpoints: Array
     beats: slice
     bend: slice
-    other: slice
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ def program(band: tuple[float, float], low: float, high: float) -> Program:
     edges = np.cumsum([0, *map(len, parts)]).tolist()
     rest = min(max(0.0, low), high) if low <= 0 <= high else middle
     setpoints = np.clip(rest + np.concatenate(parts), low, high)
-    return Program(setpoints, *(slice(edges[at], edges[at + 1]) for at in (1, 2, 4)))
+    return Program(setpoints, slice(edges[1], edges[2]), slice(edges[2], edges[3]))
 
 
 def answers(plan: Program, rows: Array, expected: Expected, motor: Motor | None = None) -> Answers:
@@ -84,10 +83,11 @@ def answers(plan: Program, rows: Array, expected: Expected, motor: Motor | None 
     wanted = float((asked - bend[:, signals.MODELLED]).mean())
     found = float((asked - bend[:, signals.ANGLE]).mean())
     forward, askew = motion(plan, rows)
-    left, right = math.nan, math.nan
+    left, right, share = math.nan, math.nan, math.nan
     if motor is not None:
-        bent = rows[plan.beats.start :]
-        left, right = bent_pulls(bent, expected.shaft, motor)
+        moving = rows[plan.beats.start :]
+        left, right = bent_pulls(moving, expected.shaft, motor)
+        share = obeyed(moving, expected.shaft, motor)
     return Answers(
         stroke=signals.gain(beats[:, signals.ANGLE], beats[:, signals.MODELLED], 0.0),
         load=found / wanted if wanted else math.nan,
@@ -97,7 +97,7 @@ def answers(plan: Program, rows: Array, expected: Expected, motor: Motor | None 
         askew=askew,
         left=left,
         right=right,
-        obeyed=obeyed(rows[plan.beats.start :], expected.shaft, motor) if motor else math.nan,
+        obeyed=share,
     )
 
 

@@ -20,7 +20,7 @@ from tailbeat.emulators.line import Line
 from tailbeat.emulators.packet import take
 from tailbeat.emulators.servo_commands import ALL, execute
 from tailbeat.emulators.servo_table import HOLDING, RAM, Table
-from tailbeat.fish.catalogue import by_number
+from tailbeat.fish.catalogue import by_number, profile
 from tailbeat.fish.description import Hardware
 
 TICK, WATCHDOG = 1e-3, 0.020  # s
@@ -58,9 +58,9 @@ class Shaft:
 def torque_of_count(hardware: Hardware | None) -> float:
     """Torque [N m] of one count of a servo's current, or of its load; NaN for a servo whose stall
     current the catalogue lacks."""
-    number, unit = (1280, 2.69e-3) if hardware is None else (hardware.number, hardware.current_unit)
-    known = by_number(number)
-    return unit * known.torque_per_ampere if known else math.nan
+    own = hardware or profile("xw430").hardware()
+    known = by_number(own.number) if own else None
+    return own.current_unit * known.torque_per_ampere if own and known else math.nan
 
 
 @dataclass

@@ -25,7 +25,7 @@ Pose = tuple[float, float, float]
 ROWS = round(at.LONGEST / PERIOD)
 NAMES = (*(one.name for one in fields(Signs)), *load.NAMES)
 NEEDS_ROOM = ("progress", "course")
-INSTEAD = ("weakening",)  # of these, a servo's current tells more
+INSTEAD = ("weakening",)  # which a servo's current makes needless
 NEEDS_IMU = ("turning", "drifting", "recoil")
 WALL = 0.3  # m of the paper's fish: nearer to a wall, the fish's way does not count
 # Share of the recoil's lower bound that counts there. A wall takes from the body's answer: 0.67 of
@@ -192,10 +192,11 @@ class Signals:
 
     def _sign(self, name: str, rows: Array) -> float:
         assert self.expected is not None
-        if name in (load.NAMES if self.motor is None else INSTEAD):
+        if name in load.NAMES:
+            shaft = self.expected.shaft
+            return load.sign(name, rows, shaft, self.motor) if self.motor else math.nan
+        if name in INSTEAD and self.motor:
             return math.nan
-        if self.motor and name in load.NAMES:
-            return load.sign(name, rows, self.expected.shaft, self.motor)
         return at.sign(name, rows, self.expected, at.LEAST_SPEED * self.measure.speed)
 
     @property
