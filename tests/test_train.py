@@ -41,6 +41,7 @@ from tailbeat.train import checkpoint
 from tailbeat.train import config as config
 from tailbeat.train.callback import TrainingCallback
 from tailbeat.train.config import RunConfig, action_space, check
+from tailbeat.train.episodes import Episodes
 from tailbeat.train.progress import Progress, TrainingRow
 from tailbeat.train.recipes import paper, quick, recipe_of, smoke
 from tailbeat.train.train import train
@@ -156,7 +157,7 @@ def test_a_resumed_run_goes_on_where_it_was(run):
 @pytest.mark.parametrize("greedy", [True, False])
 def test_exploring_fish_pass_no_stage_that_greedy_ones_fail(tmp_path, monkeypatch, greedy):
     """All exploring fish are said to arrive, and the network without its noise never has."""
-    monkeypatch.setattr(TrainingCallback, "_judged", lambda self: [True] * self.run.recipe.window)
+    monkeypatch.setattr(Episodes, "judged", lambda self: [True] * self.window)
     plan = planned_for(tmp_path / "run", hours=0.0003 if greedy else 0.01)
     plan = replace(plan, recipe=replace(plan.recipe, greedy=greedy, stages=STAGES[:1]))
     done = train(plan, False, print)
@@ -376,7 +377,6 @@ def test_ctrl_c_leaves_a_checkpoint_and_a_policy(tmp_path):
 
 
 def test_networks_that_leave_the_finite_end_the_run_and_keep_the_checkpoint(run):
-    from tailbeat.train.callback import TrainingCallback
     from tailbeat.train.train import environment, learner
 
     run = planned_for(run)

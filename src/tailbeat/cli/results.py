@@ -36,7 +36,7 @@ def trained(done: "TrainingResult") -> None:
     ]
     tables({"stages passed": rows})
     if done.stalled:
-        say("warning: the stage was not passed in its time; look at curve.json and the films.")
+        say("warning: the stage was not passed in its time; look at curve.png.")
     say(f"{done.stages_passed} of {done.stages} stages; policy: {done.policy}")
 
 

@@ -13,6 +13,7 @@ from tailbeat.env.world import World, seeds_from
 Array = NDArray[np.float64]
 Decide = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 Build = Callable[[list[int]], World]
+Settled = Callable[[NDArray[np.bool_], NDArray[np.bool_]], bool]
 AT_ONCE = 250  # fish in one batch
 
 
@@ -57,12 +58,18 @@ class Swims:
         )
 
 
-def assess(decide: Decide, build: Build, count: int, seed: int) -> Swims:
+def never(reached: NDArray[np.bool_], going: NDArray[np.bool_]) -> bool:
+    """Every swim is swum to its end."""
+    return False
+
+
+def assess(decide: Decide, build: Build, count: int, seed: int, settled: Settled = never) -> Swims:
     """Swim to `count` targets, each fish once, in worlds that `build` makes from seeds. The same
-    `seed` draws the same targets, noise and physics."""
+    `seed` draws the same targets, noise and physics. Ends early once a batch is `settled` by which
+    fish have `reached` and which are still `going`; those then count as not arrived."""
     seeds = seeds_from(seed, count)
     parts = [
-        _together(decide, build(seeds[first : first + AT_ONCE]))
+        _together(decide, build(seeds[first : first + AT_ONCE]), settled)
         for first in range(0, count, AT_ONCE)
     ]
     return joined(parts)
@@ -75,14 +82,14 @@ def joined(parts: Sequence[Swims]) -> Swims:
     return Swims(**whole, seen=parts[0].seen)
 
 
-def _together(decide: Decide, world: World) -> Swims:
+def _together(decide: Decide, world: World, settled: Settled) -> Swims:
     seen = world.reset()
     start, target = world.pose.copy(), world.target.copy()
     distance = np.hypot(*(target - start[:, :2]).T)
     going, reached = np.ones(world.count, bool), np.zeros(world.count, bool)
     way, nearest, steps = np.zeros(world.count), distance.copy(), np.zeros(world.count, int)
-    shown = []
-    while going.any():
+    shown: list[NDArray[np.float32]] = []
+    while going.any() and not (shown and settled(reached, going)):  # one step at least
         before = world.pose[:, :2]
         shown.append(seen[:4])
         done = world.step(np.asarray(decide(seen), dtype=np.float64))

@@ -2,9 +2,10 @@
 
 import shutil
 import time
-from collections import deque
 from dataclasses import replace
-from typing import Any, NamedTuple
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,33 +14,25 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 
 from tailbeat.control.actions import PERIOD
+from tailbeat.control.policy import decide, load_policy
 from tailbeat.env import curriculum, rendering
-from tailbeat.env.assess import Summary, Swims, assess, joined
+from tailbeat.env.assess import Decide, Settled, Summary, Swims, assess, never
 from tailbeat.env.errors import Errors
 from tailbeat.env.vector_env import FishVecEnv
 from tailbeat.env.world import World
 from tailbeat.files import BadInput
 from tailbeat.train import checkpoint
 from tailbeat.train.config import RunConfig
+from tailbeat.train.episodes import Episodes, EpisodeSums
 from tailbeat.train.export import Facts, act, export
 from tailbeat.train.progress import Progress, Report, TrainingRow
 from tailbeat.train.sac import QuickSAC
-from tailbeat.train.verdict import passed
+from tailbeat.train.verdict import examine
 
 REPORT_SECONDS = 5.0
 EXAM_SECONDS = 300.0  # between greedy evaluations
 EXAM, EXAM_SEED = 64, 9_000  # number and seed of an evaluation's targets, always the same
-KEPT = 5  # windows of episodes that are kept
-RECENT = 24  # rows of the history from which the time to promotion is estimated
-
-
-class EpisodeSums(NamedTuple):
-    """One episode: the sums of the reward's terms, and its length [s]."""
-
-    distance: float
-    effort: float
-    bonus: float
-    seconds: float
+POLISHED = 250  # targets by which the polished policy is compared with the one before
 
 
 class TrainingCallback(BaseCallback):
@@ -51,9 +44,10 @@ class TrainingCallback(BaseCallback):
     def __init__(self, run: RunConfig, progress: Progress, env: FishVecEnv, report: Report) -> None:
         super().__init__()
         self.run, self.progress, self.env, self.report = run, progress, env, report
-        self.stop, self.next_verdict = False, 0
-        self.sums: deque[EpisodeSums] = deque(maxlen=run.recipe.window)
-        self.starts: list[int | None] = [None] * env.num_envs  # episodes started in this stage
+        self.stop = False
+        self.tried: tuple[int, int] | None = None  # updates and episodes at the last verdict
+        size = env.num_envs, env.world.steps_per_episode, run.recipe.window
+        self.episodes = Episodes(progress, *size)
 
     # ---- SB3 calls these ------------------------------------------------------------------------
 
@@ -72,16 +66,21 @@ class TrainingCallback(BaseCallback):
         self.progress.control_steps += self.env.num_envs
         for fish, info in enumerate(self.locals["infos"]):
             if "episode" in info:
-                self._count(fish, info)
-        self.progress.seconds = self.before + time.monotonic() - self.began
-        if self.locals["dones"].any():
+                seconds = PERIOD * info["episode"]["l"]
+                sums = EpisodeSums(**info["reward_terms"], seconds=seconds)
+                self.episodes.count(fish, bool(info["reached"]), sums)
+        self._take_time()
+        if self.locals["dones"].any() and self.progress.passed_at is None:
             self._judge_stage()
-        self._end_stalled_stage()
+        self._end_stage()
         for name, work in (("report", self._tell), ("exam", self._examine), ("keep", self.keep)):
             if time.monotonic() >= self.due[name]:
                 work()
         over = time.monotonic() - self.began > 3600 * self.run.hours
         return not (self.stop or over or self.progress.finished or self.progress.stalled)
+
+    def _take_time(self) -> None:
+        self.progress.seconds = self.before + time.monotonic() - self.began
 
     # ---- stages ---------------------------------------------------------------------------------
 
@@ -91,103 +90,136 @@ class TrainingCallback(BaseCallback):
         self.env.world.change(self.run.settings(stage))
         if isinstance(self.model, QuickSAC):  # correlated noise helps only at first
             self.model.memory = recipe.memory if stage == 0 else 0.0
-        rate = curriculum.learning_rate(recipe.stages, stage, recipe.rates)
-        self.model.lr_schedule = lambda _: rate  # SB3 ignores `learning_rate` once it is built
-        self._set_pace(self._judged())
-        self.starts = [None] * self.env.num_envs  # running episodes started in the stage before
+        self.model.lr_schedule = self._rate  # SB3 ignores `learning_rate` once it is built
+        self._set_pace()
+        self.episodes.enter()
 
-    def _set_pace(self, judged: list[bool]) -> None:
+    def _rate(self, _: float) -> float:
+        """Learning rate: that of the stage, of a leap, or of the polish, falling to the lowest."""
+        recipe, progress = self.run.recipe, self.progress
+        if progress.passed_at is not None:
+            done = (self.model._n_updates - progress.passed_at) / max(recipe.polish, 1)
+            return max(recipe.late_rate * (1 - done), curriculum.LOWEST)
+        if progress.leapt is not None:
+            return recipe.late_rate
+        return curriculum.learning_rate(recipe.stages, progress.stage, recipe.rates)
+
+    def _set_pace(self) -> None:
         """Set the steps between updates: a decision on promotion takes at least thirty seconds of
         swimming, and most stages turn out to need no learning."""
-        recipe = self.run.recipe
-        waiting = recipe.waiting if len(judged) < recipe.window else 1
+        recipe, polished = self.run.recipe, self.progress.passed_at is not None
+        few = len(self.episodes.judged()) < recipe.window
+        waiting = recipe.waiting if few or polished else 1
         pace = TrainFreq(waiting, TrainFrequencyUnit.STEP)
         self.model.train_freq = pace  # type: ignore[assignment]  # SB3 converts it
 
-    def _count(self, fish: int, info: dict[str, Any]) -> None:
-        self.progress.episodes += 1
-        begun = self.starts[fish]
-        if begun is not None:
-            self.progress.recent.append((begun, bool(info["reached"])))
-            del self.progress.recent[: -KEPT * self.run.recipe.window]
-            seconds = PERIOD * info["episode"]["l"]
-            self.sums.append(EpisodeSums(**info["reward_terms"], seconds=seconds))
-        self.starts[fish] = self.progress.clock(self.env.num_envs)
-
-    def _judged(self) -> list[bool]:
-        """Arrivals of the last complete episodes, by start time.
-
-        An arrival ends an episode early, so the episodes that ended last are mostly arrivals. An
-        episode counts only once every episode that started as early has ended.
-        """
-        known = self.progress.over(self.env.num_envs, self.env.world.steps_per_episode)
-        order = sorted(known, key=lambda row: row[0])
-        return [arrived for _, arrived in order[-self.run.recipe.window :]]
-
     def _judge_stage(self) -> None:
-        judged = self._judged()
-        if self._ripe(judged) and (swims := self._passed()) is not None:
+        if self._ripe() and (swims := self._passed()) is not None:
             self._promote(swims)
             return
-        self._set_pace(judged)
+        self._set_pace()
 
-    def _end_stalled_stage(self) -> None:
-        """At every step: on a slow machine no episode may end for longer than a short budget."""
-        progress = self.progress
-        spent = progress.seconds - progress.stage_began
-        if not progress.finished and spent > 3600 * self.run.recipe.budget_hours:
+    def _end_stage(self) -> None:
+        """At every step, since on a slow machine no episode may end for longer than a short budget:
+        end a leap that did not pass, the polish, or a stage that stalled."""
+        recipe, progress, updates = self.run.recipe, self.progress, self.model._n_updates
+        if progress.leapt is not None and updates > progress.leapt + recipe.leap:
+            progress.leapt = None
+            self._go_to(progress.passed())
+        if progress.passed_at is not None:
+            if updates >= progress.passed_at + recipe.polish:
+                self._finish()
+        elif progress.seconds - progress.stage_began > 3600 * recipe.budget_hours:
             progress.stalled = True
 
-    def _ripe(self, judged: list[bool]) -> bool:
-        """Whether exploring fish do so well that a verdict is worth its swims. After a failed one
-        a whole window of episodes must end first."""
-        recipe, progress = self.run.recipe, self.progress
-        enough = len(judged) == recipe.window and progress.episodes >= self.next_verdict
-        return enough and _fraction(judged) > curriculum.PROMOTED
+    def _ripe(self) -> bool:
+        """Whether exploring fish do so well that a verdict is worth its swims. Between two verdicts
+        lie some updates, or a whole window of episodes."""
+        recipe, progress, episodes = self.run.recipe, self.progress, self.episodes
+        updates_then, episodes_then = self.tried or (-recipe.between, -recipe.window)
+        if recipe.promising is not None:
+            rested = self.model._n_updates >= updates_then + recipe.between
+            return rested and episodes.promise() >= recipe.promising
+        rested = progress.episodes >= episodes_then + recipe.window
+        enough = rested and len(episodes.judged()) == recipe.window
+        return enough and episodes.success() > curriculum.PROMOTED
 
     def _passed(self) -> Summary | None:
         """Summary of greedy swims that pass this stage, None if they fail it. The paper's recipe
         asks for no greedy swims: there the first evaluation is only reported."""
-        swims = [self._examine()]
         if not self.run.recipe.greedy:
-            return swims[0].summary()
-        while (said := passed(joined(swims).reached.tolist(), curriculum.PROMOTED)) is None:
-            swims.append(self._examine(len(swims)))
-        self.next_verdict = self.progress.episodes + self.run.recipe.window
-        return joined(swims).summary() if said else None
+            return self._examine().summary()
+        said, swims = self._verdict()
+        self.tried = self.model._n_updates, self.progress.episodes
+        return swims.summary() if said else None
+
+    def _verdict(self) -> tuple[bool, Swims]:
+        first = EXAM_SEED + self.model._n_updates  # at every verdict other targets
+        return examine(lambda batch, settled: self._examine(first + batch, settled))
 
     def _promote(self, greedy: Summary) -> None:
-        """Write the policy and a film, then enter the next stage."""
-        progress, stages = self.progress, self.run.recipe.stages
-        row = replace(self._tell(), greedy=greedy)
-        progress.promotions.append(row)
+        """Write the policy, then enter the next stage, or the last after the first."""
+        self._take_time()  # a verdict takes seconds
+        progress, last = self.progress, len(self.run.recipe.stages) - 1
+        progress.promotions.append(replace(self._tell(), greedy=greedy))
         self.write_policy()
-        kept = self.run.out / f"stage-{progress.stage + 1:02d}"
-        shutil.copyfile(self.run.out / "policy.onnx", kept.with_suffix(".onnx"))
-        settings = self.run.settings(progress.stage)
-        rendering.film(self._decide, self.run.fish, settings, kept.with_suffix(".mp4"))
-        if progress.stage + 1 == len(stages):
-            progress.finished = True
-            return
-        progress.stage, progress.stage_began = progress.stage + 1, progress.seconds
+        shutil.copyfile(self.run.out / "policy.onnx", self._kept())
+        if progress.stage == last:
+            progress.passed_at, progress.leapt = self.model._n_updates, None
+            self._set_pace()
+        elif progress.stage == 0 and self.run.recipe.leap:
+            progress.leapt = self.model._n_updates
+            self._go_to(last)
+        else:
+            self._go_to(progress.stage + 1)
+        self.keep()
+
+    def _go_to(self, stage: int) -> None:
+        progress = self.progress
+        progress.stage, progress.stage_began = stage, progress.seconds
         progress.recent.clear()
         self._enter()
-        self.keep()
+
+    def _kept(self) -> Path:
+        """The policy that passed this stage."""
+        return self.run.out / f"stage-{self.progress.stage + 1:02d}.onnx"
+
+    def _finish(self) -> None:
+        """Hand over what the polish made, unless it reaches its targets later than before."""
+        before, now = self._kept(), self.run.out / "policy.onnx"
+        if self.run.recipe.polish:
+            self.write_policy()
+            earlier = self._lateness(partial(decide, load_policy(before)))
+            if self._lateness(self._decide) > earlier:
+                shutil.copyfile(before, now)
+        settings, film = self.run.settings(self.progress.stage), before.with_suffix(".mp4")
+        rendering.film(partial(decide, load_policy(now)), self.run.fish, settings, film)
+        self.progress.finished = True
+
+    def _lateness(self, decided: Decide) -> float:
+        """Mean time [s] to the targets of the last stage; a miss counts as the longest."""
+        swims = self._swim(decided, EXAM_SEED, count=POLISHED)
+        longest = self.run.settings(self.progress.stage).task.seconds
+        return float(np.where(swims.reached, swims.seconds, longest).mean())
 
     # ---- reports and checkpoints ----------------------------------------------------------------
 
     def _decide(self, seen: Any) -> Any:
         return act(self.model, seen)
 
-    def _examine(self, number: int = 0) -> Swims:
-        """Greedy swims to fixed targets of this stage; another `number` has other targets."""
-        fish, settings = self.run.fish, self.run.settings(self.progress.stage)
-        seed = EXAM_SEED + number
-        swims = assess(self._decide, lambda seeds: World(fish, settings, seeds), EXAM, seed)
+    def _examine(self, seed: int = EXAM_SEED, settled: Settled = never) -> Swims:
+        """Greedy swims to targets of this stage; without a seed always the same."""
+        swims = self._swim(self._decide, seed, settled)
         self.seen = swims.seen
         self.logger.record("greedy/reached", float(swims.reached.mean()))
         self.due["exam"] = time.monotonic() + EXAM_SECONDS
         return swims
+
+    def _swim(
+        self, decided: Decide, seed: int, settled: Settled = never, count: int = EXAM
+    ) -> Swims:
+        build = partial(World, self.run.fish, self.run.settings(self.progress.stage))
+        return assess(decided, build, count, seed, settled)
 
     def write_policy(self) -> None:
         """Write `policy.onnx` with the present networks into the run's folder."""
@@ -220,7 +252,7 @@ class TrainingCallback(BaseCallback):
         row = self._row()
         self.last = time.monotonic(), row.control_steps, row.updates
         self.progress.history.append(row)
-        row = replace(row, promotion_in=self._promotion_in())
+        row = replace(row, promotion_in=self.progress.promotion_in())
         self.progress.history[-1] = row
         self.due["report"] = time.monotonic() + REPORT_SECONDS
         for name, value in vars(row).items():
@@ -233,20 +265,21 @@ class TrainingCallback(BaseCallback):
     def _row(self) -> TrainingRow:
         progress, steps, updates = self.progress, self.progress.control_steps, self.model._n_updates
         span = max(time.monotonic() - self.last[0], 1e-9)
+        means = self.episodes.means()
         return TrainingRow(
             seconds=progress.seconds,
             stage=progress.stage + 1,
             name=self.run.recipe.stages[progress.stage].name,
-            success=_fraction(self._judged()),
+            success=self.episodes.success(),
             episodes=progress.episodes,
             control_steps=steps,
             updates=updates,
             steps_per_s=(steps - self.last[1]) / span,
             updates_per_s=(updates - self.last[2]) / span,
-            distance=_mean([one.distance for one in self.sums]),
-            effort=_mean([one.effort for one in self.sums]),
-            bonus=_mean([one.bonus for one in self.sums]),
-            episode_seconds=_mean([one.seconds for one in self.sums]),
+            distance=means.distance,
+            effort=means.effort,
+            bonus=means.bonus,
+            episode_seconds=means.seconds,
             lost=int(self.env.world.simulator.warned.sum()),
         )
 
@@ -258,26 +291,6 @@ class TrainingCallback(BaseCallback):
                 f"{self.run.out}: the training diverged before update {self.model._n_updates}: a"
                 f" weight is not finite. The last checkpoint is intact: continue with --resume."
             )
-
-    def _promotion_in(self) -> float | None:
-        """Estimated time [s] until the rolling success rate allows promotion, from its slope over
-        the last rows; None if it does not rise."""
-        rows = [row for row in self.progress.history if row.stage == self.progress.stage + 1]
-        if len(rows) < RECENT // 2:
-            return None
-        time_, success = np.array([[row.seconds, row.success] for row in rows[-RECENT:]]).T
-        slope = float(np.polyfit(time_ - time_[0], success, 1)[0])
-        missing = curriculum.PROMOTED - float(success[-1])
-        return max(missing / slope, 0.0) if slope > 1e-6 else None
-
-
-def _fraction(judged: list[bool]) -> float:
-    """Rolling success rate of a stage."""
-    return float(np.mean(judged)) if judged else 0.0
-
-
-def _mean(values: list[float]) -> float:
-    return float(np.mean(values)) if values else float("nan")
 
 
 def _widths(errors: Errors | None) -> str:

@@ -96,7 +96,9 @@ def _progress(held: dict[str, Any]) -> Progress:
     names = [one.name for one in fields(Progress)]
     rows = {name: [_row(**one) for one in held[name]] for name in ("history", "promotions")}
     recent = [(begun, arrived) for begun, arrived in held["recent"]]
-    return Progress(**{name: held[name] for name in names} | rows | {"recent": recent})
+    later = {"leapt": None, "passed_at": None}  # not in older checkpoints
+    known = later | {name: held[name] for name in names if name in held or name not in later}
+    return Progress(**known | rows | {"recent": recent})
 
 
 def _row(greedy: dict[str, Any] | None = None, **rest: Any) -> TrainingRow:

@@ -4,7 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from tailbeat.env.assess import Summary
+from tailbeat.env.curriculum import PROMOTED
+
+RECENT = 24  # rows of the history from which the time to promotion is estimated
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,8 @@ class Progress:
     recent: list[tuple[int, bool]] = field(default_factory=list)
     history: list[TrainingRow] = field(default_factory=list)
     promotions: list[TrainingRow] = field(default_factory=list)
+    leapt: int | None = None  # updates at the leap into the last stage, until it is decided
+    passed_at: int | None = None  # updates when the last stage was passed: from here on, polish
     finished: bool = False
     stalled: bool = False
 
@@ -68,8 +75,19 @@ class Progress:
         return [(begun, arrived) for begun, arrived in self.recent if begun <= latest]
 
     def passed(self) -> int:
-        """Number of stages passed; a stage passed twice counts once."""
-        return len({row.name for row in self.promotions})
+        """Number of stages passed: each is harder than those before it, which count with it."""
+        return max((row.stage for row in self.promotions), default=0)
+
+    def promotion_in(self) -> float | None:
+        """Estimated time [s] until the rolling success rate allows promotion, from its slope over
+        the last rows; None if it does not rise."""
+        rows = [row for row in self.history if row.stage == self.stage + 1]
+        if len(rows) < RECENT // 2 or self.passed_at is not None:
+            return None
+        time, success = np.array([[row.seconds, row.success] for row in rows[-RECENT:]]).T
+        slope = float(np.polyfit(time - time[0], success, 1)[0])
+        missing = PROMOTED - float(success[-1])
+        return max(missing / slope, 0.0) if slope > 1e-6 else None
 
 
 @dataclass(frozen=True)

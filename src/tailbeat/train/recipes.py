@@ -1,7 +1,7 @@
 """Training recipes: the paper's, ours, and one of a minute for a smoke test."""
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -23,6 +23,12 @@ class Recipe:
     control step; `returns` steps make one transition; `reward_scale` keeps the critics' values near
     one; `entropy` is SB3's. The success rate is over `window` episodes. A stage longer than
     `budget_hours` counts as stalled.
+
+    Greedy swims are asked for a verdict as soon as a share `promising` of the last episodes to end
+    were arrivals, at most every `between` updates; with None once the success rate is high. After
+    the first stage the last one is tried, for `leap` updates at `late_rate`; if it is not passed by
+    then, the stages between come one by one. After the last stage follow `polish` updates, whose
+    rate falls from `late_rate`.
     """
 
     name: str
@@ -47,6 +53,11 @@ class Recipe:
     close_up: bool = False  # networks get the target features
     rounded: bool = False  # updates multiply in bfloat16 if the processor supports it
     binds: Literal["fundamental", "signal"] = "fundamental"  # what stays below the ceiling
+    promising: float | None = None
+    between: int = 250
+    leap: int = 0
+    polish: int = 0
+    late_rate: float = 3e-4
     greedy: bool = True  # a stage is passed by greedy swims; else by exploring ones (paper)
     width: int = WIDTH  # of every layer of actor and critics
     stages: tuple[Stage, ...] = STAGES
@@ -62,6 +73,10 @@ class Recipe:
     def buffer_bytes(self) -> int:
         """Size of the replay buffer in memory and in every checkpoint [bytes]."""
         return self.buffer * BYTES_PER_TRANSITION
+
+
+# neither early verdicts nor a leap or polish
+BY_STAGES: dict[str, Any] = {"promising": None, "leap": 0, "polish": 0}
 
 
 def quick() -> Recipe:
@@ -89,6 +104,9 @@ def quick() -> Recipe:
         misses=0.1,
         close_up=True,
         rounded=True,
+        promising=0.7,
+        leap=4_000,
+        polish=4_000,
     )
 
 
@@ -118,6 +136,7 @@ def paper() -> Recipe:
         close_up=False,
         rounded=False,
         greedy=False,
+        **BY_STAGES,
     )
 
 
@@ -129,6 +148,7 @@ def smoke() -> Recipe:
     return replace(
         quick(), name="smoke", fish=32, batch=128, starts=6_000, buffer=60_000, window=60,
         rates=(1e-3,), waiting=1, width=64, stages=ahead, task=near, binds="signal",
+        **BY_STAGES,
     )  # fmt: skip
 
 
@@ -141,6 +161,7 @@ def following(recipe: Recipe) -> Recipe:
     """The recipe for following moving targets: other stages and another task. Its verdict asks that
     the fish stays beside its target."""
     task = MOVING
+    recipe = replace(recipe, **BY_STAGES)
     if recipe.name == "smoke":
         task = replace(task, nearest=0.3, farthest=0.6, seconds=6.0, target_speed=0.1)
         return replace(recipe, stages=FOLLOWING[:1], task=task)

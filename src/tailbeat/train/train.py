@@ -69,7 +69,8 @@ def train(
             FOREVER, callback=callback, log_interval=FOREVER, reset_num_timesteps=place is None
         )
     callback.keep()
-    callback.write_policy()
+    if not progress.finished:
+        callback.write_policy()
     write_json(run.out / "curve.json", asdict(progress), overwrite=True)
     return progress
 
@@ -157,7 +158,7 @@ def _put_into(stage: str, run: RunConfig, progress: Progress) -> None:
     """Enter a stage by name; the stages passed are kept."""
     names = [one.name for one in run.recipe.stages]
     progress.stage, progress.stage_began = names.index(stage), progress.seconds
-    progress.finished = False
+    progress.finished, progress.leapt, progress.passed_at = False, None, None
     progress.recent.clear()
 
 

@@ -1,0 +1,175 @@
+"""The recipe's short way: early verdicts, the leap into the last stage and back, and the polish."""
+
+import json
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
+
+from tailbeat.control.actions import PERIOD
+from tailbeat.control.policy import decide, load_policy
+from tailbeat.env.assess import Swims, assess
+from tailbeat.env.curriculum import LOWEST, STAGES, settings_of
+from tailbeat.env.world import World
+from tailbeat.train import callback as at
+from tailbeat.train import checkpoint
+from tailbeat.train.callback import TrainingCallback
+from tailbeat.train.config import RunConfig
+from tailbeat.train.episodes import Episodes
+from tailbeat.train.progress import Progress
+from tailbeat.train.recipes import following, quick
+from tailbeat.train.train import train
+from tailbeat.train.verdict import certain
+from test_train import FISH, planned_for
+
+pytestmark = pytest.mark.long
+
+
+@pytest.fixture(autouse=True)
+def all_promise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exploring fish always promise a pass, and no film is drawn."""
+    monkeypatch.setattr(Episodes, "promise", lambda self: 1.0)
+    monkeypatch.setattr(at.rendering, "film", lambda *_: None)
+
+
+def leaping(out: Path, **changes: Any) -> RunConfig:
+    """A run that leaps from the first of four stages into the last."""
+    run = planned_for(out, hours=0.01)
+    rest: dict[str, Any] = {"rates": (1e-3,) * 3}
+    rest |= {"promising": 0.9, "between": 10, "leap": 40, "polish": 0} | changes
+    return replace(run, recipe=replace(run.recipe, stages=STAGES[:4], **rest))
+
+
+def deciding(monkeypatch: pytest.MonkeyPatch, passes: Any) -> list[tuple[int, int]]:
+    """Verdicts by a rule (stage from 1, updates); returns those that were asked for."""
+    asked: list[tuple[int, int]] = []
+
+    def examined(self: TrainingCallback, *_: Any) -> tuple[bool, Swims]:
+        told = self.progress.stage + 1, self.model._n_updates
+        asked.append(told)
+        some, self.seen = np.ones(4), np.zeros((4, 24), np.float32)
+        return passes(*told), Swims(some > 0, some, some, some, some, some, self.seen)
+
+    monkeypatch.setattr(TrainingCallback, "_verdict", examined)
+    return asked
+
+
+def test_the_last_stage_follows_the_first_and_counts_for_all(tmp_path, monkeypatch):
+    asked = deciding(monkeypatch, lambda stage, updates: True)
+    done = train(leaping(tmp_path / "run"), False, print)
+    assert [stage for stage, _ in asked] == [1, 4]
+    assert done.finished and done.passed() == 4
+    held = load_policy(tmp_path / "run" / "policy.onnx").contract.training
+    assert held["stages_passed"] == 4 and held["stage"] == STAGES[3].name
+
+
+def test_a_leap_that_does_not_pass_goes_back_to_the_stages_between(tmp_path, monkeypatch):
+    failed: list[int] = []
+
+    def passes(stage: int, updates: int) -> bool:
+        first_time = stage == 4 and (not failed or updates <= failed[0] + 40)
+        failed.extend([updates] if first_time else [])
+        return not first_time
+
+    asked = deciding(monkeypatch, passes)
+    done = train(leaping(tmp_path / "run"), False, print)
+    order = [stage for i, (stage, _) in enumerate(asked) if not i or asked[i - 1][0] != stage]
+    assert order == [1, 4, 2, 3, 4] and done.finished and done.passed() == 4
+    tried = [updates for stage, updates in asked if stage == 4 and updates <= failed[0] + 40]
+    assert len(tried) > 1 and min(np.diff(tried)) >= 10  # `between` lies between two verdicts
+    assert [row.stage for row in done.promotions] == [1, 2, 3, 4]
+
+
+def test_without_a_leap_every_stage_comes_in_turn(tmp_path, monkeypatch):
+    asked = deciding(monkeypatch, lambda stage, updates: True)
+    train(leaping(tmp_path / "run", leap=0), False, print)
+    assert [stage for stage, _ in asked] == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_a_polish_is_kept_only_if_it_arrives_earlier(tmp_path, monkeypatch, better):
+    deciding(monkeypatch, lambda stage, updates: True)
+    seconds = iter([9.0, 8.0 if better else 10.0])  # of the policy that passed, and of the polished
+    monkeypatch.setattr(TrainingCallback, "_lateness", lambda self, decided: next(seconds))
+    done = train(leaping(tmp_path / "run", polish=30), False, print)
+    assert done.finished and done.passed_at is not None
+    passed, kept = ((tmp_path / "run" / f"{name}.onnx").read_bytes() for name in NAMES)
+    assert (kept == passed) is not better
+    updates = load_policy(tmp_path / "run" / "policy.onnx").contract.training["updates"]
+    assert (int(updates) >= done.passed_at + 30) is better
+
+
+NAMES = ("stage-04", "policy")
+
+
+def test_leap_and_polish_outlive_an_interruption(tmp_path, monkeypatch):
+    """Resumed in the last stage, a run goes back when it would have, and polishes to the end."""
+    asked = deciding(monkeypatch, lambda stage, updates: stage < 4)
+    run = leaping(tmp_path / "run", leap=10**6)
+    early = train(replace(run, hours=0.001), False, print)
+    assert early.stage == 3 and early.leapt is not None
+    state = tmp_path / "run" / "checkpoint" / "state.json"
+    held = json.loads(state.read_text())
+    state.write_text(json.dumps(held | {"leapt": held["leapt"] - 10**6}))
+    asked.clear()
+    done = train(replace(run, hours=0.001), True, print)
+    assert asked[0][0] == 2 and done.leapt is None
+
+
+def test_a_checkpoint_of_before_leaps_is_read(tmp_path):
+    held = asdict(Progress(stage=2)) | {"decisions": 5, "updates": 7, "buffer": [3, False]}
+    del held["leapt"], held["passed_at"]
+    (tmp_path / "state.json").write_text(json.dumps(held))
+    saved = checkpoint.read_state(tmp_path)
+    assert (saved.progress.stage, saved.progress.leapt, saved.updates) == (2, None, 7)
+
+
+def test_the_rate_of_leap_and_polish(tmp_path):
+    run = leaping(tmp_path, polish=100)
+    progress = Progress(stage=3, leapt=50)
+    told = TrainingCallback.__new__(TrainingCallback)
+    told.run, told.progress = run, progress
+    told.model = type("Model", (), {"_n_updates": 60})()
+    assert told._rate(0.0) == run.recipe.late_rate
+    progress.leapt, progress.passed_at = None, 60
+    assert told._rate(0.0) == run.recipe.late_rate
+    told.model._n_updates = 110
+    assert told._rate(0.0) == pytest.approx(run.recipe.late_rate / 2)
+    told.model._n_updates = 160
+    assert told._rate(0.0) == LOWEST
+
+
+def test_swims_that_are_settled_from_the_start_make_one_step():
+    """With 13 misses in 252 of 256 swims nothing can pass any more."""
+    build = partial(World, FISH, settings_of(STAGES[0]))
+
+    def still(seen: Any) -> Any:
+        return np.zeros((len(seen), 6), np.float32)
+
+    swims = assess(still, build, 4, 1, lambda reached, going: certain(239, 13, reached, going))
+    assert not swims.reached.any() and set(swims.seconds) == {PERIOD}
+
+
+def test_following_has_neither(tmp_path):
+    """Its verdict asks for half a minute beside the target: nothing arrives early."""
+    recipe = following(quick())
+    assert (recipe.promising, recipe.leap, recipe.polish) == (None, 0, 0)
+
+
+@pytest.mark.slow  # some minutes
+@pytest.mark.parametrize("seed", [0, 3])
+def test_the_whole_task_is_learned_within_6_000_updates(tmp_path, monkeypatch, seed):
+    """Eight seeds needed 1,742 to 2,914; before, four needed 13,702 to 19,508."""
+    monkeypatch.undo()
+    run = RunConfig(FISH, tmp_path / "run", replace(quick(), polish=0), seed=seed, hours=0.5)
+    done = train(run, False, lambda row: None)
+    assert done.finished and done.passed_at is not None and done.passed_at <= 6_000
+    policy = load_policy(tmp_path / "run" / "policy.onnx")
+    build = partial(World, FISH, settings_of(STAGES[8], policy.contract.actions))
+    swims = assess(partial(decide, policy), build, 1_000, 7)
+    assert swims.reached.mean() >= 0.99
