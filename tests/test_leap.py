@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
+from tailbeat.cli.progress import _cells
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import decide, load_policy
 from tailbeat.env.assess import Swims, assess
@@ -21,7 +22,7 @@ from tailbeat.train import checkpoint
 from tailbeat.train.callback import TrainingCallback
 from tailbeat.train.config import RunConfig
 from tailbeat.train.episodes import Episodes
-from tailbeat.train.progress import Progress
+from tailbeat.train.progress import Progress, TrainingRow
 from tailbeat.train.recipes import following, quick
 from tailbeat.train.train import train
 from tailbeat.train.verdict import certain
@@ -127,6 +128,15 @@ def test_a_checkpoint_of_before_leaps_is_read(tmp_path):
     (tmp_path / "state.json").write_text(json.dumps(held))
     saved = checkpoint.read_state(tmp_path)
     assert (saved.progress.stage, saved.progress.leapt, saved.updates) == (2, None, 7)
+
+
+def test_a_polish_says_how_far_it_is():
+    row = TrainingRow(90.0, 10, "arc 180", 1.0, 9, 9, 2_500, 1.0, 20.0, *(0.0,) * 4, lost=0)
+    told = Progress(stage=9, passed_at=2_000).estimated(row, 4_000)
+    assert (told.polished, told.promotion_in) == (0.125, 3_500 / 20)
+    cells = _cells(told)
+    assert cells["stage"] == "10 arc 180, 12 % polished" and cells["ready in"] == "2.9 min"
+    assert "promotion in" in _cells(Progress(stage=9).estimated(row, 4_000))
 
 
 def test_the_rate_of_leap_and_polish(tmp_path):

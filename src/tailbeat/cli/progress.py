@@ -148,13 +148,17 @@ def _course(row: "TrainingRow") -> Any:
     return table
 
 
+def _polish(row: "TrainingRow") -> str:
+    return "" if row.polished is None else f", {100 * row.polished:.0f} % polished"
+
+
 def _cells(row: "TrainingRow") -> dict[str, str]:
-    eta = row.promotion_in
+    eta, awaited = row.promotion_in, "ready in" if row.polished is not None else "promotion in"
     return {
         "time": f"{row.seconds / 60:.1f} min",
-        "stage": f"{row.stage} {row.name}",
+        "stage": f"{row.stage} {row.name}" + _polish(row),
         "success": f"{100 * row.success:.0f} %",
-        "promotion in": "-" if eta is None else f"{eta / 60:.1f} min",
+        awaited: "-" if eta is None else f"{eta / 60:.1f} min",
         "episode": f"{row.episode_seconds:.1f} s",
         "reward": f"distance {row.distance:.0f} effort {row.effort:.0f} bonus {row.bonus:.0f}",
         "control steps": f"{row.control_steps:,} ({row.steps_per_s:.0f}/s)",

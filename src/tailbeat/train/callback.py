@@ -252,7 +252,7 @@ class TrainingCallback(BaseCallback):
         row = self._row()
         self.last = time.monotonic(), row.control_steps, row.updates
         self.progress.history.append(row)
-        row = replace(row, promotion_in=self.progress.promotion_in())
+        row = self.progress.estimated(row, self.run.recipe.polish)
         self.progress.history[-1] = row
         self.due["report"] = time.monotonic() + REPORT_SECONDS
         for name, value in vars(row).items():

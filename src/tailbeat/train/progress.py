@@ -1,7 +1,7 @@
 """Progress of a training: its rows, its state between sessions, its result."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +20,9 @@ class TrainingRow:
     the rolling success rate of the stage. `episodes`, `control_steps` (of all fish) and `updates`
     are totals; the two rates [1/s] are since the last row. `distance`, `effort`, `bonus` are the
     mean sums of the reward's terms in recent episodes, `episode_seconds` their mean length [s].
-    `lost` counts fish whose physics diverged. `promotion_in` estimates the time to the next stage
-    [s], None if success does not rise. At a promotion, `greedy` is the evaluation without
+    `lost` counts fish whose physics diverged. `promotion_in` estimates the time to the next stage,
+    or to the end of the polish [s], None if success does not rise; `polished` is the fraction of
+    the polish that is done, None before it. At a promotion, `greedy` is the evaluation without
     exploration.
     """
 
@@ -40,6 +41,7 @@ class TrainingRow:
     episode_seconds: float
     lost: int
     promotion_in: float | None = None
+    polished: float | None = None
     greedy: Summary | None = None
 
 
@@ -78,11 +80,19 @@ class Progress:
         """Number of stages passed: each is harder than those before it, which count with it."""
         return max((row.stage for row in self.promotions), default=0)
 
-    def promotion_in(self) -> float | None:
-        """Estimated time [s] until the rolling success rate allows promotion, from its slope over
-        the last rows; None if it does not rise."""
+    def estimated(self, row: TrainingRow, polish: int) -> TrainingRow:
+        """The newest row of the history with its estimates, of a run with `polish` updates."""
+        if self.passed_at is None:
+            return replace(row, promotion_in=self._promotion_in())
+        done = row.updates - self.passed_at
+        left = (polish - done) / row.updates_per_s if row.updates_per_s > 0 else None
+        return replace(row, promotion_in=left, polished=done / polish if polish else 1.0)
+
+    def _promotion_in(self) -> float | None:
+        """Time until the rolling success rate allows promotion, from its slope over the last
+        rows."""
         rows = [row for row in self.history if row.stage == self.stage + 1]
-        if len(rows) < RECENT // 2 or self.passed_at is not None:
+        if len(rows) < RECENT // 2:
             return None
         time, success = np.array([[row.seconds, row.success] for row in rows[-RECENT:]]).T
         slope = float(np.polyfit(time - time[0], success, 1)[0])
