@@ -17,10 +17,11 @@ from tailbeat.control.policy import decide, load_policy
 from tailbeat.env.assess import Swims, assess
 from tailbeat.env.curriculum import LOWEST, STAGES, settings_of
 from tailbeat.env.world import World
+from tailbeat.files import BadInput, write_json
 from tailbeat.train import callback as at
 from tailbeat.train import checkpoint
 from tailbeat.train.callback import TrainingCallback
-from tailbeat.train.config import RunConfig
+from tailbeat.train.config import RunConfig, check
 from tailbeat.train.episodes import Episodes
 from tailbeat.train.progress import Progress, TrainingRow
 from tailbeat.train.recipes import following, quick
@@ -137,6 +138,16 @@ def test_a_polish_says_how_far_it_is():
     cells = _cells(told)
     assert cells["stage"] == "10 arc 180, 12 % polished" and cells["ready in"] == "2.9 min"
     assert "promotion in" in _cells(Progress(stage=9).estimated(row, 4_000))
+
+
+def test_a_run_begun_before_leaps_goes_on_with_them(tmp_path):
+    held = asdict(planned_for(tmp_path, recipe=quick()).record())
+    for name in ("promising", "between", "leap", "polish", "late_rate"):
+        del held["recipe"][name]
+    write_json(tmp_path / "run.json", held)
+    check(planned_for(tmp_path, recipe=quick()), resume=True)
+    with pytest.raises(BadInput, match=r"recipe.batch was 256, now 128"):
+        check(planned_for(tmp_path, recipe=replace(quick(), batch=128)), resume=True)
 
 
 def test_the_rate_of_leap_and_polish(tmp_path):

@@ -201,7 +201,8 @@ def _check_same(run: RunConfig) -> None:
     held.setdefault("velocities", False)
     held.setdefault("physics", "ranges")  # and no posterior
     held.setdefault("yaw_rate", "imu")  # and an IMU
-    held.setdefault("recipe.greedy", run.recipe.greedy)  # and no verdict by greedy swims
+    for name in ("greedy", "promising", "between", "leap", "polish", "late_rate"):
+        held.setdefault(f"recipe.{name}", getattr(run.recipe, name))  # and other verdicts
     for name, ratio in vars(PAPER).items():
         held.setdefault(f"measure.{name}", ratio)  # and the paper's measure
     asked = leaves("", json.loads(json.dumps(asdict(run.record()))))
