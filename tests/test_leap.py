@@ -1,6 +1,7 @@
 """The recipe's short way: early verdicts, the leap into the last stage and back, and the polish."""
 
 import json
+from collections.abc import Collection
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -41,19 +42,23 @@ def all_promise(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def leaping(out: Path, **changes: Any) -> RunConfig:
     """A run that leaps from the first of four stages into the last."""
-    run = planned_for(out, hours=0.01)
+    run = planned_for(out, hours=0.1)
     rest: dict[str, Any] = {"rates": (1e-3,) * 3}
     rest |= {"promising": 0.9, "between": 10, "leap": 40, "polish": 0} | changes
     return replace(run, recipe=replace(run.recipe, stages=STAGES[:4], **rest))
 
 
-def deciding(monkeypatch: pytest.MonkeyPatch, passes: Any) -> list[tuple[int, int]]:
-    """Verdicts by a rule (stage from 1, updates); returns those that were asked for."""
+def deciding(
+    monkeypatch: pytest.MonkeyPatch, passes: Any, stop: Collection[int] = ()
+) -> list[tuple[int, int]]:
+    """Verdicts by a rule (stage from 1, updates); returns those that were asked for. One in a stage
+    of `stop` interrupts the training."""
     asked: list[tuple[int, int]] = []
 
     def examined(self: TrainingCallback, *_: Any) -> tuple[bool, Swims]:
         told = self.progress.stage + 1, self.model._n_updates
         asked.append(told)
+        self.stop = told[0] in stop
         some, self.seen = np.ones(4), np.zeros((4, 24), np.float32)
         return passes(*told), Swims(some > 0, some, some, some, some, some, self.seen)
 
@@ -109,18 +114,32 @@ def test_a_polish_is_kept_only_if_it_arrives_earlier(tmp_path, monkeypatch, bett
 NAMES = ("stage-04", "policy")
 
 
-def test_leap_and_polish_outlive_an_interruption(tmp_path, monkeypatch):
-    """Resumed in the last stage, a run goes back when it would have, and polishes to the end."""
-    asked = deciding(monkeypatch, lambda stage, updates: stage < 4)
+def test_a_leap_outlives_an_interruption(tmp_path, monkeypatch):
+    """Resumed in the last stage, a run goes back when it would have."""
+    stop = {4}
+    asked = deciding(monkeypatch, lambda stage, updates: stage < 4, stop)
     run = leaping(tmp_path / "run", leap=10**6)
-    early = train(replace(run, hours=0.001), False, print)
+    early = train(run, False, print)
     assert early.stage == 3 and early.leapt is not None
     state = tmp_path / "run" / "checkpoint" / "state.json"
     held = json.loads(state.read_text())
     state.write_text(json.dumps(held | {"leapt": held["leapt"] - 10**6}))
     asked.clear()
-    done = train(replace(run, hours=0.001), True, print)
-    assert asked[0][0] == 2 and done.leapt is None
+    stop.add(2)
+    done = train(run, True, print)
+    assert [stage for stage, _ in asked] == [2] and done.leapt is None
+
+
+def test_a_polish_outlives_an_interruption(tmp_path, monkeypatch):
+    deciding(monkeypatch, lambda stage, updates: True, {4})
+    monkeypatch.setattr(TrainingCallback, "_lateness", lambda self, decided: 9.0)
+    run = leaping(tmp_path / "run", polish=30)
+    early = train(run, False, print)
+    assert early.passed_at is not None and not early.finished
+    done = train(run, True, print)
+    assert done.finished and done.passed_at == early.passed_at
+    updates = load_policy(tmp_path / "run" / "policy.onnx").contract.training["updates"]
+    assert int(updates) >= early.passed_at + 30
 
 
 def test_a_checkpoint_of_before_leaps_is_read(tmp_path):
