@@ -6,12 +6,24 @@ import pytest
 
 from tailbeat.files import BadInput
 from tailbeat.link.addresses import address
-from tailbeat.link.places import ANY_POOL, POOL, TARGET, is_pool, place, pool_size
+from tailbeat.link.places import (
+    ANY_POOL,
+    POOL,
+    TARGET,
+    as_text,
+    is_pool,
+    place,
+    pool_size,
+    room,
+    within,
+)
 
 
 def test_the_paper_s_pool_holds_the_default_target():
     assert POOL == (5.5, 2.7) and is_pool(*POOL)
-    assert place(TARGET) == (1.5, 0.5)
+    assert place(within(TARGET, POOL)) == (1.5, 0.5)
+    assert place(within(TARGET, room(0.4)), pool=room(0.4)) == pytest.approx((0.6, 0.2))
+    assert pool_size(as_text(room(0.631))) == pytest.approx((3.4705, 1.7037))
 
 
 @pytest.mark.parametrize("text", ["2.75,1.35", "-2.75,-1.35", " 0 , 0"])

@@ -18,7 +18,7 @@ from websockets.exceptions import InvalidMessage
 
 from operator_lab import ROOM, SOON
 from support import command, until
-from tailbeat.cli import station, swim
+from tailbeat.cli import drive, station
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.link import datagrams as link
@@ -126,7 +126,7 @@ def test_what_a_console_cannot_have_is_one_sentence(tmp_path: Path):
         "key": tmp_path,
     }
     with pytest.raises(BadInput, match="the station shows it"):
-        swim.drive("p", tmp_path / "a", page="127.0.0.1:0", **words)  # type: ignore[arg-type]
+        drive.drive("p", tmp_path / "a", page="127.0.0.1:0", **words)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="--camera needs --calibration"):
         station.station("127.0.0.1:1", tmp_path, "127.0.0.1:2", camera="/dev/video0")
     with pytest.raises(BadInput, match="give host:port"):

@@ -27,6 +27,7 @@ from tailbeat.emulators.live import ASIDE
 from tailbeat.emulators.optics import Optics
 from tailbeat.emulators.scripted import fish_line
 from tailbeat.files import BadInput
+from tailbeat.link.places import POOL
 from tailbeat.vision.detector import HALF, open_detector
 from tailbeat.vision.moved import warning
 from tailbeat.vision.tags import Tag
@@ -72,7 +73,7 @@ def test_poses_over_the_whole_pool_are_within_five_millimetres_and_a_degree():
 
 def test_a_tag_in_the_corner_is_seen_and_one_afloat_hides_the_fish_beneath(tracker, renderer):
     """Why `tailbeat swim` lays the target's tag aside; docs/how-to/drive.md."""
-    x, y = map(float, ASIDE.split(","))
+    x, y = (share * side / 2 for share, side in zip(ASIDE, POOL, strict=True))
     away = film(tracker, renderer, [Scene(fish=(1.5, 0.5, 0.7), target=(x, y, 0.0))] * 20)
     above = film(tracker, renderer, [Scene(fish=(1.5, 0.5, 0.7), target=(1.5, 0.5, 0.0))] * 20, 90)
     assert all(one.frame.fish and one.frame.target for one in away[1:])

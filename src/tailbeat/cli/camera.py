@@ -13,6 +13,12 @@ from tailbeat.files import refuse_existing, write_json
 
 FishTag = Annotated[int, typer.Option("--fish-tag", help="Id of the fish's tag (family 36h11).")]
 TargetTag = Annotated[int, typer.Option("--target-tag", help="Id of the target's tag.")]
+SizedFor = Annotated[
+    str | None,
+    typer.Option(
+        "--fish", help="Fish whose description has the tag's size: a TOML file or a shipped name."
+    ),
+]
 SquareOption = Annotated[float, typer.Option(help="Side of the board's squares [m], as measured.")]
 CAMERAS = "/dev/video0, unix:/path (a virtual camera) or a video file"
 
@@ -21,7 +27,11 @@ def tags(
     out: Annotated[Path, typer.Option("--out", help="Sheet to write: .pdf, .svg or .png.")],
     fish_tag: FishTag = 0,
     target_tag: TargetTag = 1,
-    side: Annotated[float, typer.Option(help="Side of the tags' black squares [m].")] = 0.08,
+    fish: SizedFor = None,
+    side: Annotated[
+        float | None,
+        typer.Option(help="Side of the tags' black squares [m]; default: the fish's, else 0.08."),
+    ] = None,
     square: SquareOption = 0.026,
     json: JsonOption = None,
 ) -> None:
@@ -32,10 +42,20 @@ def tags(
     from tailbeat.vision.sheet import write_sheets
     from tailbeat.vision.tags import board_of
 
-    paths = write_sheets(out, (fish_tag, target_tag), side, board_of(square))
+    paths = write_sheets(out, (fish_tag, target_tag), _side(side, fish), board_of(square))
     if json is not None:
         write_json(json, {"sheets": [str(path) for path in paths]})
     output.say(f"wrote {', '.join(map(str, paths))}; print at 100 % and measure")
+
+
+def _side(given: float | None, fish: str | None) -> float:
+    """Side of a tag's black square [m]: as given, else the fish's, else the paper's. Raises
+    BadInput for a fish that cannot be read."""
+    from tailbeat.fish.store import load_fish
+    from tailbeat.vision.tags import SIDE
+
+    described = load_fish(fish).tag if fish is not None else None
+    return next((side for side in (given, described) if side is not None), SIDE)
 
 
 def calibrate(
@@ -55,12 +75,17 @@ def calibrate(
     target_height: Annotated[
         float, typer.Option(help="Height of the target's tag above the water [m].")
     ] = 0.0,
+    fish: SizedFor = None,
     fish_side: Annotated[
-        float, typer.Option(help="Side of the black square of the fish's tag [m].")
-    ] = 0.08,
+        float | None,
+        typer.Option(
+            help="Side of the black square of the fish's tag [m]; default: the fish's, else 0.08."
+        ),
+    ] = None,
     target_side: Annotated[
-        float, typer.Option(help="Side of the black square of the target's tag [m].")
-    ] = 0.08,
+        float | None,
+        typer.Option(help="Side of the black square of the target's tag [m]; default: the same."),
+    ] = None,
     square: SquareOption = 0.026,
     pool: Annotated[
         str, typer.Option(help="Length,width of the pool [m]; its middle is x = y = 0.")
@@ -79,7 +104,9 @@ def calibrate(
     from tailbeat.vision import calibrate as camera
     from tailbeat.vision.tags import Tag
 
-    tags_ = Tag(fish_side, fish_height), Tag(target_side, target_height)
+    own = _side(fish_side, fish)
+    other = own if target_side is None else target_side
+    tags_ = Tag(own, fish_height), Tag(other, target_height)
     sheet = camera.Measured(square, *tags_, pool_size(pool))
     done = asdict(camera.calibrate(views, survey, picture, sheet, out, count, output.say))
     output.tables({"calibration": [done]})

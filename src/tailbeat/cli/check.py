@@ -148,7 +148,7 @@ def doctor(
     ]
     if camera:
         need_camera()
-    cameras = of_camera(camera, calibration)
+    cameras = of_camera(camera, calibration, fish)
     with ExitStack() as stack:
         parts = Parts(servo, imu, ends[0], ends[1], key)
         if emulated:

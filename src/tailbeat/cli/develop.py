@@ -12,11 +12,12 @@ from tailbeat.cli.options import (
     MessOption,
     PageOption,
     PoolFish,
+    PoolOption,
     SeedOption,
     TargetOption,
 )
 from tailbeat.files import BadInput, need, refuse_existing, write_json
-from tailbeat.link.places import TARGET
+from tailbeat.link.places import LENGTH, TARGET, WIDTH, pool_size, within
 
 
 def emulate(
@@ -29,7 +30,7 @@ def emulate(
         typer.Option("--camera", help="Socket to create: send pictures instead of poses."),
     ] = None,
     fish: PoolFish = "pulley-fish",
-    target: TargetOption = TARGET,
+    target: TargetOption = "",
     start: Annotated[
         str,
         typer.Option(
@@ -38,6 +39,7 @@ def emulate(
         ),
     ] = "",
     imu: Annotated[str, typer.Option("--imu", help="IMU: bno055 or bno085.")] = "bno055",
+    pool: PoolOption = f"{LENGTH:g},{WIDTH:g}",
     page: PageOption = "",
     mess: MessOption = "clean",
     seed: SeedOption = 0,
@@ -51,7 +53,9 @@ def emulate(
     from tailbeat.emulators import serve
 
     say = lambda line: print(line, flush=True)  # noqa: E731
-    devices = serve.Emulated(fish, target, seed, imu, start, mess)
+    room = pool_size(pool)
+    aim = target or within(TARGET, room)
+    devices = serve.Emulated(fish, aim, seed, imu, start, mess, room)
     if camera is not None:
         serve.filmed_rig(devices, camera, say)
     elif key is not None:
@@ -67,6 +71,7 @@ def camera(
     fish: Annotated[
         str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")
     ] = "pulley-fish",
+    pool: PoolOption = f"{LENGTH:g},{WIDTH:g}",
     seconds: Annotated[float, typer.Option(help="Duration [s]; 0: until Ctrl-C.")] = 0.0,
     count: Annotated[int, typer.Option(help="Number of views of the board.")] = 20,
     seed: SeedOption = 0,
@@ -76,12 +81,15 @@ def camera(
         raise BadInput("camera: give either --socket or --pictures.")
     need_camera()
     from tailbeat.emulators import lab, scripted
+    from tailbeat.emulators.film import filming_of
+    from tailbeat.fish.store import load_fish
 
+    room = pool_size(pool)
     if pictures is not None:
-        lab.pictures(pictures, count, seed)
+        lab.pictures(pictures, count, seed, filming_of(load_fish(fish), room))
         output.say(f"wrote {pictures}: views/, pool.png, survey.csv")
     if socket is not None:
-        scripted.film(socket, fish, seconds, seed, lambda line: print(line, flush=True))
+        scripted.film(socket, fish, room, seconds, seed, lambda line: print(line, flush=True))
 
 
 def benchmark(

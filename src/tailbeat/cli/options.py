@@ -19,6 +19,9 @@ PoolFish = Annotated[
     str,
     typer.Option("--fish", help="Fish in the virtual pool: a TOML file or a shipped fish's name."),
 ]
+PoolOption = Annotated[
+    str, typer.Option("--pool", help="Length,width of the virtual pool [m]; the camera sees all.")
+]
 TwinOption = Annotated[
     str | None,
     typer.Option("--twin", help="Fish that the policy was trained on, if it is not shipped."),
@@ -68,7 +71,9 @@ MessOption = Annotated[
     ),
 ]
 PageOption = Annotated[str, typer.Option("--page", help="host:port of the operator page.")]
-TargetOption = Annotated[str, typer.Option("--target", help="Place of the target: x,y [m].")]
+TargetOption = Annotated[
+    str, typer.Option("--target", help="Place of the target: x,y [m]; default: ahead, left.")
+]
 TourJson = Annotated[
     Path | None, typer.Option("--json", help="Write the tour's result here as JSON.")
 ]

@@ -12,7 +12,7 @@ ROBOT = {
         ),
         Verb(
             "drive",
-            "swim:drive",
+            "drive:drive",
             "Run the fish's control loop at 50 Hz: arm, swim, turn torque off.",
             "pulley-fish-pool-generator --emulated --log swim.mcap --seconds 30",
         ),

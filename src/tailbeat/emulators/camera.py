@@ -1,4 +1,4 @@
-"""The pool as the camera above it sees it: fish, tags, glare, waves, noise, at 1280 x 720.
+"""The pool as the camera above it sees it: fish, tags, glare, waves, noise, at 1280 x 720 or finer.
 
 Moving things are drawn on a prepared picture of the empty pool: the fish as lines, the tags as
 patches at four times the resolution. Each patch is warped by the homography of its four corners,
@@ -18,9 +18,11 @@ from tailbeat.emulators.optics import Optics, project
 from tailbeat.vision.tags import FISH, TARGET, Tag
 
 Array = NDArray[np.float64]
-LAMPS = ((-1.6, 0.5), (0.3, -0.8), (1.9, 0.9))  # m, reflections of lamps on the surface
-GLARE_SIZE = 0.09  # m, standard deviation of a lamp's glare
+# Reflections of lamps on the surface, over half of the pool's length and width.
+LAMPS = ((-1.6 / 2.75, 0.5 / 1.35), (0.3 / 2.75, -0.8 / 1.35), (1.9 / 2.75, 0.9 / 1.35))
+GLARE_SIZE = 0.09  # standard deviation of a lamp's glare at a focal length of 3 px (chosen)
 WAVES = ((2.1, 0.4, 5.4), (-1.2, 3.3, 6.9), (4.7, -2.6, 8.8))  # rad/m, rad/m, rad/s
+WIDTHS = 0.96, 0.747, 0.213  # of the drawn fish from nose to tail, over the side of its tag
 TURN = 6  # frames for which each empty pool is shown
 STILL = (
     0.3  # px of motion within an exposure up to which one drawing is enough: half the lens's blur
@@ -123,7 +125,8 @@ class Renderer:
 
     def _draw_fish(self, image: Picture, outline: Array, time: float) -> None:
         line = self.seen(outline, self.fish.height - 0.03, time)
-        thick = np.interp(np.arange(len(line) - 1), [0, 1, len(line) - 1], [18, 14, 4]).round()
+        wide = self.fish.side * self.optics.scale * np.array(WIDTHS)
+        thick = np.interp(np.arange(len(line) - 1), [0, 1, len(line) - 1], wide).round()
         for start, end, width in zip(line[:-1], line[1:], thick, strict=True):
             drawing.thick_line(image, start, end, int(width))
 
@@ -154,7 +157,7 @@ class Renderer:
         """Draw the reflections of lamps, which move with the surface's slope."""
         if not self.conditions.glare:
             return
-        lamps = np.array(LAMPS)
+        lamps = np.array(LAMPS) * self.optics.pool / 2
         away = lamps + 2 * self.optics.position[2] * self.slopes(lamps, time)
         blob = drawing.glare(self.conditions.glare, GLARE_SIZE * self.optics.focal / 3)
         for x, y in self.seen(away, 0.0, time):

@@ -120,11 +120,12 @@ def empty_pools(optics: Optics) -> list[Picture]:
     """Pictures of the empty pool with the light of waves on its floor, to show in turn."""
     places = floor(optics, DEPTH)
     joint = np.abs((places / TILE + 0.5) % 1 - 0.5).min(axis=-1) < 0.012
-    inside = (np.abs(places[..., 0]) < 2.75) & (np.abs(places[..., 1]) < 1.35)
+    half = np.array(optics.pool) / 2
+    inside = (np.abs(places) < half).all(axis=-1)
     flat = rays(optics)
     corner = 1 - 0.12 * np.square(flat).sum(axis=-1)
     water = floor(optics, 0.0)
-    wet = (np.abs(water[..., 0]) < 2.75) & (np.abs(water[..., 1]) < 1.35)
+    wet = (np.abs(water) < half).all(axis=-1)
     level = np.where(inside, np.where(joint, 105.0, 125.0), np.where(wet, 112.0, 90.0)) * corner
     x, y = places[..., 0], places[..., 1]
     made = []

@@ -18,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.emulators.camera import Conditions, Renderer, Scene
-from tailbeat.emulators.optics import Optics
+from tailbeat.emulators.optics import Optics, above
 from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
 from tailbeat.link.places import POOL
 from tailbeat.vision.calibration import Calibration, Hung, Lens
 from tailbeat.vision.camera import HEADER, MAGIC
-from tailbeat.vision.tags import FISH, TARGET, Tag
+from tailbeat.vision.tags import FISH, SIDE, TARGET, Tag
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -53,6 +54,13 @@ class Filming:
         return round(now * (1 + self.fast) * SECOND) + self.ahead
 
 
+def filming_of(fish: Fish, pool: tuple[float, float] = POOL, seed: int = 0) -> Filming:
+    """The camera above a pool of this length and width [m], and the fish's own tag, 3 cm below the
+    surface; the target's is as large. A small tag gets a camera with more pixels."""
+    side = fish.tag or SIDE
+    return Filming(above(pool, side), fish=Tag(side, -0.03), target=Tag(side), seed=seed)
+
+
 def known_calibration(filming: Filming) -> Calibration:
     """The exact calibration of this camera, for emulation and to check measured ones."""
     optics = filming.optics
@@ -63,7 +71,7 @@ def known_calibration(filming: Filming) -> Calibration:
     made = datetime.now(UTC).isoformat(timespec="seconds")
     known = {"known": "the virtual camera's own"}
     tags = filming.fish, filming.target
-    return Calibration(lens, hung, *tags, optics.index, made, POOL, provenance=known)
+    return Calibration(lens, hung, *tags, optics.index, made, optics.pool, provenance=known)
 
 
 # ---- the device ---------------------------------------------------------------------------------

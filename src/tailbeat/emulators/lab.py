@@ -10,29 +10,30 @@ from numpy.typing import NDArray
 
 from tailbeat.emulators.board import board_views
 from tailbeat.emulators.camera import Renderer, Scene
-from tailbeat.emulators.optics import Optics
+from tailbeat.emulators.film import Filming
 from tailbeat.env.errors import Errors
 from tailbeat.files import new_file, refuse_existing
 from tailbeat.vision.calibration import Calibration
-from tailbeat.vision.tags import Board, Tag
+from tailbeat.vision.tags import Board
 
 Array = NDArray[np.float64]
 
-SURVEYED = [
-    (x, y) for x in (-2.2, 0.0, 2.2) for y in (-1.0, 0.0, 1.0)
-]  # m, positions of the surveyed tags
+# Surveyed tags, over half of the pool's length and width.
+SURVEYED = [(x, y) for x in (-0.8, 0.0, 0.8) for y in (-1 / 1.35, 0.0, 1 / 1.35)]
 FIRST_TAG = 10  # id of the first of them
 WIDE = 1.1  # tangent of the widest ray: more than to a corner of the pool from 3.2 m (0.96)
 
 
-def pictures(folder: Path, count: int, seed: int) -> None:
+def pictures(folder: Path, count: int, seed: int, filming: Filming | None = None) -> None:
     """Write a lab's files for a calibration: views of the board, a picture of tags in the water,
     and the table of their positions. Raises BadInput."""
     refuse_existing(folder)
-    fish = Tag(height=-0.03)
-    others = tuple((FIRST_TAG + k, (x, y, 0.0)) for k, (x, y) in enumerate(SURVEYED))
-    pool = Renderer(Optics(), fish=fish, seed=seed).draw(Scene(others=others), 0.0)
-    views = board_views(Optics(), Board(), count, seed)
+    seen = filming or Filming()
+    optics, fish = seen.optics, seen.fish
+    places = np.round(np.array(SURVEYED) * optics.pool / 2, 3).tolist()
+    others = tuple((FIRST_TAG + k, (x, y, 0.0)) for k, (x, y) in enumerate(places))
+    pool = Renderer(optics, fish=fish, seed=seed).draw(Scene(others=others), 0.0)
+    views = board_views(optics, Board(), count, seed)
     named = {f"views/{k:02d}.png": view for k, view in enumerate(views, 1)} | {"pool.png": pool}
     for name, image in named.items():
         with new_file(folder / name) as beside:

@@ -20,11 +20,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tailbeat.emulators.film import Filming
+from tailbeat.emulators.film import filming_of
 from tailbeat.emulators.lab import miscalibrated, pictures
 from tailbeat.files import BadInput
+from tailbeat.fish.store import load_fish
 from tailbeat.link import datagrams as link
-from tailbeat.link.places import TARGET
+from tailbeat.link.places import POOL, TARGET, as_text, within
 from tailbeat.operator.target_path import PathAsked
 from tailbeat.pool.mess import lab_at
 from tailbeat.processes import end, start_verb, temporary
@@ -38,22 +39,23 @@ START = 60.0  # s for a process to start
 TURN = 0.2  # s between two checks that all processes run
 FINISHED = (0, 1)  # exit codes of a station; 1: a tour or path was not finished
 HUNG = 5.0  # s without a sign of life of the station, which gives four a second
-# The target's tag is in a corner: it floats, and a fish hidden below it goes to HOLD.
-ASIDE = "-2.5,1.15"
+# Where the target's tag is, over half of the pool's length and width: in a corner. It floats, and a
+# fish hidden below it goes to HOLD.
+ASIDE = (-2.5 / 2.75, 1.15 / 1.35)
 
 
-def calibrate(folder: Path, seed: int, mess: str, say: Say) -> Path:
+def calibrate(folder: Path, chain: "Chain", say: Say) -> Path:
     """Calibrate as a lab does before its first swim: film a board and tags in the water. A messy
     lab's calibration is as wrong as `mess` and `seed` say. Raises BadInput."""
     say(f"calibrating the camera: {VIEWS} views of a board, tags in the water")
-    pictures(folder / "lab", VIEWS, seed)
-    filming = Filming()
-    sheet = calibration.Measured(Board().square, filming.fish, filming.target)
+    seed, filming = chain.seed, filming_of(load_fish(chain.fish), chain.pool)
+    pictures(folder / "lab", VIEWS, seed, filming)
+    sheet = calibration.Measured(Board().square, filming.fish, filming.target, chain.pool)
     views, survey, pool = (str(folder / "lab" / n) for n in ("views", "survey.csv", "pool.png"))
     made = folder / "camera.json"
     done = calibration.calibrate(views, Path(survey), pool, sheet, made, VIEWS, lambda _: None)
     say(f"lens {done.lens_rms_px:.2f} px, place {done.place_rms_mm:.1f} mm rms")
-    wrong = miscalibrated(read_calibration(made), lab_at(mess, seed).errors)
+    wrong = miscalibrated(read_calibration(made), lab_at(chain.mess, seed).errors)
     write_calibration(folder / "used.json", wrong)
     return folder / "used.json"
 
@@ -120,7 +122,8 @@ def started(words: list[str], log: Path, heard: bool = False, alive: str = "") -
 class Chain:
     """Who swims: the policy, the fish and the seed of the emulated devices. Host and port of the
     page, and the folder of the log and of every process's output. `start`: pose of the tag at the
-    start, as `emulate --start` takes it; "": the pool's middle. `mess`: what the lab gets wrong."""
+    start, as `emulate --start` takes it; "": the pool's middle. `mess`: what the lab gets wrong.
+    `pool`: its length and width [m]."""
 
     policy: str
     fish: str
@@ -129,14 +132,15 @@ class Chain:
     out: Path
     start: str = ""
     mess: str = "clean"
+    pool: tuple[float, float] = POOL
 
 
 def bench(chain: Chain, folder: Path, stack: ExitStack) -> tuple[Part, Any]:
     """Start the emulated devices with their camera; returns the process and its ports. Raises
     BadInput."""
     words = ["emulate", "--fish", chain.fish, "--camera", str(folder / "camera.sock")]
-    words += ["--seed", str(chain.seed), f"--target={ASIDE}", f"--start={chain.start}"]
-    words += ["--mess", chain.mess]
+    words += ["--seed", str(chain.seed), f"--target={within(ASIDE, chain.pool)}"]
+    words += [f"--start={chain.start}", "--mess", chain.mess, "--pool", as_text(chain.pool)]
     part = stack.enter_context(started(words, chain.out / "emulate.log", heard=True))
     assert part.process.stdout is not None
     ready, _, _ = select.select([part.process.stdout], [], [], START)
@@ -155,7 +159,7 @@ def swim(chain: Chain, targets: int, say: Say) -> None:
     """
     tour = ["--tour", str(targets), "--seed", str(chain.seed)]
     tour += ["--json", str(chain.out / "tour.json"), "--policy", chain.policy]
-    _run(chain, tour if targets else [f"--begin={TARGET}"], say)
+    _run(chain, tour if targets else [f"--begin={within(TARGET, chain.pool)}"], say)
 
 
 def follow(chain: Chain, asked: PathAsked, say: Say) -> None:
@@ -180,7 +184,7 @@ def _run(chain: Chain, leads: list[str], say: Say) -> None:
         folder, fish, out = Path(name), chain.fish, chain.out
         key = folder / "fish.key"
         link.make_key(key)
-        made = calibrate(folder, chain.seed, chain.mess, say)
+        made = calibrate(folder, chain, say)
         rig, ports = bench(chain, folder, stack)
         robot, station = ("{}:{}".format(*link.free_address()) for _ in range(2))
         drive = ["drive", chain.policy, "--servo", ports["servo"], "--imu", ports["imu"]]

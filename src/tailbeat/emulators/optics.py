@@ -4,13 +4,16 @@ A calibration has to find these values. Independent of `vision/calibration.py`, 
 inverse, from pixels to positions. Pixel centres are at whole numbers.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.link.places import POOL
+
 Array = NDArray[np.float64]
+LEAST_SIDE = 14.0  # px of a tag; of 12 px, two in five were not found while the fish swam
 STEPS = 4  # Newton steps: error below 1 nm at depths up to 1 m
 ROUNDS = 14  # iterations of the lens's inverse: error below 1e-6 px at the picture's corners
 
@@ -18,11 +21,12 @@ ROUNDS = 14  # iterations of the lens's inverse: error below 1e-6 px at the pict
 @dataclass(frozen=True)
 class Optics:
     """A wide lens 3.2 m above the middle of a pool of 5.5 x 2.7 m, slightly tilted; all chosen. It
-    sees a tag everywhere in the pool (at 3 m it did not, 4.5 cm along one wall).
+    sees a tag everywhere in the pool (at 3 m it did not, 4.5 cm along one wall). `above` hangs it
+    over another pool.
 
     `focal`, `centre` [px]; `radial` (k1, k2) and `tangential` (p1, p2) as in OpenCV; `position` [m]
     in the pool; `tilt` [rad] about the pool's x, y, z, from looking straight down with the
-    picture's x along the pool's.
+    picture's x along the pool's; `pool` length and width [m].
     """
 
     size: tuple[int, int] = (1280, 720)
@@ -33,6 +37,7 @@ class Optics:
     position: tuple[float, float, float] = (0.05, -0.03, 3.2)
     tilt: tuple[float, float, float] = (0.012, -0.009, 0.015)
     index: float = 1.333  # of water, 20 degrees C, sodium light
+    pool: tuple[float, float] = POOL
 
     @cached_property
     def rotation(self) -> Array:
@@ -46,6 +51,24 @@ class Optics:
             turn[i, j], turn[j, i] = -np.sin(angle), np.sin(angle)
             turns.append(turn)
         return np.diag([1.0, -1.0, -1.0]) @ turns[0] @ turns[1] @ turns[2]
+
+    @property
+    def scale(self) -> float:
+        """Pixels of a metre on the surface, straight below the camera."""
+        return self.focal / self.position[2]
+
+
+def above(pool: tuple[float, float], side: float) -> Optics:
+    """The camera so high above a pool of this length and width [m] that it sees all of it, with as
+    many pixels as a tag of this `side` [m] needs."""
+    usual = Optics()
+    share = max(own / other for own, other in zip(pool, usual.pool, strict=True))
+    x, y, z = (share * one for one in usual.position)
+    hung = replace(usual, position=(x, y, z), pool=pool)
+    finer = max(LEAST_SIDE / (side * hung.scale), 1.0)
+    columns, rows = (round(finer * one) for one in usual.size)
+    middle = (finer * usual.centre[0], finer * usual.centre[1])
+    return replace(hung, size=(columns, rows), focal=finer * usual.focal, centre=middle)
 
 
 def project(optics: Optics, points: Array, slopes: Array | None = None) -> Array:

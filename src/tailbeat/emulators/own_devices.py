@@ -10,7 +10,7 @@ from subprocess import PIPE
 from tailbeat.files import BadInput
 from tailbeat.link import datagrams as link
 from tailbeat.link.addresses import address
-from tailbeat.link.places import TARGET
+from tailbeat.link.places import POOL, as_text
 from tailbeat.processes import end, start_verb, temporary
 from tailbeat.robot.fits import NONE
 from tailbeat.robot.ports import Ports
@@ -22,13 +22,15 @@ KINDS = ("bno055", "bno085")  # of emulated IMUs
 def own_devices(
     fish: str,
     seed: int,
-    target: str = TARGET,
+    target: str = "",
     page: str = "",
     imu: str = "",
     say: Callable[[str], None] = print,
+    pool: tuple[float, float] = POOL,
 ) -> Iterator[tuple[Ports, Path]]:
     """Start emulated devices and yield their ports and key; `say` gets the operator page's address.
-    `imu` is one of `KINDS`, "" for the first, or "none". Raises BadInput."""
+    `target` is x,y [m], "" for the default. `imu` is one of `KINDS`, "" for the first, or "none".
+    `pool`: its length and width [m]. Raises BadInput."""
     if imu not in ("", NONE, *KINDS):
         raise BadInput(f"--imu {imu}: with --emulated, allowed are {', '.join(KINDS)} and {NONE}.")
     with temporary() as folder:
@@ -37,8 +39,8 @@ def own_devices(
         listen = link.free_address()
         words = ["emulate", "--fish", fish, "--key", str(key)]
         words += ["--robot", f"{listen[0]}:{listen[1]}"]
-        words += [f"--target={target}", "--seed", str(seed), "--page", page, "--imu"]
-        words += [imu if imu in KINDS else KINDS[0]]
+        words += [f"--target={target}", "--seed", str(seed), "--page", page]
+        words += ["--pool", as_text(pool), "--imu", imu if imu in KINDS else KINDS[0]]
         process = start_verb(words, stdout=PIPE)
         assert process.stdout is not None
         try:

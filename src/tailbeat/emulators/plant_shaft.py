@@ -24,6 +24,7 @@ class PlantShaft(Shaft):
     """The servo's shaft in the plant: setpoint in, angle and velocity out."""
 
     fish: Fish = field(kw_only=True)
+    pool: tuple[float, float] = field(default=POOL, kw_only=True)
     water: Water = field(default_factory=Water, kw_only=True)
     broken: Broken = field(default_factory=Broken, kw_only=True)
     mistakes: Mistakes = field(default_factory=Mistakes, kw_only=True)
@@ -31,7 +32,7 @@ class PlantShaft(Shaft):
 
     def __post_init__(self) -> None:
         lab = self.mistakes.lab
-        water, around = in_lab(lab, self.water, Surroundings(walls=POOL))
+        water, around = in_lab(lab, self.water, Surroundings(walls=self.pool))
         self.plant = build_plant(self.fish, [water], around=[around], wear=[lab.wear])
         self.state, self.gain, self.owed = (
             at_rest(self.plant),

@@ -29,6 +29,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import hardware_of
 from tailbeat.link import datagrams as link
+from tailbeat.link.places import POOL
 from tailbeat.link.sender import Sender
 from tailbeat.pool.mess import AS_DESCRIBED, Lab
 
@@ -72,12 +73,14 @@ def open_rig(
     seed: int = 0,
     imu: str = "bno055",
     lab: Lab = AS_DESCRIBED,
+    pool: tuple[float, float] = POOL,
 ) -> Rig:
-    """Open a rig whose station sends to a robot's address; the fish starts in the pool's middle.
-    `imu` is one of `IMUS`, `lab` what is wrong with it. Raises BadInput."""
-    shaft = PlantShaft(fish=fish, mistakes=Mistakes(lab, seed))
+    """Open a rig whose station sends to a robot's address; the fish starts in the middle of a pool
+    of this length and width [m]. `imu` is one of `IMUS`, `lab` what is wrong with it. Raises
+    BadInput."""
+    shaft = PlantShaft(fish=fish, pool=pool, mistakes=Mistakes(lab, seed))
     made = link.bind("127.0.0.1", 0)
-    station = Station(Sender(key, made, robot), target, np.random.default_rng(seed))
+    station = Station(Sender(key, made, robot, pool=pool), target, np.random.default_rng(seed))
     station.sender.clock = station.clock
     sensor = imu_of(fish, imu)
     return Rig(shaft, _servo_of(fish, shaft), sensor, (open_line(), open_line()), station)
@@ -90,9 +93,11 @@ def open_filmed_rig(
     seed: int = 0,
     imu: str = "bno055",
     lab: Lab = AS_DESCRIBED,
+    pool: tuple[float, float] = POOL,
 ) -> Rig:
     """Open a rig that gives pictures instead of poses. Raises BadInput."""
-    shaft, sensor = PlantShaft(fish=fish, mistakes=Mistakes(lab, seed)), imu_of(fish, imu)
+    shaft = PlantShaft(fish=fish, pool=pool, mistakes=Mistakes(lab, seed))
+    sensor = imu_of(fish, imu)
     above = Above(camera, target)
     return Rig(shaft, _servo_of(fish, shaft), sensor, (open_line(), open_line()), above)
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from tailbeat.control.observation import wrapped
 from tailbeat.emulators.camera import Scene
 from tailbeat.emulators.camera_process import start_camera
-from tailbeat.emulators.film import Filming
+from tailbeat.emulators.film import filming_of
 from tailbeat.fish.outline import outline
 from tailbeat.fish.store import load_fish
-from tailbeat.link.places import LENGTH, WIDTH
+from tailbeat.link.places import POOL
 from tailbeat.processes import told_to_end
 
 Array = NDArray[np.float64]
@@ -29,11 +29,12 @@ class ScriptedSwim:
     Positions in metres, times in seconds."""
 
     seconds: float = 60.0  # of one round
+    pool: tuple[float, float] = POOL
 
     def fish(self, time: float) -> Array:
         """x, y, yaw of the fish's tag."""
         u = 2 * np.pi * time / self.seconds
-        reach = np.array([LENGTH, WIDTH]) / 2 - MARGIN
+        reach = np.array(self.pool) / 2 - MARGIN
         place = reach * [np.sin(3 * u), np.sin(7 * u + 0.4)]
         along = reach * [3 * np.cos(3 * u), 7 * np.cos(7 * u + 0.4)]
         beat = 0.15 * np.sin(2 * np.pi * 2.0 * time)
@@ -44,7 +45,8 @@ class ScriptedSwim:
         pose, later = self.fish(time), self.fish(time + 1e-3)
         change = later - pose
         change[2] = wrapped(change[2])
-        place = [0.45 * LENGTH * np.sin(0.31 * time), 0.42 * WIDTH * np.cos(0.23 * time)]
+        length, width = self.pool
+        place = [0.45 * length * np.sin(0.31 * time), 0.42 * width * np.cos(0.23 * time)]
         target = (*place, 0.3 * time % (2 * np.pi))
         return Scene(three(pose), three(change / 1e-3), placed(line, pose), three(target))
 
@@ -70,11 +72,13 @@ def fish_line(name: str = "pulley-fish") -> Array:
     return np.asarray(straight - np.array(fish.tracked[:2]))
 
 
-def film(socket: Path, fish: str, seconds: float, seed: int, say: Say) -> None:
-    """Film a scripted fish with a virtual camera at a socket, for `seconds` (0: until told to
-    stop)."""
-    scripted, drawn = ScriptedSwim(), fish_line(fish)
-    camera = start_camera(socket, Filming(seed=seed))
+def film(
+    socket: Path, fish: str, pool: tuple[float, float], seconds: float, seed: int, say: Say
+) -> None:
+    """Film a scripted fish in a pool [m] with a virtual camera at a socket, for `seconds` (0: until
+    told to stop)."""
+    scripted, drawn = ScriptedSwim(pool=pool), fish_line(fish)
+    camera = start_camera(socket, filming_of(load_fish(fish), pool, seed))
     ended = told_to_end()
     say(f"filming at {camera.where}")
     began = time.monotonic()

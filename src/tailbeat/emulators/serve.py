@@ -10,11 +10,11 @@ from typing import Any
 
 from tailbeat.emulators import rig as bench
 from tailbeat.emulators.camera_process import start_camera
-from tailbeat.emulators.film import Filming
+from tailbeat.emulators.film import filming_of
 from tailbeat.fish.store import load_fish
 from tailbeat.link.addresses import address
 from tailbeat.link.datagrams import read_key
-from tailbeat.link.places import place, pose
+from tailbeat.link.places import POOL, place, pose
 from tailbeat.operator.client import announce, open_page, turn
 from tailbeat.pool.mess import Lab, lab_at
 from tailbeat.processes import told_to_end
@@ -27,7 +27,7 @@ Say = Callable[[str], None]
 class Emulated:
     """Emulated devices: of which `fish`, with the target at `target`, drawn from `seed`, with which
     `imu`. The tag starts at `start`, x,y,heading [m, m, deg]; default: the pool's middle. `mess`:
-    what the lab gets wrong."""
+    what the lab gets wrong. `pool`: its length and width [m]."""
 
     fish: str
     target: str
@@ -35,6 +35,7 @@ class Emulated:
     imu: str = "bno055"
     start: str = ""
     mess: str = "clean"
+    pool: tuple[float, float] = POOL
 
     @property
     def lab(self) -> Lab:
@@ -45,11 +46,13 @@ class Emulated:
 def rig(devices: Emulated, key: Path, robot: str, page: str, say: Say) -> None:
     """Serve emulated devices until told to stop; `say` gets the ports as one line of JSON. Raises
     BadInput."""
-    there, aim = address(robot, "--robot"), place(devices.target)
+    there, aim = address(robot, "--robot"), place(devices.target, pool=devices.pool)
     start = _start(devices)
     described, secret = load_fish(devices.fish), read_key(key)
-    client = open_page(page)
-    made = bench.open_rig(described, secret, there, aim, devices.seed, devices.imu, devices.lab)
+    client = open_page(page, devices.pool)
+    made = bench.open_rig(
+        described, secret, there, aim, devices.seed, devices.imu, devices.lab, devices.pool
+    )
     if start is not None:
         made.shaft.put(start)
     ended = told_to_end()
@@ -74,11 +77,11 @@ def rig(devices: Emulated, key: Path, robot: str, page: str, say: Say) -> None:
 def filmed_rig(devices: Emulated, camera: Path, say: Say) -> None:
     """Serve emulated devices with a camera at a socket instead of poses, until told to stop; `say`
     gets the ports as one line of JSON. Raises BadInput."""
-    described, aim = load_fish(devices.fish), place(devices.target)
+    described, aim = load_fish(devices.fish), place(devices.target, pool=devices.pool)
     start, lab = _start(devices), devices.lab
     bench.imu_of(described, devices.imu)  # refused before the camera starts
-    eye = start_camera(camera, Filming(seed=devices.seed))
-    made = bench.open_filmed_rig(described, eye, aim, devices.seed, devices.imu, lab)
+    eye = start_camera(camera, filming_of(described, devices.pool, devices.seed))
+    made = bench.open_filmed_rig(described, eye, aim, devices.seed, devices.imu, lab, devices.pool)
     if start is not None:
         made.shaft.put(start)
     ended = told_to_end()
@@ -92,7 +95,7 @@ def filmed_rig(devices: Emulated, camera: Path, say: Say) -> None:
 
 def _start(devices: Emulated) -> tuple[float, float, float] | None:
     """Where the tag starts, if it was given. Raises BadInput."""
-    return pose(devices.start) if devices.start else None
+    return pose(devices.start, pool=devices.pool) if devices.start else None
 
 
 def _hurry(made: Any) -> None:

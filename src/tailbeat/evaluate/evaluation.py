@@ -41,7 +41,7 @@ from tailbeat.evaluate.trial import (
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import digest, load_fish
 from tailbeat.identify import posterior
-from tailbeat.link.places import POOL
+from tailbeat.link.places import room
 from tailbeat.pool import mess
 from tailbeat.pool.water import Water, ablations, ensemble, fingerprint
 from tailbeat.robot.fits import check_swims
@@ -120,7 +120,7 @@ def pool_of(policy: Policy, config: EvaluationConfig) -> Pool:
     waters, actions = waters_of(config.pool), policy.contract.actions
     draws = _draws(config.twin or policy.contract.fish)
     measure = policy.contract.measure
-    walls = config.walls or (POOL[0] * measure.reach, POOL[1] * measure.reach)
+    walls = config.walls or room(measure.reach)
     found = Pool(own, trained, actions, waters, config.episodes, config.seed, walls, draws, measure)
     held = policy.contract
     found = replace(found, yaw_rate=held.yaw_rate, motion=held.motion)

@@ -21,7 +21,6 @@ from tailbeat.evaluate.swim import Counting, Say, log_in
 from tailbeat.evaluate.track import KEPT, LONG, SETTLING, passes
 from tailbeat.evaluate.trial import Pool, swim
 from tailbeat.files import BadInput
-from tailbeat.link.places import POOL
 from tailbeat.operator.follow import FollowRecord, Hold
 from tailbeat.operator.target_path import EIGHT, SLACK, PathAsked, TargetPath, target_path
 from tailbeat.pool.plant import Surroundings
@@ -123,9 +122,11 @@ def live(config: FollowConfig, out: Path, say: Say) -> Followed:
 
     log, seen = log_in(out), out / "path.json"
     seen.unlink(missing_ok=True)
-    x, y, yaw = behind(path, where.measure)
+    x, y, yaw = behind(path, where.measure, where.walls)
     start = f"{x:.3f},{y:.3f},{np.degrees(yaw):.1f}"
-    chain = Chain(config.policy, config.fish, config.seed, "127.0.0.1:0", out, start)
+    chain = Chain(
+        config.policy, config.fish, config.seed, "127.0.0.1:0", out, start, pool=where.walls
+    )
     follow(chain, config.asked, say)
     record = read_record(FollowRecord, seen)
     if record.began is None:
@@ -140,10 +141,11 @@ def direct(config: FollowConfig, counting: Counting, say: Say) -> Followed:
     The fish starts at rest where the sign test of a swim in real time is assumed to end.
     """
     loaded, where, path = _entered(config, say)
-    start, steps = tested(path, where.fish, where.measure), round(path.seconds / PERIOD)
+    start, steps = tested(path, where), round(path.seconds / PERIOD)
     target = path.along(np.asarray(PERIOD * np.arange(steps + 1), dtype=np.float64))
     scene = Scene(start, np.zeros((1, 3)), target[None], np.array([math.inf]))
-    given = {"around": (Surroundings(walls=POOL),), "seconds": path.seconds / where.measure.time}
+    around, seconds = Surroundings(walls=where.walls), path.seconds / where.measure.time
+    given = {"around": (around,), "seconds": seconds}
     asked = where.condition("path", scene, stop=False, **given)
     with counting() as progress:
         done = iter(range(1, steps + 1))
@@ -168,10 +170,10 @@ def _entered(config: FollowConfig, say: Say) -> tuple[Policy, Pool, TargetPath]:
     pool and the path. Raises BadInput."""
     loaded = load_policy(config.policy)
     measure = loaded.contract.measure
-    path = target_path(config.asked, POOL, measure)
-    _check_time(path, measure)
     given = EvaluationConfig(config.fish, config.twin, "full", episodes=2, seed=config.seed)
     pool, trained = pool_of(loaded, given), trained_speed(loaded.contract)
+    path = target_path(config.asked, pool.walls, measure)
+    _check_time(path, measure)
     if path.fastest > SLACK * trained:
         say(
             f"--path {path.name}: the target moves at up to {path.fastest:.2f} m/s; {config.policy}"

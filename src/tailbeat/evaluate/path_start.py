@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 from tailbeat.control.measure import LENGTH, Measure
 from tailbeat.evaluate.motion import root
 from tailbeat.evaluate.scenes import BEHIND
+from tailbeat.evaluate.trial import Pool
 from tailbeat.files import BadInput
-from tailbeat.fish.description import Fish
 from tailbeat.link.places import POOL
 from tailbeat.operator.target_path import TargetPath
 
@@ -46,12 +46,12 @@ def behind(
     return x, y, yaw
 
 
-def tested(path: TargetPath, fish: Fish, measure: Measure) -> Array:
+def tested(path: TargetPath, pool: Pool) -> Array:
     """Start of the fish frame (1, 3) of a swim without a sign test: where the test would leave the
     fish, but at rest."""
-    x, y, yaw = behind(path, measure)
-    moved = TEST_SWIM * measure.size
-    return root(fish, np.array([[x + moved * np.cos(yaw), y + moved * np.sin(yaw), yaw]]))
+    x, y, yaw = behind(path, pool.measure, pool.walls)
+    moved = TEST_SWIM * pool.measure.size
+    return root(pool.fish, np.array([[x + moved * np.cos(yaw), y + moved * np.sin(yaw), yaw]]))
 
 
 def _room(place: Array, yaw: float, pool: Array) -> float:

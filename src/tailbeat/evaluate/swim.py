@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from numpy import float64
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from tailbeat.evaluate.trial import Pool, Progress
 from tailbeat.files import BadInput
 from tailbeat.operator.tour import TargetResult, draw_targets
 from tailbeat.pool.mess import lab_at, level
+
+if TYPE_CHECKING:
+    from tailbeat.emulators.live import Chain
 
 Say = Callable[[str], None]
 Counting = Callable[[], AbstractContextManager[Progress]]  # shows a progress bar
@@ -64,20 +68,19 @@ def direct(config: SwimConfig, counting: Counting) -> Swum:
     loaded, where, drawn = _entered(config)
     with counting() as progress:
         lab = lab_at(config.mess, config.seed)
-        swum = tour(loaded, where.fish, where.waters[0], drawn, config.seed, progress, lab)
+        swum = tour(loaded, where, drawn, config.seed, progress, lab)
     return Swum(swum, loaded, where, config)
 
 
 def live(config: SwimConfig, out: Path, say: Say) -> Swum:
     """Swim in real time, through camera, network, servo and IMU; results are read from the fish's
     log."""
-    from tailbeat.emulators.live import Chain, swim  # needs OpenCV
+    from tailbeat.emulators.live import swim  # needs OpenCV
 
     loaded, where, drawn = _entered(config)
     log, seen = log_in(out), out / "tour.json"
     seen.unlink(missing_ok=True)
-    chain = Chain(config.policy, config.fish, config.seed, "127.0.0.1:0", out, mess=config.mess)
-    swim(chain, config.targets, say)
+    swim(_chain(config, "127.0.0.1:0", out, where.walls), config.targets, say)
     toured = read_record(Toured, seen)
     arrival = where.measure.arrival
     swum = as_seen(tour_of(log, where.fish, drawn, arrival), toured.targets)
@@ -87,12 +90,19 @@ def live(config: SwimConfig, out: Path, say: Say) -> Swum:
 def attended(config: SwimConfig, page: str, out: Path, say: Say) -> Path:
     """Swim in real time to the target that the operator drags on the page at `host:port`, until
     Ctrl-C; returns the log."""
-    from tailbeat.emulators.live import Chain, swim  # needs OpenCV
+    from tailbeat.emulators.live import swim  # needs OpenCV
 
-    _entered(config)
+    _, where, _ = _entered(config)
     log = log_in(out)
-    swim(Chain(config.policy, config.fish, config.seed, page, out, mess=config.mess), 0, say)
+    swim(_chain(config, page, out, where.walls), 0, say)
     return log
+
+
+def _chain(config: SwimConfig, page: str, out: Path, walls: tuple[float, float]) -> "Chain":
+    from tailbeat.emulators.live import Chain  # needs OpenCV
+
+    name, fish, seed = config.policy, config.fish, config.seed
+    return Chain(name, fish, seed, page, out, mess=config.mess, pool=walls)
 
 
 def log_in(out: Path) -> Path:
@@ -111,6 +121,6 @@ def _entered(config: SwimConfig) -> tuple[Policy, Pool, NDArray[float64]]:
     level(config.mess)
     loaded = load_policy(config.policy)
     given = EvaluationConfig(config.fish, config.twin, "full", episodes=2, seed=config.seed)
-    measure = loaded.contract.measure
-    drawn = draw_targets(config.targets, config.seed, measure=measure)
-    return loaded, pool_of(loaded, given), drawn
+    where = pool_of(loaded, given)
+    drawn = draw_targets(config.targets, config.seed, where.walls, where.measure)
+    return loaded, where, drawn

@@ -12,15 +12,11 @@ from tailbeat.control.policy import Policy, decide
 from tailbeat.env import errors
 from tailbeat.env.task import Task, settings_for, sized
 from tailbeat.evaluate.labs import world_in_labs
-from tailbeat.evaluate.trial import Progress
-from tailbeat.fish.description import Fish
-from tailbeat.link.places import POOL
+from tailbeat.evaluate.trial import Pool, Progress
 from tailbeat.operator.tour import TargetResult
 from tailbeat.pool.mess import AS_DESCRIBED, Lab
-from tailbeat.pool.water import Water
 
 Array = NDArray[np.float64]
-WALLS = POOL
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,20 +48,19 @@ class Tour:
 
 def tour(
     policy: Policy,
-    fish: Fish,
-    water: Water,
+    pool: Pool,
     targets: Array,
     seed: int,
     progress: Progress,
     lab: Lab = AS_DESCRIBED,
 ) -> Tour:
-    """Swim to each target until it is reached or its time is over, in a lab; start in the pool's
-    middle."""
+    """Swim to each target until it is reached or its time is over, in a pool's first water and in a
+    lab; start in the pool's middle."""
     m = policy.contract.measure
     task = sized(Task(seconds=PATIENCE * len(targets)), m)
     held = policy.contract
     settings = replace(settings_for(held), task=task)
-    world = world_in_labs(fish, settings, [(lab, water)], [seed], WALLS)
+    world = world_in_labs(pool.fish, settings, [(lab, pool.waters[0])], [seed], pool.walls)
     choose = partial(decide, policy)
     shape, pose, goal, ends = [], [], [], []
     world.reset()

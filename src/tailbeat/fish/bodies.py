@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from tailbeat.fish import units as u
 
 SHORTEST = 1e-3  # m: a wet part shorter than this has no chord that could have a trailing edge
+OVERHANG = 1.25  # of the head's width: the widest tag that lies on it (chosen)
 BESIDE = 0.5  # of the length: how far from the parts a tag, a marker or the motor may be (chosen)
 
 
@@ -136,6 +137,17 @@ def mass_errors(bodies: Sequence[Body]) -> list[str]:
         f"{name} has no mass; give its parts their masses"
         for name, body in zip(names, bodies, strict=True)
         if body.inertial is None and sum(part.mass for part in body.parts) <= 0
+    ]
+
+
+def tag_errors(head: Body, side: float | None) -> list[str]:
+    """A tag that cannot lie on the head: wider than all of its parts by more than a quarter."""
+    widest = max((part.size[1] for part in head.parts), default=0.0)
+    if side is None or side <= OVERHANG * widest:
+        return []
+    return [
+        f"tag is {1e3 * side:g} mm wide, and the head {1e3 * widest:g} mm; give a tag of"
+        f" {1e3 * OVERHANG * widest:.0f} mm or less"
     ]
 
 

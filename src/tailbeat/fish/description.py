@@ -254,6 +254,9 @@ class Fish(Model):
     """Points that a camera follows."""
     tracked: u.Point3 = (0.0, 0.0, 0.0)
     """Point whose pose recordings hold."""
+    tag: u.Length | None = Field(default=None, gt=0)
+    """Side of the black square of the fish's tag, whose centre is at `tracked`. Without it, the
+    paper's 80 mm. The twin does not read it."""
     uncertain: tuple[Uncertain, ...] = ()
     """Numbers that the fluid fit may move beside the coefficients."""
     added_inertia: u.Ratio = Field(default=0.0, ge=0)
@@ -313,7 +316,7 @@ def _geometry_errors(fish: Fish) -> list[str]:
     places = {f"markers.{i}.position": one.position for i, one in enumerate(fish.markers)}
     places |= {"tracked": fish.tracked, "motor.position": fish.motor.position}
     found = [*b.hinge_errors(bodies, fish.tail.links), *b.mass_errors(bodies)]
-    found += b.place_errors(bodies, places)
+    found += [*b.place_errors(bodies, places), *b.tag_errors(fish.head, fish.tag)]
     if (own := fish.hardware) and not own.supply_range[0] <= own.supply <= own.supply_range[1]:
         low, high = own.supply_range
         found.append(f"hardware.supply is {own.supply:g} V; the servo takes {low:g} to {high:g} V")

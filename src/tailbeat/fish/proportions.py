@@ -32,6 +32,7 @@ BEND_SHARE = 0.6  # of the stall torque, to bend the tail by the whole stroke
 LEAST_STROKE = 0.15  # rad that the servo still makes at the band's top
 HIGHEST = 5.0  # Hz: ten of the robot's commands per beat
 SOFTEST = 0.01  # of the usual stiffness at its length; below, a unit is wrong (chosen)
+LARGEST_TAG = 150.0  # mm of the black square, with its white border on a sheet of A4
 SLENDER = (0.5, 2.0)  # allowed ratio of width over length to the pulley fish's
 # Added mass of a rectangular plate broadside on, over that of the strip pi/4 chord^2 span, by span
 # over chord (DNV-RP-C205, appendix D).
@@ -178,9 +179,9 @@ def _check_bend(given: Given, servo: Profile, k_eff: float) -> None:
 
 
 def _tag(scale: float) -> float:
-    """The largest side in whole 5 mm that fits, at most the paper's 80 mm. `scale` is the hull's
-    length or width over the pulley fish's, whichever is smaller."""
-    return 5e-3 * max(math.floor(80 * min(scale, 1.0) / 5 + 1e-9), 1)
+    """The largest side in whole 5 mm that fits and that a sheet of A4 holds. `scale` is the hull's
+    length or width over the pulley fish's, whichever is smaller; that one's tag has 80 mm."""
+    return 5e-3 * max(math.floor(min(80 * scale, LARGEST_TAG) / 5 + 1e-9), 1)
 
 
 def _box(x: float, size: tuple[float, float, float], mass: float) -> Box:

@@ -12,14 +12,14 @@ FRONT = """\
 #
 # Every number marked "assumed" has the pulley fish's proportions; nobody measured it. Measure it,
 # write it here with its source, and look again with `tailbeat show {name}.toml`.
-# Frame: x towards the nose, y left, z up, at the straight pose. A tag of {tag} mm fits:
-# print it with `tailbeat tags --side {side}`.
+# Frame: x towards the nose, y left, z up, at the straight pose.
 
 name = "{name}"
 summary = "{hinges} hinges, {length} mm, {mass} g, {model}; sketched, not measured"
 servo = "{servo}"
 band = "{low} {high} Hz"      # assumed: falls with the square root of the length; what servo allows
 tracked = "{tracked} mm"      # assumed: the tag's centre, on top of the shell
+tag = "{tag} mm"              # fits on the shell; print it with `tailbeat tags --fish {name}.toml`
 added_inertia = 1.0
 added_along = 0.25            # assumed: as identified for the pulley fish
 
@@ -162,7 +162,6 @@ def _front(name: str, sketch: Sketch, simulation: Simulation, error: float) -> s
         name=name,
         given=_given(sketch),
         tag=_mm(sketch.tag),
-        side=_number(sketch.tag),
         hinges=given.hinges,
         length=_mm(given.length),
         mass=_grams(given.mass),

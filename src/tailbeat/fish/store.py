@@ -187,9 +187,9 @@ def _inline(entry: Entry) -> tomlkit.items.InlineTable:
 
 def digest(fish: Fish) -> str:
     """Digest of all numbers and names of a fish that its twin depends on: without its summary, the
-    maker's numbers of its servo, the lab's figures, and which parts are flooded. A policy's
-    contract has it, to recognise the fish."""
-    aside = {"summary", "hardware", "lab"}
+    maker's numbers of its servo, the lab's figures, its tag's size, and which parts are flooded. A
+    policy's contract has it, to recognise the fish."""
+    aside = {"summary", "hardware", "lab", "tag"}
     content = _without(fish.model_dump(mode="json", exclude=aside), "flooded")
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 

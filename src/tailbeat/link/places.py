@@ -8,12 +8,27 @@ LENGTH, WIDTH = 5.5, 2.7  # m, the paper's pool and the virtual pool
 POOL = (LENGTH, WIDTH)  # used where no calibration gives the size
 SMALLEST, LARGEST = 0.3, 100.0  # m, allowed side of a pool
 ANY_POOL = (LARGEST, LARGEST)  # used while the pool's size is not known
-TARGET = "1.5,0.5"  # x,y [m], the default target
+TARGET = (1.5 / 2.75, 0.5 / 1.35)  # the default target, over half of the pool's length and width
 
 
 def is_pool(length: float, width: float) -> bool:
     """Whether these sides [m] are allowed for a pool."""
     return all(math.isfinite(side) and SMALLEST <= side <= LARGEST for side in (length, width))
+
+
+def room(reach: float) -> tuple[float, float]:
+    """Length and width [m] of the virtual pool for a fish whose measure has this `reach`."""
+    return LENGTH * reach, WIDTH * reach
+
+
+def as_text(pool: tuple[float, float]) -> str:
+    """A pool's length and width [m] as `pool_size` reads them."""
+    return f"{pool[0]:.6g},{pool[1]:.6g}"
+
+
+def within(share: tuple[float, float], pool: tuple[float, float]) -> str:
+    """The place `x,y` [m] at shares of half of a pool's length and width, as `place` reads it."""
+    return f"{share[0] * pool[0] / 2:.3f},{share[1] * pool[1] / 2:.3f}"
 
 
 def pool_size(text: str, option: str = "--pool") -> tuple[float, float]:

@@ -84,6 +84,7 @@ def work(
     """
     described, secret = load_fish(config.fish), link.read_key(config.key)
     made, pool = link.bind(*config.listen), pool_of(tracker, say)
+    _compare_tags(tracker, described, say)
     client = open_page(config.page, pool)
     ended = told_to_end(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     for line in announce(client) if client else []:
@@ -98,6 +99,16 @@ def work(
         made.close()
         if client is not None:
             client.close()
+
+
+def _compare_tags(tracker: "TrackerProcess | None", fish: Fish, say: Say) -> None:
+    """Say if the camera was calibrated for a tag of another size than the fish has."""
+    if tracker is None:
+        return
+    from tailbeat.vision.tags import of_other_size  # needs OpenCV
+
+    if other := of_other_size(tracker.watching.calibration.fish, fish.tag):
+        say(f"calibration: {other}; calibrate again with --fish")
 
 
 def _digest(tracker: "TrackerProcess | None") -> bytes:

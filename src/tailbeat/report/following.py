@@ -18,11 +18,10 @@ from tailbeat.evaluate.swim import Counting
 from tailbeat.evaluate.track import SETTLING
 from tailbeat.evaluate.trial import Progress
 from tailbeat.files import BadInput, write_json
-from tailbeat.link.places import POOL
-from tailbeat.operator.target_path import TargetPath
 from tailbeat.report import film, html
 from tailbeat.report.film_frames import Shot
 from tailbeat.report.html import Block, Section
+from tailbeat.report.pool_scene import View
 from tailbeat.report.style import COMMAND, LIMIT, MISSED, TARGET, WAY, styled
 from tailbeat.report.style import POOL as SWUM
 
@@ -101,7 +100,8 @@ def _film(followed: Followed, path: Path, seconds: float, progress: Progress) ->
     path.unlink(missing_ok=True)  # the film of an earlier swim
     try:
         motion = _motion(followed, Span(seconds), film.rate_of(path))
-        film.write(Shot(followed.pool.fish, motion, "side"), path, progress)
+        where, view = followed.pool, View(pool=followed.pool.walls)
+        film.write(Shot(where.fish, motion, "side", view), path, progress)
     except BadInput as error:
         return Block("warning", f"There is no film: {error}")
     return html.film(path)
@@ -123,13 +123,13 @@ def picture(followed: Followed, whole: Track) -> Figure:
     """Draw the path with the fish's track from above, and below it the distance over time."""
     figure = Figure(figsize=(9, 7.2), layout="constrained")
     above, below = figure.subplots(2, 1, height_ratios=(2.2, 1))
-    _draw_pool(above, whole, followed.path)
+    _draw_pool(above, whole, followed)
     _draw_distance(below, whole, followed)
     return figure
 
 
-def _draw_pool(axes: Axes, whole: Track, path: TargetPath) -> None:
-    length, width = POOL
+def _draw_pool(axes: Axes, whole: Track, followed: Followed) -> None:
+    (length, width), path = followed.pool.walls, followed.path
     axes.add_patch(
         Rectangle((-length / 2, -width / 2), length, width, fill=False, color=LIMIT, lw=2)
     )
@@ -138,7 +138,8 @@ def _draw_pool(axes: Axes, whole: Track, path: TargetPath) -> None:
     axes.plot(*whole.tag.T, color=SWUM, lw=1.2, label="fish's tag")
     axes.plot(*whole.target[0], "o", color=TARGET)
     axes.plot(*whole.tag[:1].T, "o", color=SWUM)
-    axes.set(xlim=(-2.85, 2.85), ylim=(-1.45, 1.45), xlabel="x [m]", ylabel="y [m]")
+    x, y = 0.52 * length, 0.52 * width
+    axes.set(xlim=(-x, x), ylim=(-y, y), xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal")
     axes.legend(loc="upper right")
 

@@ -15,17 +15,17 @@ from tailbeat.control.actions import PERIOD
 from tailbeat.evaluate.motion import Span, of_log, of_tour
 from tailbeat.evaluate.provenance import Provenance, provenance
 from tailbeat.evaluate.swim import Counting, Swum
-from tailbeat.evaluate.tour import WALLS, Tour
-from tailbeat.evaluate.trial import Progress
+from tailbeat.evaluate.tour import Tour
+from tailbeat.evaluate.trial import Pool, Progress
 from tailbeat.files import BadInput, write_json
-from tailbeat.fish.description import Fish
 from tailbeat.fish.outline import outline
 from tailbeat.operator.tour import TargetResult
 from tailbeat.pool.water import fingerprint
 from tailbeat.report import film, html
 from tailbeat.report.film_frames import Shot
 from tailbeat.report.html import Block, Section
-from tailbeat.report.style import LIMIT, MISSED, POOL, REACHED, TARGET, WAY, styled
+from tailbeat.report.pool_scene import View
+from tailbeat.report.style import LIMIT, MISSED, POOL, REACHED, WAY, styled
 
 FILM_SECONDS = 16.0  # duration of a tour's film, from the tour's start
 
@@ -65,7 +65,7 @@ def write(
     write_json(out / "summary.json", data, overwrite=True)
     with counting() as progress:
         shown = _film(swum, out / "swim.mp4", film_seconds, progress)
-    drawn = html.figure(picture(swum.tour, own), out, "swim")
+    drawn = html.figure(picture(swum.tour, swum.pool), out, "swim")
     blocks = (shown, drawn, html.table(rows(data.targets)))
     origin = html.values({**vars(data.provenance), **data.training})
     sections = [Section("The swim", blocks), Section("Provenance", (origin,))]
@@ -90,7 +90,7 @@ def _film(swum: Swum, path: Path, seconds: float, progress: Progress) -> Block:
             motion = of_tour(swum.tour, span, rate, swum.pool.measure.arrival)
         else:
             motion = of_log(swum.log, fish, span, rate)
-        film.write(Shot(fish, motion), path, progress)
+        film.write(Shot(fish, motion, view=View(pool=swum.pool.walls)), path, progress)
     except BadInput as error:
         return Block("warning", f"There is no film: {error}")
     return html.film(path)
@@ -133,30 +133,34 @@ def rows(targets: Iterable[TargetResult]) -> list[dict[str, Any]]:
 
 
 @styled
-def picture(tour: Tour, fish: Fish) -> Figure:
+def picture(tour: Tour, where: Pool) -> Figure:
     """Draw the pool from above: the whole path, the targets in order, the fish every two
     seconds."""
     figure = Figure(figsize=(9, 4.8), layout="constrained")
     axes = figure.subplots()
-    _draw(axes, tour, fish, len(tour.goal) - 1, len(tour.goal))
+    _draw_pool(axes, tour, where)
     for step in range(0, len(tour.goal), round(2.0 / PERIOD)):
-        axes.plot(*outline(fish, tour.shape[step]).T, color=POOL, lw=1.5, alpha=0.4)
+        axes.plot(*outline(where.fish, tour.shape[step]).T, color=POOL, lw=1.5, alpha=0.4)
     return figure
 
 
-def _draw(axes: Axes, tour: Tour, fish: Fish, step: int, shown: int) -> None:
-    length, width = WALLS
+def _draw_pool(axes: Axes, tour: Tour, where: Pool) -> None:
+    """Walls, path, targets and the fish at the end."""
+    (length, width), radius = where.walls, where.measure.arrival
     axes.add_patch(
         Rectangle((-length / 2, -width / 2), length, width, fill=False, color=LIMIT, lw=2)
     )
-    axes.plot(*tour.pose[:shown, :2].T, color=WAY, lw=1)
+    axes.plot(*tour.pose[:, :2].T, color=WAY, lw=1)
     for number, (x, y) in enumerate(tour.targets.tolist()):
-        over = number < tour.goal[step] or shown == len(tour.goal)
-        colour = (REACHED if tour.reached[number] else MISSED) if over else TARGET
-        if over or number == tour.goal[step]:
-            axes.add_patch(Circle((x, y), 0.05, color=colour, zorder=3))
-            axes.annotate(str(number + 1), (x + 0.07, y + 0.05))
-    axes.plot(*outline(fish, tour.shape[step]).T, color=POOL, lw=3, solid_capstyle="round")
-    axes.set(xlim=(-2.85, 2.85), ylim=(-1.45, 1.45), xlabel="x [m]", ylabel="y [m]")
-    axes.set(title=f"{PERIOD * step:.0f} s")
+        colour = REACHED if tour.reached[number] else MISSED
+        axes.add_patch(Circle((x, y), radius, color=colour, zorder=3))
+        axes.annotate(str(number + 1), (x + 1.4 * radius, y + radius))
+    axes.plot(*outline(where.fish, tour.shape[-1]).T, color=POOL, lw=3, solid_capstyle="round")
+    axes.set(xlim=_about(length), ylim=_about(width), xlabel="x [m]", ylabel="y [m]")
+    axes.set(title=f"{PERIOD * (len(tour.goal) - 1):.0f} s")
     axes.set_aspect("equal")
+
+
+def _about(side: float) -> tuple[float, float]:
+    """Limits of an axis that shows a pool's side [m] and a little beside it."""
+    return -0.52 * side, 0.52 * side

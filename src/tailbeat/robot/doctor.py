@@ -58,8 +58,9 @@ def examine(
     ]
 
 
-def of_camera(camera: str, calibration: Path | None) -> list[Check]:
-    """The checks of a camera; none if `camera` is "". Raises BadInput if it has no calibration."""
+def of_camera(camera: str, calibration: Path | None, fish: str) -> list[Check]:
+    """The checks of a camera above a fish; none if `camera` is "". Raises BadInput if it has no
+    calibration."""
     if not camera:
         return []
     if calibration is None:
@@ -69,7 +70,8 @@ def of_camera(camera: str, calibration: Path | None) -> list[Check]:
     from tailbeat.robot.doctor_camera import check_camera  # needs OpenCV
     from tailbeat.vision.tags import FISH, TARGET
 
-    return [lambda: check_camera(camera, calibration, (FISH, TARGET))]
+    tag = load_fish(fish).tag
+    return [lambda: check_camera(camera, calibration, (FISH, TARGET), tag)]
 
 
 def check_policy(policy: str, fish: str) -> list[Finding]:

@@ -10,6 +10,7 @@ from tailbeat.robot.findings import Finding, finding
 from tailbeat.vision.calibration import Calibration, read_calibration
 from tailbeat.vision.camera import CameraFault, Picture, open_camera
 from tailbeat.vision.field_of_view import blind
+from tailbeat.vision.tags import of_other_size
 from tailbeat.vision.tracker import Sighting, Tracker
 
 WATCHED = 120  # frames: two seconds
@@ -18,6 +19,7 @@ DARK, BRIGHT = 30.0, 0.05  # mean grey level, fraction of pixels that are white
 SMALL = 14.0  # px, side of the smallest tag that was found in every rendered picture
 SEEN = 0.9  # fraction of frames
 WHITE = 250
+OTHER_TAG = "size of the fish's tag"
 DO = {
     "camera": "plug it in; end other programs that use it; v4l2-ctl --list-devices",
     "calibration": "tailbeat calibrate; see docs/how-to/calibrate-the-camera.md",
@@ -26,17 +28,23 @@ DO = {
     "fish's tag": "check its id; show it whole, flat, without glare; run tailbeat track",
     "target's tag": "show it whole in view; or drag a target on the operator page",
     "size of the tags": "hang the camera lower, or print them larger",
+    OTHER_TAG: "print it with tailbeat tags --fish, and calibrate with the same --fish",
     "pool in view": "hang the camera higher or over the middle; a fish that swims there is lost",
 }
 
 
-def check_camera(camera: str, calibration: Path, ids: tuple[int, int]) -> list[Finding]:
-    """Check two seconds of frames with this calibration: rate, light, tags."""
+def check_camera(
+    camera: str, calibration: Path, ids: tuple[int, int], tag: float | None = None
+) -> list[Finding]:
+    """Check two seconds of frames with this calibration: rate, light, tags. `tag` is the side of
+    the fish's tag [m] by its description."""
     try:
         made = read_calibration(calibration)
         found = [finding("calibration", f"of {made.made}, {1e3 * made.hung.rms:.1f} mm rms")]
         strips, name = blind(made), "pool in view"
         found.append(finding(name, strips or "all of it", warn=bool(strips), do=DO[name]))
+        if other := of_other_size(made.fish, tag):
+            found.append(finding(OTHER_TAG, other, bad=True, do=DO[OTHER_TAG]))
     except BadInput as error:
         return [finding("calibration", str(error), bad=True, do=DO["calibration"])]
     try:

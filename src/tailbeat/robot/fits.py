@@ -11,9 +11,9 @@ from tailbeat.fish.store import digest, fish_of, load_fish, shipped
 NONE = "none"  # instead of an IMU's port
 SHOWN = 5  # fields of a body that are named with their values; of others, the table
 # Fields of a description that an identification may change; all others describe the body. The servo
-# as bought is none: the driver itself compares the model that answers.
+# as bought is none (the driver itself compares the model that answers), nor is the tag's size.
 LAW = ("zones", "added_inertia", "added_along", "trailing_edge")  # of the fluid
-FITTED = ("name", "summary", "servo", "simulation", "uncertain", "hardware", "lab", *LAW)
+FITTED = ("name", "summary", "servo", "simulation", "uncertain", "hardware", "lab", "tag", *LAW)
 FITTED_IN_TAIL = ("tail.damping_time", "tail.friction", "tail.k_eff", "tail.stiffness_scale")
 
 

@@ -23,6 +23,8 @@ FAMILY = "tag36h11"
 FISH, TARGET = 0, 1  # ids, unless others are given
 MODULES, BLACK = 10, 8  # modules of a side: with the white border, and of the black square
 IDS = 587
+SAME_SIZE = 0.05  # of a side: closer than the tracker can tell (chosen)
+SIDE = 0.08  # m, of the paper's tag: of a fish that does not say its own
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,19 @@ class Tag:
     """A printed tag: `side` of its black square [m], `height` above the water's surface [m],
     negative below it. Its x axis, the arrow on the sheet, points towards the fish's nose."""
 
-    side: float = 0.08
+    side: float = SIDE
     height: float = 0.0
+
+
+def of_other_size(calibrated: Tag, described: float | None) -> str:
+    """A sentence part if a camera was calibrated for a tag of another size than the fish's
+    `described` side [m] (None: not described); "" if not."""
+    if described is None or abs(calibrated.side / described - 1) < SAME_SIZE:
+        return ""
+    return (
+        f"calibrated for a tag of {1e3 * calibrated.side:g} mm, and the fish's has"
+        f" {1e3 * described:g} mm"
+    )
 
 
 @dataclass(frozen=True)
