@@ -123,7 +123,8 @@ def _swim_together(fishes: Sequence[Fish], runs: Sequence[Run]) -> list[Drawn]:
 def _predicted(fish: Fish, run: Run, done: Swim) -> Array:
     if done.diverged:
         return np.full(len(UNITS), np.inf)
-    return measure(camera_track(fish, run, done), run, twin_gait(fish, run, done, LONG).speed)
+    speed = twin_gait(fish, run, done, LONG, marked=False).speed
+    return measure(camera_track(fish, run, done, marked=False), run, speed)
 
 
 def measure(track: Track, run: Run, speed: float) -> Array:

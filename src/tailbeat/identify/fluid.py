@@ -70,6 +70,8 @@ ALONG_PRIOR = Parameter("added_along", "1", 0.0, 0.9, 0.15, 0.15, log=False)
 # Without added inertia the coefficients must replace it (the paper's fin has a Kutta factor of 10
 # and an angular one of 18): upper limits are higher by this factor, chosen.
 STAND_IN = 4.0
+# Standard deviations by which a number without effect changes the residuals, all together (chosen).
+INSENSITIVE = 0.05
 
 
 def fluid_space(fish: Fish, zones: int) -> tuple[Parameter, ...]:
@@ -200,7 +202,7 @@ def _residuals(
 def _compare(fish: Fish, run: Run, done: Swim, start_weight: bool | None, cruise: Cruise) -> Array:
     """Residuals of one run, all infinite if the twin diverged."""
     with np.errstate(all="ignore"):
-        track = camera_track(fish, run, done)
+        track = camera_track(fish, run, done, marked=run.motor is None)
         if run.motor is None:
             found = _compare_cruise(run, track, cruise)
         else:
@@ -280,7 +282,7 @@ def _at(time: Array, when: Array, pose: Array) -> Array:
 
 
 def insensitive(
-    residuals: Callable[[Array], Array], space: tuple[Parameter, ...], least: float = 0.05
+    residuals: Callable[[Array], Array], space: tuple[Parameter, ...], least: float = INSENSITIVE
 ) -> list[str]:
     """Paths of the free numbers that hardly change the result: one prior spread changes the
     residuals by less than `least` standard deviations (norm), at the prior's centre and on both

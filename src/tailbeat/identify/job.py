@@ -1,6 +1,7 @@
 """`tailbeat identify fluid`: fit with several seeds, keep the best, and check it."""
 
 import hashlib
+import math
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +19,7 @@ from tailbeat.identify.bands import Discrepancy, Drawn, discrepancy, swim_all
 from tailbeat.identify.doubt import Doubt, by_swims, draw
 from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.fluid import (
+    INSENSITIVE,
     apply,
     fluid_space,
     insensitive,
@@ -34,7 +36,7 @@ from tailbeat.identify.search import Effort, Fit, search_once
 from tailbeat.identify.space import Parameter, Residuals, values
 
 Array = NDArray[np.float64]
-THIRD, MANY = 3, 12  # CMA-ES sees every third swim where there are so many; the polish sees all
+THIRD, MANY = 3, 12  # where there are so many swims, every third one is searched on ahead of all
 BANDED = 32  # draws that swim the held-out swims
 Progress = Callable[[int, str, float, float], None]  # seed, stage, fraction done, best cost
 
@@ -174,8 +176,8 @@ def _search(
 ) -> tuple[Residuals, Callable[[int, Progress], Fit]]:
     """The residuals of the fit, and the search from a seed."""
     residuals = residual_function(fish, fit, space, config.start_weight)
-    many = len(fit) >= MANY
-    cheap = residual_function(fish, fit[::THIRD], space, config.start_weight) if many else None
+    some = _cheap(fit)
+    cheap = residual_function(fish, some, space, config.start_weight) if some else None
     key = _key(fish, fit, config)
 
     def search(seed: int, progress: Progress) -> Fit:
@@ -184,12 +186,19 @@ def _search(
     return residuals, search
 
 
+def _cheap(fit: Sequence[Run]) -> Sequence[Run]:
+    """Every third swim, if there are many; else none."""
+    return fit[::THIRD] if len(fit) >= MANY else ()
+
+
 def _sensitive_space(
     fish: Fish, fit: Sequence[Run], config: FluidConfig
 ) -> tuple[tuple[Parameter, ...], tuple[str, ...]]:
     """The free numbers that change the result, and the names of those that do not."""
     space = fluid_space(fish, config.zones)
-    idle = insensitive(residual_function(fish, fit, space, config.start_weight), space)
+    some = _cheap(fit) or fit
+    least = INSENSITIVE * math.sqrt(len(some) / len(fit))
+    idle = insensitive(residual_function(fish, some, space, config.start_weight), space, least)
     return tuple(p for p in space if p.path not in idle), tuple(idle)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from tailbeat.files import new_file
 from tailbeat.identify.space import (
     Array,
+    Edges,
     Parameter,
     Progress,
     Residuals,
@@ -25,7 +26,7 @@ class Polished:
     """One part of a polish, kept in a file beside the search's `checkpoint` (None: not kept)."""
 
     checkpoint: Path | None
-    part: int
+    part: str
 
     @property
     def _path(self) -> Path | None:
@@ -58,7 +59,7 @@ class _State:
     secants: int = 0
 
 
-NOT_KEPT = Polished(None, 0)
+NOT_KEPT = Polished(None, "")
 DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 SECANTS = 3  # steps on updated Jacobians in a row, chosen
 
@@ -96,12 +97,11 @@ def _iterated(
     progress: Progress,
 ) -> _State:
     """One iteration; after the last one, or where nothing improves, `done` is `iterations`."""
-    z, found, slope = state.z, state.found, state.slope
+    z, found, slope, edges = state.z, state.found, state.slope, bounds(space)
     if found is None or slope is None:
-        found, slope = sensitivity(residuals, z, central)
+        found, slope = sensitivity(residuals, z, central, edges=edges)
     best = float(cost(found[None], z[None])[0])
-    steps = np.array([_step(found, slope, z, damping) for damping in DAMPINGS])
-    trials = np.clip(z + steps, *bounds(space))
+    trials = np.array([_moved(found, slope, z, damping, edges) for damping in DAMPINGS])
     tried = residuals(trials)
     costs = cost(tried, trials)
     last = int(np.argmin(costs))
@@ -115,8 +115,23 @@ def _iterated(
     return _State(state.done + 1, trials[last], tried[last], slope, state.secants + 1)
 
 
-def _step(found: Array, slope: Array, z: Array, damping: float) -> Array:
-    """Solve (J'J + 1 + damping diag) d = -(J'r + z); the prior is one residual z each."""
+def _moved(found: Array, slope: Array, z: Array, damping: float, edges: Edges) -> Array:
+    """z + d, with (J'J + 1 + damping diag) d = -(J'r + z); the prior is one residual z each.
+
+    A number that would leave its range stops at its edge, and the others are solved for again.
+    Steps that were cut at the edge instead led nowhere: with a third of the numbers there, the
+    polish stood still after four of thirty iterations.
+    """
     normal = slope.T @ slope + np.eye(z.size)
-    gradient = slope.T @ found + z
-    return np.asarray(np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -gradient))
+    pull, damped = -(slope.T @ found + z), normal + damping * np.diag(np.diag(normal))
+    low, high = edges
+    step, free = np.zeros(z.size), np.ones(z.size, bool)
+    while free.any():
+        rest = pull[free] - damped[np.ix_(free, ~free)] @ step[~free]
+        step[free] = np.linalg.solve(damped[np.ix_(free, free)], rest)
+        out = free & ((z + step < low) | (z + step > high))
+        if not out.any():
+            break
+        step[out] = np.clip(z + step, low, high)[out] - z[out]
+        free &= ~out
+    return np.asarray(np.clip(z + step, low, high))

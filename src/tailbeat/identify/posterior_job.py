@@ -16,7 +16,7 @@ from tailbeat.identify.job import BANDED, FluidConfig, check
 from tailbeat.identify.posterior import Posterior
 from tailbeat.identify.runs import Run, as_runs
 from tailbeat.identify.search import Fit
-from tailbeat.identify.space import WIDE_STEP, Parameter, cost, covariance, sensitivity
+from tailbeat.identify.space import WIDE_STEP, Parameter, bounds, cost, covariance, sensitivity
 from tailbeat.identify.space import values as values_at
 from tailbeat.recording import read_recording
 
@@ -47,7 +47,7 @@ def posterior_of(
     space = fluid_space(fish, config.zones)
     residuals = residual_function(fish, fit, space, config.start_weight)
     z = np.array([p.to_z(value_at(fish, _one(fish, p))) for p in space])
-    found, slope = sensitivity(residuals, z, step=WIDE_STEP)
+    found, slope = sensitivity(residuals, z, step=WIDE_STEP, edges=bounds(space))
     own = Fit(0, z, float(cost(found, z)), found, slope, covariance(slope))
     drawn = draw(
         space, [by_swims(own, owners(fish, fit))], residuals, config.draws, config.first_seed

@@ -251,13 +251,14 @@ def _drift(track: Track, seconds: float) -> Array:
     return np.asarray(fit[0])
 
 
-def camera_track(fish: Fish, run: Run, done: Swim) -> Track:
-    """A twin's run, as the camera of the recorded one would give it.
+def camera_track(fish: Fish, run: Run, done: Swim, marked: bool = True) -> Track:
+    """A twin's run, as the camera of the recorded one would give it; its markers, which take a
+    fifth of a swim's time, only if `marked`.
 
     Without a recorded heading the path is turned about its first position onto the recorded path
     (least squares), and the yaw is NaN like the recording's.
     """
-    track = twin_track(fish, done)
+    track = twin_track(fish, done, marked)
     if run.track.has_heading:
         return track
     turn, first = _turn_onto(run.track, track), track.pose[0, :2]
@@ -278,16 +279,20 @@ def _turn_onto(recorded: Track, track: Track) -> Array:
     return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
-def twin_track(fish: Fish, done: Swim) -> Track:
-    """A twin's run as a track: pose of the tracked point, and markers."""
-    seen = done.markers[..., :2] if fish.markers else None
-    tip = tip_index(fish) if fish.markers else -1
+def twin_track(fish: Fish, done: Swim, marked: bool = True) -> Track:
+    """A twin's run as a track: pose of the tracked point, and markers if `marked`."""
+    shown = marked and bool(fish.markers)
+    seen = done.markers[..., :2] if shown else None
+    tip = tip_index(fish) if shown else -1
     return Track(done.time, tracked_pose(fish, done.qpos[:, :3]), seen, tip)
 
 
-def twin_gait(fish: Fish, run: Run, done: Swim, cruise: Cruise = Cruise()) -> Gait:
-    """The twin's gait over the same span as the recording's: a cruise's last beats, or all."""
-    track = camera_track(fish, run, done)
+def twin_gait(
+    fish: Fish, run: Run, done: Swim, cruise: Cruise = Cruise(), marked: bool = True
+) -> Gait:
+    """The twin's gait over the same span as the recording's: a cruise's last beats, or all. Of its
+    body wave only if `marked`."""
+    track = camera_track(fish, run, done, marked)
     if run.motor is not None:
         return measure_gait(track, run.gait.frequency)
     return measure_gait(last_beats(track, run.gait.frequency, cruise.measure), run.gait.frequency)

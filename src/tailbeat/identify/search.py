@@ -65,21 +65,23 @@ def search(
     cheap: Residuals | None = None,
 ) -> Fit:
     """CMA-ES, then polish, from one seed. With `cheap` residuals CMA-ES runs on these, from
-    `STARTS` starts, and the best goes on: one alone may stop far from the others. Resumes from
-    `checkpoint` and the files beside it, if they exist."""
+    `STARTS` starts, and the best goes on: one alone may stop far from the others. It is polished on
+    these, and then half as long on all. Resumes from `checkpoint` and the files beside it."""
     z = _best_start(residuals, cheap, space, seed, effort, checkpoint, progress)
-    begun = [Polished(checkpoint, part) for part in range(1 + RESCALINGS)]
-    z = polish(residuals, space, z, effort.polish, progress, begun=begun[0])
-    total = float(cost(residuals(z[None]), z[None])[0])
-    noise = 1.0
+    left = effort.polish
+    if cheap is not None:
+        z = _ahead(residuals, cheap, space, z, effort, checkpoint, progress)
+        left = max(effort.polish // 2, 1)
+    begun = [Polished(checkpoint, str(part)) for part in range(1 + RESCALINGS)]
+    z, noise = polish(residuals, space, z, left, progress, begun=begun[0]), 1.0
     for part in begun[1:]:
         before, noise = noise, noise_level(residuals(z[None])[0], z.size)
-        if part is not begun[1] and noise == before:
+        if noise == before:
             break  # nothing is scaled anew
         scaled = _divided(residuals, noise)
         z = polish(scaled, space, z, effort.polish // 2, progress, True, part)
-    found, slope = sensitivity(residuals, z, step=WIDE_STEP)
-    return Fit(seed, z, total, found, slope, covariance(slope / noise))
+    found, slope = sensitivity(residuals, z, step=WIDE_STEP, edges=bounds(space))
+    return Fit(seed, z, float(cost(found, z)), found, slope, covariance(slope / noise))
 
 
 def search_once(
@@ -152,6 +154,25 @@ def _best_start(
     if costs.min() >= FAILED:
         return _explore(residuals, space, seed, effort, checkpoint, progress)
     return found[int(np.argmin(costs))]
+
+
+def _ahead(
+    residuals: Residuals,
+    cheap: Residuals,
+    space: tuple[Parameter, ...],
+    z: Array,
+    effort: Effort,
+    checkpoint: Path | None,
+    progress: Progress,
+) -> Array:
+    """`z` polished on the cheap residuals, unless it was better before on all."""
+
+    def tell(stage: str, share: float, best: float) -> None:
+        progress(f"first {stage}", share, best)
+
+    begun = Polished(checkpoint, "ahead")
+    both = np.array([z, polish(cheap, space, z, effort.polish, tell, begun=begun)])
+    return np.asarray(both[int(np.argmin(cost(residuals(both), both)))])
 
 
 def _explore(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tailbeat.identify.search import Fit
 from tailbeat.identify.servo import DEVIATION, STEP
 from tailbeat.identify.shaft import Bench
-from tailbeat.identify.space import Parameter, sensitivity, values
+from tailbeat.identify.space import Edges, Parameter, sensitivity, values
 
 Array = NDArray[np.float64]
 HINGES = 1e-4  # s, deviation of the delay: up to 0.15 ms with noise-free fish of 0.28 to 1 m
@@ -20,14 +20,17 @@ IN_PROPORTION = "gain_scale kp kv armature damping damping_off friction force_li
 
 
 def with_honest_intervals(
-    fit: Fit, residuals: Callable[[Array], Array], groups: NDArray[np.int_]
+    fit: Fit,
+    residuals: Callable[[Array], Array],
+    groups: NDArray[np.int_],
+    edges: Edges | None = None,
 ) -> Fit:
     """The fit with a covariance that allows for correlated residuals and an inexact model.
 
     Sandwich estimate over blocks of time (White 1982; Liang and Zeger 1986); the prior counts as
     one more observation. So the fifty samples of one standstill count as one observation.
     """
-    found, slope = sensitivity(residuals, fit.z, step=STEP)
+    found, slope = sensitivity(residuals, fit.z, step=STEP, edges=edges)
     bread = np.linalg.inv(slope.T @ slope + np.eye(fit.z.size))
     gradients = np.zeros((groups.max() + 1, fit.z.size))
     np.add.at(gradients, groups, slope * found[:, None])

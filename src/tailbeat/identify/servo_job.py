@@ -30,7 +30,7 @@ from tailbeat.identify.servo import (
 from tailbeat.identify.servo_doubt import delay_doubt, load_doubt, with_honest_intervals
 from tailbeat.identify.servo_gains import contradictions
 from tailbeat.identify.shaft import Bench, free_run
-from tailbeat.identify.space import Parameter, values
+from tailbeat.identify.space import Parameter, bounds, values
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, str, float, float], None]  # seed, stage, fraction done, best cost
@@ -213,7 +213,7 @@ def _seeds(
     seeds = range(config.first_seed, config.first_seed + config.seeds)
     fits = [search_once(residuals, space, s, config.effort, scratch, progress) for s in seeds]
     fits.sort(key=lambda found: found.cost)
-    best = with_honest_intervals(fits[0], residuals, blocks(fit))
+    best = with_honest_intervals(fits[0], residuals, blocks(fit), bounds(space))
     doubt = load_doubt(space, best.z, fit) + delay_doubt(space)
     return [replace(best, covariance=best.covariance + doubt), *fits[1:]]
 

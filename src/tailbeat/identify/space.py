@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Residuals = Callable[[Array], Array]
 Progress = Callable[[str, float, float], None]  # stage, fraction done, best cost so far
+Edges = tuple[Array, Array]  # lowest and highest z of each parameter, (p,) each
 
 FAILED = 1e12  # cost of a candidate that diverged
 STEP = 0.02  # finite difference in z
@@ -59,18 +60,28 @@ def cost(residuals: Array, z: Array) -> Array:
 
 
 def sensitivity(
-    residuals: Residuals, z: Array, central: bool = True, step: float = STEP
+    residuals: Residuals,
+    z: Array,
+    central: bool = True,
+    step: float = STEP,
+    edges: Edges | None = None,
 ) -> tuple[Array, Array]:
-    """Residuals (r,) and their Jacobian (r, p) by finite differences, in one batched call."""
-    probes = [z[None], z + step * np.eye(z.size)]
-    found = residuals(np.concatenate([*probes, z - step * np.eye(z.size)] if central else probes))
-    up = found[1 : z.size + 1]
+    """Residuals (r,) and their Jacobian (r, p) by finite differences, in one batched call. A number
+    stands still beyond the lowest and highest z, the `edges`: there differences are one-sided, on
+    the inner side."""
+    low, high = edges or (np.full(z.size, -np.inf), np.full(z.size, np.inf))
+    ahead = np.where(z + step <= high, step, -step)
+    inside = (z - ahead >= low) & (z - ahead <= high)
+    behind = np.where(inside & central, -ahead, 0.0)
+    probes = [z[None], z + np.diag(ahead), z + np.diag(behind)]
+    found = residuals(np.concatenate(probes if central else probes[:2]))
+    other = found[z.size + 1 :] if central else found[0]
     with np.errstate(invalid="ignore"):  # where one diverged
-        slope = (up - found[z.size + 1 :]) / (2 * step) if central else (up - found[0]) / step
+        slope = (found[1 : z.size + 1] - other) / (ahead - behind)[:, None]
     return found[0], np.where(np.isfinite(slope), slope, 0.0).T
 
 
-def bounds(space: tuple[Parameter, ...]) -> tuple[Array, Array]:
+def bounds(space: tuple[Parameter, ...]) -> Edges:
     """Lowest and highest z of each parameter, (p,) each."""
     low = np.array([p.to_z(p.low) for p in space])
     high = np.array([p.to_z(p.high) for p in space])
