@@ -51,6 +51,24 @@ def test_data_better_than_their_stated_deviation_give_the_same_intervals():
         assert np.diff(stated[index]) == pytest.approx(np.diff(right[index]), rel=0.15)
 
 
+def test_a_third_of_the_residuals_goes_ahead_and_all_of_them_have_the_last_word():
+    """The end is that of all residuals, and they are asked for less often than without a third."""
+    asked = {True: 0, False: 0}
+
+    def all_of_them(z: np.ndarray, ahead: bool) -> np.ndarray:
+        asked[ahead] += len(z)
+        return residuals(z)
+
+    effort = Effort(3, 10, 20)
+    alone = search(lambda z: all_of_them(z, False), SPACE, 0, effort)
+    led = search(lambda z: all_of_them(z, True), SPACE, 0, effort,
+                 cheap=lambda z: residuals(z)[:, ::3])  # fmt: skip
+    assert np.allclose(led.z, alone.z, atol=0.02) and led.cost == pytest.approx(
+        alone.cost, rel=1e-3
+    )
+    assert asked[True] < 0.8 * asked[False]
+
+
 def test_same_seed_same_result_and_seeds_agree():
     effort = Effort(12, 10, 10)
     first, again = (search(residuals, SPACE, 3, effort) for _ in range(2))
