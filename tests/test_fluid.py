@@ -27,6 +27,8 @@ from tailbeat.identify.search import Effort
 # With its added mass on: without it the fish swims backwards on middle-of-the-road coefficients and
 # its heading is so unstable that two runs of one fish part.
 PULLEY = with_values(load_fish("pulley-fish"), {"added_inertia": 1.0})
+SIX = ((1.5, 0.5, 0.1), (2.2, 0.4, -0.25), (1.2, 0.6, 0.0), (1.8, 0.45, 0.15), (2.4, 0.35, 0.3),
+       (1.5, 0.3, 0.4))  # fmt: skip
 ASSUMED = {"added_inertia", "added_along", "simulation.integrator"}
 
 
@@ -73,10 +75,13 @@ def test_known_coefficients_of_one_zone_come_back(tmp_path):
     assert undecided and set(undecided) | set(decided) == set(rows)
 
 
-@pytest.mark.slow  # two minutes of processor time
+@pytest.mark.slow  # some minutes of processor time
 def test_known_coefficients_come_back_or_are_named(tmp_path):
-    config = FluidConfig(zones=3, seeds=2, effort=Effort(generations=12))
-    found = identify_fluid(PULLEY, synthetic_runs(noise=1e-3), [], config, tmp_path)
+    """Of six swims. Intervals are by swims: two swims decide one number of fifteen at most."""
+    fish, config = with_values(PULLEY, truth()), FluidConfig(seeds=1, effort=Effort(generations=6))
+    runs = [as_run(record(fish, str(i), *swim[:2], offset=swim[2], noise=1e-3, seed=i), PULLEY)
+            for i, swim in enumerate(SIX)]  # fmt: skip
+    found = identify_fluid(PULLEY, runs, [], config, tmp_path)
     rows, known = found.estimates(), truth()
     decided = {path: row for path, row in rows.items() if row.decided}
     assert len(decided) >= 4
