@@ -77,18 +77,18 @@ def test_known_coefficients_of_one_zone_come_back(tmp_path):
 
 @pytest.mark.slow  # some minutes of processor time
 def test_known_coefficients_come_back_or_are_named(tmp_path):
-    """Of six swims. Intervals are by swims: two swims decide one number of fifteen at most."""
+    """Intervals are by swims: two swims decide one number of fifteen at most, these six two."""
     fish, config = with_values(PULLEY, truth()), FluidConfig(seeds=1, effort=Effort(generations=6))
     runs = [as_run(record(fish, str(i), *swim[:2], offset=swim[2], noise=1e-3, seed=i), PULLEY)
             for i, swim in enumerate(SIX)]  # fmt: skip
     found = identify_fluid(PULLEY, runs, [], config, tmp_path)
     rows, known = found.estimates(), truth()
     decided = {path: row for path, row in rows.items() if row.decided}
-    assert len(decided) >= 4
+    assert len(decided) >= 2
     for path, row in decided.items():
         assert row.value == pytest.approx(known[path], rel=0.10), path
     inside = [row.interval[0] <= known[path] <= row.interval[1] for path, row in rows.items()]
-    assert np.mean(inside) >= 0.7  # 12 of 15 when written: local intervals are a little narrow
+    assert np.mean(inside) >= 0.9
     undecided = as_report(found, config)["undecided"]
     assert set(undecided) | set(decided) == set(rows) and undecided
     assert set(toml_values(found, ["a"])) == set(rows) | ASSUMED
