@@ -186,16 +186,11 @@ def _plan(twin: Twin, run: Run, cruise: Cruise) -> tuple[Start, Array]:
         # A cubic: linear interpolation at 60 frames/s loses half a percent of a 2 Hz beat.
         curve = CubicSpline(run.track.time - run.track.time[0], run.motor)
         angle = curve(np.minimum(time, run.track.time[-1] - run.track.time[0]))
-        start = Start(_root_pose(twin.fish, _first_pose(run)), _first_velocity(run))
+        start = Start(_shift(twin.fish, _first_pose(run), -1.0), _first_velocity(run))
     rate = (angle[1] - angle[0]) / step
     return replace(start, motor=float(angle[0]), motor_speed=float(rate)), replay_command(
         twin, angle
     )
-
-
-def _root_pose(fish: Fish, tracked: Array) -> Array:
-    """Pose of the fish frame from the pose of the tracked point."""
-    return _shift(fish, tracked, -1.0)
 
 
 def tracked_pose(fish: Fish, root: Array) -> Array:
