@@ -38,7 +38,7 @@ def swum(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def known(folder: Path, seed: int, mess: str, say: object) -> Path:
+def known(folder: Path, swimming: chain.Chain, say: object) -> Path:
     """The camera's exact calibration."""
     write_calibration(folder / "camera.json", known_calibration(Filming()))
     return folder / "camera.json"
