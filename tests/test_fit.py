@@ -97,7 +97,7 @@ def test_the_polish_stays_in_the_range_and_stands_where_nothing_gains():
 
 
 def test_a_polish_with_numbers_at_their_edges_ends_where_the_constrained_least_squares_is():
-    """Numbers that trade against each other; half of them end at an edge. Steps that were only cut
+    """Numbers that trade against each other; a third or more end at an edge. Steps that were cut
     there stood still at nearly three times the least cost."""
     rng = np.random.default_rng(1)
     free = 12

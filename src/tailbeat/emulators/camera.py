@@ -20,7 +20,7 @@ from tailbeat.vision.tags import FISH, TARGET, Tag
 Array = NDArray[np.float64]
 # Reflections of lamps on the surface, over half of the pool's length and width.
 LAMPS = ((-1.6 / 2.75, 0.5 / 1.35), (0.3 / 2.75, -0.8 / 1.35), (1.9 / 2.75, 0.9 / 1.35))
-GLARE_SIZE = 0.09  # standard deviation of a lamp's glare at a focal length of 3 px (chosen)
+GLARE_SIZE = 0.09  # m, standard deviation of a lamp's glare as seen from 3 m, at any height
 WAVES = ((2.1, 0.4, 5.4), (-1.2, 3.3, 6.9), (4.7, -2.6, 8.8))  # rad/m, rad/m, rad/s
 WIDTHS = 0.96, 0.747, 0.213  # of the drawn fish from nose to tail, over the side of its tag
 TURN = 6  # frames for which each empty pool is shown

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from tailbeat.evaluate import following
 from tailbeat.evaluate.following import Followed, FollowResult, Track
@@ -22,7 +21,7 @@ from tailbeat.report import film, html
 from tailbeat.report.film_frames import Shot
 from tailbeat.report.html import Block, Section
 from tailbeat.report.pool_scene import View
-from tailbeat.report.style import COMMAND, LIMIT, MISSED, TARGET, WAY, styled
+from tailbeat.report.style import COMMAND, LIMIT, MISSED, TARGET, WAY, draw_walls, styled
 from tailbeat.report.style import POOL as SWUM
 
 FILM_SECONDS = 20.0  # from a second before the fish swims
@@ -129,18 +128,12 @@ def picture(followed: Followed, whole: Track) -> Figure:
 
 
 def _draw_pool(axes: Axes, whole: Track, followed: Followed) -> None:
-    (length, width), path = followed.pool.walls, followed.path
-    axes.add_patch(
-        Rectangle((-length / 2, -width / 2), length, width, fill=False, color=LIMIT, lw=2)
-    )
-    axes.plot(*path.places.T, color=WAY, lw=1, label="path")
+    draw_walls(axes, followed.pool.walls)
+    axes.plot(*followed.path.places.T, color=WAY, lw=1, label="path")
     axes.plot(*whole.target.T, color=TARGET, lw=2, label="target")
     axes.plot(*whole.tag.T, color=SWUM, lw=1.2, label="fish's tag")
     axes.plot(*whole.target[0], "o", color=TARGET)
     axes.plot(*whole.tag[:1].T, "o", color=SWUM)
-    x, y = 0.52 * length, 0.52 * width
-    axes.set(xlim=(-x, x), ylim=(-y, y), xlabel="x [m]", ylabel="y [m]")
-    axes.set_aspect("equal")
     axes.legend(loc="upper right")
 
 

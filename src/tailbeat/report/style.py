@@ -12,6 +12,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 from matplotlib.rcsetup import cycler
 
 matplotlib.use("Agg")
@@ -87,3 +88,14 @@ def _height(axes: Axes, line: Line2D) -> float:
     last = inside[-1] if len(inside) else seen[-1]
     _, height = axes.transAxes.inverted().transform(axes.transData.transform(last))
     return float(np.clip(height, 0, 1))
+
+
+def draw_walls(axes: Axes, walls: tuple[float, float]) -> None:
+    """Draw a pool of this length and width [m] from above; the axes show a little beside it."""
+    length, width = walls
+    axes.add_patch(
+        Rectangle((-length / 2, -width / 2), length, width, fill=False, color=LIMIT, lw=2)
+    )
+    x, y = 0.52 * length, 0.52 * width
+    axes.set(xlim=(-x, x), ylim=(-y, y), xlabel="x [m]", ylabel="y [m]")
+    axes.set_aspect("equal")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle
 
 from tailbeat.control.actions import PERIOD
 from tailbeat.evaluate.motion import Span, of_log, of_tour
@@ -25,7 +25,7 @@ from tailbeat.report import film, html
 from tailbeat.report.film_frames import Shot
 from tailbeat.report.html import Block, Section
 from tailbeat.report.pool_scene import View
-from tailbeat.report.style import LIMIT, MISSED, POOL, REACHED, WAY, styled
+from tailbeat.report.style import MISSED, POOL, REACHED, WAY, draw_walls, styled
 
 FILM_SECONDS = 16.0  # duration of a tour's film, from the tour's start
 
@@ -146,21 +146,12 @@ def picture(tour: Tour, where: Pool) -> Figure:
 
 def _draw_pool(axes: Axes, tour: Tour, where: Pool) -> None:
     """Walls, path, targets and the fish at the end."""
-    (length, width), radius = where.walls, where.measure.arrival
-    axes.add_patch(
-        Rectangle((-length / 2, -width / 2), length, width, fill=False, color=LIMIT, lw=2)
-    )
+    radius = where.measure.arrival
+    draw_walls(axes, where.walls)
     axes.plot(*tour.pose[:, :2].T, color=WAY, lw=1)
     for number, (x, y) in enumerate(tour.targets.tolist()):
         colour = REACHED if tour.reached[number] else MISSED
         axes.add_patch(Circle((x, y), radius, color=colour, zorder=3))
         axes.annotate(str(number + 1), (x + 1.4 * radius, y + radius))
     axes.plot(*outline(where.fish, tour.shape[-1]).T, color=POOL, lw=3, solid_capstyle="round")
-    axes.set(xlim=_about(length), ylim=_about(width), xlabel="x [m]", ylabel="y [m]")
     axes.set(title=f"{PERIOD * (len(tour.goal) - 1):.0f} s")
-    axes.set_aspect("equal")
-
-
-def _about(side: float) -> tuple[float, float]:
-    """Limits of an axis that shows a pool's side [m] and a little beside it."""
-    return -0.52 * side, 0.52 * side
