@@ -8,13 +8,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from tailbeat.files import BadInput, new_file, refuse_existing
+from tailbeat.fish.proportions import LARGEST_TAG
 from tailbeat.vision.tags import BLACK, FAMILY, MODULES, Board, board_picture, tag_picture
 
 A4 = (210.0, 297.0)  # mm
 INCH = 25.4
 DPI = 300
 FORMATS = (".pdf", ".svg", ".png")
-LARGEST = 150.0  # mm, largest black square of a tag on a page
 
 
 def write_sheets(out: Path, ids: tuple[int, int], side: float, board: Board) -> list[Path]:
@@ -22,8 +22,8 @@ def write_sheets(out: Path, ids: tuple[int, int], side: float, board: Board) -> 
     `side` [m] of the tags' black squares. Raises BadInput."""
     if out.suffix not in FORMATS:
         raise BadInput(f"{out}: give a name that ends in {', '.join(FORMATS)}.")
-    if not 10 <= 1e3 * side <= LARGEST:
-        raise BadInput(f"--side {side:g}: give 0.01 to {1e-3 * LARGEST:g} m; a page is A4.")
+    if not 10 <= 1e3 * side <= LARGEST_TAG:
+        raise BadInput(f"--side {side:g}: give 0.01 to {1e-3 * LARGEST_TAG:g} m; a page is A4.")
     size = board.square * board.columns, board.square * board.rows
     if not (0.002 <= board.square and size[0] <= 0.28 and size[1] <= 0.19):
         raise BadInput(f"--square {board.square:g}: the board would be {size} m; a page is A4.")
