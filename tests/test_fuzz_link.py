@@ -74,7 +74,8 @@ def bodies(draw) -> tuple[bytes, bytes]:
 
 def believable(frame: Frame, room: tuple[float, float]) -> bool:
     places = [p for p in (frame.fish and frame.fish[:2], frame.target) if p]
-    inside = [abs(v) <= side / 2 + MARGIN for p in places for v, side in zip(p, room, strict=True)]
+    margin = MARGIN * max(room)
+    inside = [abs(v) <= side / 2 + margin for p in places for v, side in zip(p, room, strict=True)]
     return all(inside) and (frame.fish is None or abs(frame.fish[2]) <= YAW)
 
 

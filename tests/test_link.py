@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from support import until
+from tailbeat.env import errors
 from tailbeat.files import BadInput
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import (
@@ -31,6 +32,7 @@ from tailbeat.link.datagrams import (
     stop_datagram,
     tell_datagram,
 )  # fmt: skip
+from tailbeat.pool.mess import lab_at
 
 KEY, ROOM, RUN = bytes(range(32)), (5.5, 2.7), 77
 
@@ -112,10 +114,9 @@ def test_random_datagrams_move_nothing(count):
 @pytest.mark.parametrize(
     "frame",
     [
-        Frame(0, (9.0, 0.0, 0.0), (0.0, 0.0)),
         Frame(0, (0.0, float("nan"), 0.0), None),
         Frame(0, (0.0, 0.0, float("inf")), None),
-        Frame(0, None, (0.0, -1.4)),
+        Frame(0, None, (0.0, float("inf"))),
     ],
 )
 def test_signed_nonsense_is_dropped_too(frame):
@@ -124,15 +125,32 @@ def test_signed_nonsense_is_dropped_too(frame):
     assert to.rejected == {"implausible": 1} and not to.frames
 
 
-@pytest.mark.parametrize("place", [(2.77, 1.37), (-2.77, -1.37)])
-def test_a_fish_at_the_wall_may_seem_three_centimetres_beyond_it(place):
+@pytest.mark.parametrize("place", [(3.4, 2.0), (-3.4, -2.0)])
+def test_a_pose_may_lie_an_eighth_of_the_pool_beyond_its_walls(place):
     to, (x, y) = receiver(), place
     to.take(sent(to, 1, [Frame(0, (x, y, 0.0), place)]), 0)
-    assert to.accepted == 1
-    for fish, target in (((1.01 * x, y, 0.0), None), ((x, 1.02 * y, 0.0), None),
-                         (None, (1.01 * x, y)), (None, (x, 1.02 * y))):  # fmt: skip
+    assert to.accepted == 1 and to.far is None
+    for fish, target in (((1.02 * x, y, 0.0), None), ((x, 1.03 * y, 0.0), None),
+                         (None, (1.02 * x, y)), (None, (x, 1.03 * y))):  # fmt: skip
         to.take(sent(to, 2, [Frame(0, fish, target)]), 0)
-    assert to.accepted == 1 and to.rejected == {"implausible": 4}
+    assert to.accepted == 1 and to.rejected == {"outside the pool": 4}
+    assert to.far == pytest.approx((x, 1.03 * y))
+    to.take(sent(to, 3, [Frame(0, (x, y, 0.0), place)]), 0)
+    assert to.accepted == 2 and to.far is None
+
+
+@pytest.mark.parametrize("level", ["everyday", "rough", "wrecked"])
+def test_a_camera_of_a_messy_lab_never_puts_a_fish_at_a_wall_outside_the_pool(level):
+    """Else the robot has no pose until somebody moves the fish: with 3 cm allowed, a tour of an
+    everyday lab ended there after 20 of 50 targets."""
+    wrong = errors.rows([lab_at(level, seed).errors for seed in range(300)])
+    sides = np.array(ROOM) / 2 - 0.1  # the tag is so far from the nose
+    for corner in (sides * (-1, -1), sides * (-1, 1), sides * (1, -1), sides * (1, 1)):
+        found = errors.filmed(wrong, np.tile([*corner, 0.3], (300, 1)))
+        to = receiver()
+        for number, (x, y, yaw) in enumerate(found):
+            to.take(sent(to, number, [Frame(0, (x, y, yaw), None)]), 0)
+        assert to.accepted == 300
 
 
 def test_time_that_runs_backwards_within_a_run_is_dropped():
@@ -294,7 +312,7 @@ def test_datagrams_cross_a_real_socket_and_a_stranger_s_are_counted():
 def test_the_pool_s_size_is_told_with_the_clock_and_bounds_the_poses():
     to, far = Receiver(KEY), [Frame(10, (4.5, 1.8, 0.0), None)]
     to.take(pose_datagram(KEY, RUN, to.nonce, 1, far), 0)
-    assert to.rejected == {"implausible": 1}  # outside the pool that is assumed
+    assert to.rejected == {"outside the pool": 1}  # that is assumed
     question = ask_datagram(KEY, to.nonce, 1, 0)
     for told in ((10.0, 0.0), (math.nan, 4.0), (1e4, 4.0)):
         answer = tell_datagram(KEY, RUN, question, 200, 210, told)

@@ -197,7 +197,7 @@ def test_the_status_carries_the_size_of_what_was_measured(changed):
 
 def test_every_field_of_health_can_stop_or_hold():
     touched = {name for case in (*HOLD_CASES.values(), *STOP_CASES.values()) for name in case}
-    assert touched == {one.name for one in fields(Health)} - {"warning"}
+    assert touched == {one.name for one in fields(Health)} - {"warning", "strayed"}
 
 
 def test_every_rule_has_a_case_and_a_text_of_its_own():
@@ -216,6 +216,13 @@ def test_what_is_not_a_number_holds():
         broken = replace(WELL, **nan)
         assert judge(SafetyStatus(State.RUN), broken, LIMITS).state is State.HOLD, name
     assert first_broken((*HOLDS, *STOPS), WELL, LIMITS) is None
+
+
+def test_a_missing_pose_says_where_the_refused_ones_lie():
+    where = ": the camera sees fish or target at 3.90, 0.10 m, outside the pool"
+    for age in (0.4, 2.5):
+        lost = replace(WELL, pose_age=age, strayed=where)
+        assert judge(SafetyStatus(State.RUN), lost, LIMITS).text.endswith("s" + where)
 
 
 def test_setpoints_stay_in_range_and_never_jump():

@@ -22,7 +22,7 @@ class Reason(Enum):
     SHAFT_STUCK = "the shaft does not follow: the tail is jammed, or the encoder is stuck"
     OVERCURRENT = "servo current {value:.1f} A"
     SERVO_LOST = "no servo for {value:.1f} s"
-    POSE_LOST = "no pose for {value:.1f} s"
+    POSE_LOST = "no pose for {value:.1f} s{note}"
     NO_WATCHDOG = "the watchdog process ended or hangs: torque would stay on if the loop failed"
     SIGN_TEST = "the sign test failed: {note}"
 
@@ -31,7 +31,7 @@ class Reason(Enum):
     BUS_WATCHDOG = "the servo's own watchdog stopped it"
     SERVO_LATE = "no servo for {ms:.0f} ms"
     YAW_RATE_LATE = "no yaw rate for {ms:.0f} ms"
-    POSE_LATE = "no pose for {ms:.0f} ms"
+    POSE_LATE = "no pose for {ms:.0f} ms{note}"
     CLOCK_JUMPED = "the station's clock jumped by {value:.2f} s"
     POSE_AHEAD = "a pose is {ms:.0f} ms in the future: a clock jumped"
     POSES_IMPLAUSIBLE = "{value:.0f} poses in a row are too far from the one before"

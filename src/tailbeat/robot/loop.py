@@ -188,6 +188,7 @@ class Loop:
             outside=self.poses.outside(),
             signals=self.signals.trouble,
             warning=self.signals.warned,
+            strayed=self.poses.strayed(),
         )
 
     def _decide(self) -> runner.Decision:

@@ -134,6 +134,13 @@ class Poses:
         known = self.receiver.told >= 0
         return places.outside(self.target, self.receiver.room) if self.target and known else ""
 
+    def strayed(self) -> str:
+        """Where the newest poses lie, if that is outside the pool; else ""."""
+        if self.receiver.far is None:
+            return ""
+        x, y = self.receiver.far
+        return f": the camera sees fish or target at {x:.2f}, {y:.2f} m, outside the pool"
+
     def newest_target(self) -> tuple[float, float] | None:
         """The target that the robot swims to [m], or None if it is not known."""
         return self.target_of(self.seen[-1]) if self.seen else self.target

@@ -66,7 +66,8 @@ class Health:
     `jumps`: implausible poses in a row. `clock_step` [s]: jump of the station's clock since arming.
     `guarded`: the watchdog process would turn torque off if the loop failed. `outside` says
     where the pool ends if the set target lies outside it, else "". `signals` says what the robot's
-    own signals contradict in, and `warning` what does not keep it from swimming; else "".
+    own signals contradict in, and `warning` what does not keep it from swimming; else "". `strayed`
+    says where the newest poses lie, if that is outside the pool, else "".
     """
 
     pose_age: float = math.inf
@@ -93,6 +94,7 @@ class Health:
     outside: str = ""
     signals: str = ""
     warning: str = ""
+    strayed: str = ""
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,8 @@ STOPS = (
     Rule(Reason.OVERCURRENT, lambda h, lim: abs(h.current) >= lim.current_stop,
          lambda h: abs(h.current)),
     Rule(Reason.SERVO_LOST, lambda h, lim: h.servo_age >= lim.servo_stop, lambda h: h.servo_age),
-    Rule(Reason.POSE_LOST, lambda h, lim: h.pose_age >= lim.pose_stop, lambda h: h.pose_age),
+    Rule(Reason.POSE_LOST, lambda h, lim: h.pose_age >= lim.pose_stop, lambda h: h.pose_age,
+         lambda h: h.strayed),
     Rule(Reason.NO_WATCHDOG, lambda h, _: not h.guarded),
 )  # fmt: skip
 HOLDS = (
@@ -144,7 +147,8 @@ HOLDS = (
     Rule(Reason.BUS_WATCHDOG, lambda h, lim: lim.own_watchdog and h.watchdog),
     Rule(Reason.SERVO_LATE, lambda h, lim: not h.servo_age < lim.servo_hold, lambda h: h.servo_age),
     Rule(Reason.YAW_RATE_LATE, lambda h, lim: not h.imu_age < lim.imu_hold, lambda h: h.imu_age),
-    Rule(Reason.POSE_LATE, lambda h, lim: not h.pose_age < lim.pose_hold, lambda h: h.pose_age),
+    Rule(Reason.POSE_LATE, lambda h, lim: not h.pose_age < lim.pose_hold, lambda h: h.pose_age,
+         lambda h: h.strayed),
     Rule(Reason.CLOCK_JUMPED, lambda h, _: h.clock_step != 0, lambda h: h.clock_step),
     Rule(Reason.POSE_AHEAD, lambda h, lim: h.pose_age < -lim.clock_doubt, lambda h: -h.pose_age),
     Rule(Reason.POSES_IMPLAUSIBLE, lambda h, lim: h.jumps >= lim.jumps_hold, lambda h: h.jumps),
