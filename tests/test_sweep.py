@@ -15,6 +15,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+import torch
 from scipy import stats
 
 from support import command, importing_as_here, tailbeat, tailbeat_process
@@ -71,6 +72,7 @@ def test_every_combination_is_a_trial_with_a_name_of_its_own(tmp_path):
     [
         ("hours = 2.0", "hours = 0", "field hours = 0: input should be greater than 0"),
         ("cores = 1", "core = 1", "field core is unknown"),
+        ("cores = 1", "gpus = 2", "field gpus = 2: input should be less than or equal to 1"),
         ("seed = [0, 1, 2]", 'seed = ["0"]', "field vary.seed.0 = '0'"),
         ("seed = [0, 1, 2]", "seed = [1, 1]", "field seed: a value stands there twice"),
         ('fish = "pulley-fish-pool"', "", "field vary.fish is missing"),
@@ -114,6 +116,15 @@ def test_an_address_without_a_cluster_is_said_at_once(tmp_path, address):
     done = tailbeat_process(*words)
     assert done.returncode == 2 and "no Ray cluster answers" in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="Ray would find a GPU here")
+def test_a_share_of_a_gpu_is_refused_where_there_is_none(tmp_path):
+    path = tiny(tmp_path)
+    path.write_text("gpus = 0.5\n" + path.read_text())
+    done = tailbeat_process("sweep", path, "--out", tmp_path / "out")
+    assert done.returncode == 2 and "field gpus = 0.5: Ray found 0 GPUs" in done.stderr
+    assert not list((tmp_path / "out").rglob("trial.json"))
 
 
 # ---- rules --------------------------------------------------------------------------------------

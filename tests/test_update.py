@@ -39,7 +39,7 @@ def test_squashed_actions_have_sb3_s_probability(learner):
 
 
 def test_the_critics_gradient_is_that_of_sb3_s_loss(learner):
-    data, noise = learner.replay_buffer.sample(32), torch.randn(32, 6)
+    data, noise = learner._batch(32), torch.randn(32, 6)
     entropy = torch.tensor([0.1])
     _, gradient = learner._critic_gradient(data, noise, entropy)
     with torch.no_grad():
@@ -57,7 +57,7 @@ def test_the_critics_gradient_is_that_of_sb3_s_loss(learner):
 
 def test_what_lies_behind_an_end_is_worth_nothing(learner):
     """At an arrival the critics learn the reward alone, whatever comes next."""
-    data, noise = learner.replay_buffer.sample(32), torch.randn(32, 6)
+    data, noise = learner._batch(32), torch.randn(32, 6)
     ended = data._replace(dones=torch.ones_like(data.dones))
     elsewhere = ended._replace(next_observations=torch.randn_like(data.next_observations))
     loss, _ = learner._critic_gradient(ended, noise, torch.tensor([0.1]))
@@ -65,6 +65,17 @@ def test_what_lies_behind_an_end_is_worth_nothing(learner):
     found = learner.critic(data.observations, data.actions)
     both = [torch.nn.functional.mse_loss(q, data.rewards).item() for q in found]
     assert loss.item() == pytest.approx(0.5 * sum(both), rel=1e-5)
+
+
+def test_optimisers_of_a_gpu_s_checkpoint_go_on_here(learner):
+    """There the rate is a tensor and a step may be captured; here neither is allowed."""
+    optimizers = learner.actor.optimizer, learner.critic.optimizer, learner.ent_coef_optimizer
+    for group in (one.param_groups[0] for one in optimizers):
+        group["lr"], group["capturable"] = torch.tensor(1e-3), True
+    before = learner.log_ent_coef.detach().clone()
+    learner.train(2, 32)
+    assert not torch.equal(learner.log_ent_coef, before)
+    assert all(isinstance(one.param_groups[0]["lr"], float) for one in optimizers)
 
 
 def test_updates_are_measured_against_sb3_s_of_the_same_size(monkeypatch):
@@ -80,7 +91,7 @@ def test_updates_are_measured_against_sb3_s_of_the_same_size(monkeypatch):
 
 @pytest.mark.skipif(not rounds(), reason="this processor does not multiply bfloat16")
 def test_rounded_products_leave_the_gradient_s_direction_and_end_with_the_update(learner):
-    data, noise = learner.replay_buffer.sample(256), torch.randn(256, 6)
+    data, noise = learner._batch(256), torch.randn(256, 6)
     entropy = torch.tensor([0.1])
 
     def slope() -> torch.Tensor:

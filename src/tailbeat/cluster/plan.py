@@ -59,8 +59,9 @@ class Evaluated(_Part):
 
 class Sweep(_Part):
     """A sweep's file. `hours` is the longest training of a trial, `checkpoint_minutes` the time
-    between two checkpoints; `cores` are a trial's own; a trial that fails is begun again up to
-    `retries` times. `scheduler` ends hopeless trials early."""
+    between two checkpoints; `cores` are a trial's own; with `gpus`, the share of a GPU that it
+    takes, updates run there. A trial that fails is begun again up to `retries` times.
+    `scheduler` ends hopeless trials early."""
 
     vary: Varied
     recipe: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field(default_factory=dict)
@@ -69,6 +70,7 @@ class Sweep(_Part):
     hours: float = Field(default=12.0, gt=0)
     checkpoint_minutes: float = Field(default=5.0, gt=0)
     cores: int = Field(default=1, ge=1)
+    gpus: float = Field(default=0.0, ge=0, le=1)
     retries: int = Field(default=2, ge=0)
     scheduler: Literal["none", "asha", "median"] = "none"
 

@@ -51,6 +51,7 @@ def run_of(trial: Trial, sweep: Sweep, folder: Path) -> RunConfig:
         action_space(trial.actions, fish, trial.binds or recipe.binds, trial.floor or 0.0),
         trial.seed,
         sweep.hours,
+        device="cuda" if sweep.gpus else "cpu",
         checkpoint_minutes=sweep.checkpoint_minutes,
         draws=factors_of(trial.fish) if trial.physics == "posterior" else None,
         errors=None if mess == "clean" else widths(level(mess)),
@@ -61,11 +62,12 @@ def run_of(trial: Trial, sweep: Sweep, folder: Path) -> RunConfig:
 
 def check_trial(trial: Trial, sweep: Sweep, folder: Path) -> None:
     """Raises BadInput if a trial cannot be trained or evaluated: its fish, its actions, its memory,
-    the pool's fish and waters."""
+    the pool's fish and waters. This machine needs no GPU."""
     if sweep.evaluate is not None:
         load_fish(sweep.evaluate.fish)
         waters_of(sweep.evaluate.pool)
-    check(measured_run(run_of(trial, sweep, folder)), resume=(folder / "run").exists())
+    run = replace(run_of(trial, sweep, folder), device="cpu")
+    check(measured_run(run), resume=(folder / "run").exists())
 
 
 def swim(folder: Path) -> None:

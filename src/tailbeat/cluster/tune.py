@@ -109,8 +109,14 @@ def versions() -> dict[str, str]:
 
 def swim(sweep: Sweep, todo: Sequence[Trial], out: Path, report: Report) -> dict[str, str]:
     """Swim the trials `todo` in `out/trials`; returns why each failed one did, by its name. Ray
-    must be connected. Ctrl-C ends it; trials keep their checkpoints. Raises BadInput if a cluster
-    of which this machine is no node is lost."""
+    must be connected. Ctrl-C ends it; trials keep their checkpoints. Raises BadInput if a trial
+    needs more of a GPU than there is, or if a cluster of which this machine is no node is lost."""
+    gpus = ray.cluster_resources().get("GPU", 0.0)
+    if sweep.gpus > gpus:
+        raise BadInput(
+            f"field gpus = {sweep.gpus:g}: Ray found {gpus:g} GPUs; leave it out to train on"
+            f" processors."
+        )
     write_trials(sweep, todo, out)
     space = {
         "name": tune.grid_search([trial.name for trial in todo]),
@@ -146,7 +152,7 @@ def _swim(sweep: Sweep, space: dict[str, Any], report: Report) -> dict[str, str]
     """Run Ray Tune over a space of trials, which are on disk."""
     told = _Told(report)
     tuner = tune.Tuner(
-        tune.with_resources(_work, {"cpu": sweep.cores}),
+        tune.with_resources(_work, {"cpu": sweep.cores, "gpu": sweep.gpus}),
         param_space=space,
         tune_config=tune.TuneConfig(scheduler=_scheduler(sweep.scheduler)),
         run_config=tune.RunConfig(

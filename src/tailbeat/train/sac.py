@@ -2,7 +2,8 @@
 
 Critics and actor compute their gradients at the same time, each on its own thread, from the same
 parameters; in SB3 the actor uses the critics one step later. Samples, noise and steps are drawn in
-one thread, so a seed gives one run. The exploration noise is correlated in time: with white noise
+one thread, so a seed gives one run. On a GPU the whole update is one CUDA graph. The exploration
+noise is correlated in time: with white noise
 at 50 decisions a second, the generator's lag would average it out (after Eberhard et al., "Pink
 Noise Is All You Need", ICLR 2023; first order here). Everything else is `stable_baselines3.SAC`.
 """
@@ -15,8 +16,11 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3 import SAC
+from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
+
+from tailbeat.train.captured import Captured
 
 Tensor = torch.Tensor
 BESIDE = ThreadPoolExecutor(1)  # kept, since a new thread per call halves the update rate
@@ -28,16 +32,21 @@ class QuickSAC(SAC):
     """SAC with critics and actor updated in parallel.
 
     Takes SAC's arguments. `memory` is the correlation of the exploration noise from one control
-    step to the next. `rounded` updates multiply matrices in bfloat16 if the processor supports it.
+    step to the next. `rounded` updates multiply matrices in bfloat16 if the processor supports it,
+    on a GPU in TF32.
     """
 
     def __init__(self, *args: Any, memory: float = 0.0, rounded: bool = False, **rest: Any) -> None:
-        self.memory, self.rounded = memory, rounded and rounds()
+        self.memory, self.rounded = memory, rounded
         super().__init__(*args, **rest)
 
     def _setup_model(self) -> None:
         super()._setup_model()
         self.noise = torch.randn((self.n_envs, *(self.action_space.shape or ())))
+        self.on_gpu = self.device.type == "cuda"
+        self.rounded = self.rounded and (self.on_gpu or rounds())
+        self.rate = torch.zeros((), device=self.device)
+        self.learn_from = Captured(self._learn_from) if self.on_gpu else self._learn_from
 
     def _sample_action(
         self, learning_starts: int, action_noise: Any = None, n_envs: int = 1
@@ -61,36 +70,69 @@ class QuickSAC(SAC):
             raise ValueError("QuickSAC learns its entropy coefficient: give ent_coef='auto'.")
         optimizers = [self.actor.optimizer, self.critic.optimizer, self.ent_coef_optimizer]
         self._update_learning_rate(optimizers)
-        losses = []
         with _products(self.rounded):
-            for _ in range(gradient_steps):
-                losses.append(self._update(batch_size))
-                self._n_updates += 1
-        self._record(np.mean(losses, axis=0))
+            losses = [self._update(batch_size) for _ in range(gradient_steps)]
+        self._n_updates += gradient_steps
+        self._record(torch.stack(losses).mean(dim=0).tolist())
 
-    def _update(self, batch_size: int) -> tuple[float, ...]:
-        """One update; returns the losses of critic and actor, and the entropy coefficient."""
-        assert self.replay_buffer is not None and self.log_ent_coef is not None
-        data = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
-        noise = torch.randn((2, *data.actions.shape), device=self.device)
+    def _update_learning_rate(self, optimizers: Any) -> None:
+        """SB3's; on a GPU the rate becomes a tensor, since a captured update reads no number anew.
+        A checkpoint may be of the other kind of device, so its steps are moved too."""
+        super()._update_learning_rate(optimizers)
+        for optimizer in optimizers:
+            for group in optimizer.param_groups:
+                group["capturable"] = self.on_gpu
+                if self.on_gpu:
+                    group["lr"] = self.rate.fill_(group["lr"])
+            for state in optimizer.state.values():
+                state["step"] = state["step"].to(self.device)
+
+    def _update(self, batch_size: int) -> Tensor:
+        """One update; returns the losses of critic and actor, and the entropy coefficient (3,)."""
+        data = self._batch(batch_size)
+        # drawn by the processor, whose state a checkpoint holds
+        noise = torch.randn((2, *data.actions.shape)).to(self.device)
+        found: Tensor = self.learn_from(*data, noise)
+        return found
+
+    def _batch(self, size: int) -> Any:
+        """A batch from the buffer, with the discount of every transition."""
+        assert self.replay_buffer is not None
+        data = self.replay_buffer.sample(size, env=self._vec_normalize_env)
+        if data.discounts is None:
+            data = data._replace(discounts=torch.full_like(data.rewards, self.gamma))
+        return data
+
+    def _learn_from(self, *batch: Tensor) -> Tensor:
+        """Step all optimisers once, from the fields of `ReplayBufferSamples` and the noise of both
+        actions (2, n, size)."""
+        assert self.log_ent_coef is not None
+        data, noise = ReplayBufferSamples(*batch[:-1]), batch[-1]
         entropy = torch.exp(self.log_ent_coef.detach())
-        waiting = BESIDE.submit(self._critic_gradient, data, noise[0], entropy)
-        actor_loss, log_prob, actor_gradient = self._actor_gradient(data, noise[1], entropy)
-        critic_loss, critic_gradient = waiting.result()
+        critic, actor = self._gradients(data, noise, entropy)
+        (critic_loss, critic_gradient), (actor_loss, log_prob, actor_gradient) = critic, actor
         _step(self.critic.optimizer, list(self.critic.parameters()), critic_gradient)
         _step(self.actor.optimizer, list(self.actor.parameters()), actor_gradient)
         missing = (log_prob + self.target_entropy).mean()
         _step(self.ent_coef_optimizer, [self.log_ent_coef], [-missing.reshape(1)])
         polyak_update(self.critic.parameters(), self.critic_target.parameters(), self.tau)
-        return float(critic_loss), float(actor_loss), float(entropy)
+        return torch.stack([critic_loss, actor_loss, entropy.reshape(())])
+
+    def _gradients(self, data: Any, noise: Tensor, entropy: Tensor) -> tuple[Any, Any]:
+        """What `_critic_gradient` and `_actor_gradient` return; at the same time on a processor."""
+        if self.on_gpu:
+            critic = self._critic_gradient(data, noise[0], entropy)
+            return critic, self._actor_gradient(data, noise[1], entropy)
+        waiting = BESIDE.submit(self._critic_gradient, data, noise[0], entropy)
+        actor = self._actor_gradient(data, noise[1], entropy)
+        return waiting.result(), actor
 
     def _critic_gradient(self, data: Any, noise: Tensor, entropy: Tensor) -> tuple[Tensor, Any]:
-        discounts = self.gamma if data.discounts is None else data.discounts
         with torch.no_grad():
             action, log_prob = self._act(data.next_observations, noise)
             ahead = torch.cat(self.critic_target(data.next_observations, action), dim=1)
             value = ahead.min(dim=1, keepdim=True).values - entropy * log_prob
-            goal = data.rewards + (1 - data.dones) * discounts * value
+            goal = data.rewards + (1 - data.dones) * data.discounts * value
         found = self.critic(data.observations, data.actions)
         loss = 0.5 * torch.stack([functional.mse_loss(q, goal) for q in found]).sum()
         return loss.detach(), torch.autograd.grad(loss, list(self.critic.parameters()))
