@@ -153,6 +153,8 @@ def test_a_comparison_pairs_every_policy_with_its_twin(tmp_path, monkeypatch):
             "no delay",
             "ideal servo",
             "ensemble",
+            "everyday labs",
+            "rough labs",
         ]
     )
     full = next(row for row in found.rows if row.condition == "full")
@@ -178,6 +180,13 @@ def test_a_policy_observes_in_every_cell_what_it_was_trained_with(name):
     assert {one.yaw_rate for one in found} == {entrant.policy.contract.yaw_rate}
     short = replace(found[1], seconds=1.0)
     assert compare.cell(entrant, short, field).targets == 2
+
+
+def test_a_comparison_may_be_of_some_conditions_alone():
+    some = ComparisonConfig((POLICY,), targets=2, only=("twin", "rough labs"))
+    assert [condition for _, condition in compare.cells_of(some)] == ["twin", "rough labs"]
+    with pytest.raises(BadInput, match="--only 'sea': not a condition; allowed are twin, full, no"):
+        compare.cells_of(replace(some, only=("full", "sea")))
 
 
 def test_cells_of_an_earlier_version_are_read(tmp_path):

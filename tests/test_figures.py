@@ -85,7 +85,7 @@ def spectrum(runs: str, gait: str) -> SpectrumRow:
 
 def kind(**words: Any) -> Kind:
     values: dict[str, Any] = {one.name: np.nan for one in fields(Kind)}
-    return Kind(**{**values, "near_gap": 0.1, "gap_near_interval": (0.0, 0.2), **words})
+    return Kind(**{**values, "gap": 0.1, "gap_interval": (0.0, 0.2), **words})
 
 
 POWER = [spectrum(runs, gait) for runs in ("identification", "reach twin", "reach open")

@@ -95,7 +95,7 @@ def test_a_comparison_goes_on_and_its_cells_are_those_swum_alone(tmp_path):
     write_json(cell_path(out, *first), {**vars(swim_cell(CONFIG, *first)), "targets": 7})
     steps: list[int] = []
     done = comparison.compare(CONFIG, out, lambda name, k, n: steps.append(n))
-    assert steps == [7] * 7 and len(done.rows) == 8
+    assert steps == [9] * 9 and len(done.rows) == 10
     alone, path = tmp_path / "alone.json", cell_path(out, *second)
     write_json(alone, swim_cell(CONFIG, *second))
     assert alone.read_bytes() == path.read_bytes()

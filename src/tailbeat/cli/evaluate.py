@@ -99,6 +99,10 @@ def compare(
     fish: PoolFish = "pulley-fish",
     twin: TwinOption = None,
     targets: Annotated[int, typer.Option(help="Number of targets in each cell.")] = 100,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="Conditions to swim, such as twin or 'rough labs'; default: all."),
+    ] = None,
     address: AddressOption = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
@@ -112,7 +116,7 @@ def compare(
     from tailbeat.cluster.comparison import compare as swim_cells
     from tailbeat.evaluate.compare import ComparisonConfig
 
-    config = ComparisonConfig(tuple(policies), fish, twin, targets, seed)
+    config = ComparisonConfig(tuple(policies), fish, twin, targets, seed, tuple(only or ()))
     with progress.counting() as count:
         done = swim_cells(config, out, count, address)
     results.compared(done)

@@ -1,7 +1,8 @@
 """The controlled comparison: policies of several kinds in one twin and one pool.
 
 Every policy swims to the same targets in its twin and under every condition of the pool: the full
-water, the water without lag, stall or added inertia, another servo, and the ensemble.
+water, the water without lag, stall or added inertia, another servo, the ensemble, and labs that
+get things wrong.
 """
 
 from dataclasses import dataclass, replace
@@ -22,28 +23,31 @@ from tailbeat.evaluate.rates import success
 from tailbeat.evaluate.runs import Runs, surge
 from tailbeat.evaluate.scenes import grid
 from tailbeat.evaluate.spectrum import power_shares, windows
-from tailbeat.evaluate.trial import CHUNK, Condition, part, pools, swim
+from tailbeat.evaluate.trial import CHUNK, Condition, in_labs, part, pools, swim
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.runs import tracked_pose
+from tailbeat.pool.mess import lab_at
 from tailbeat.pool.water import ablations, ensemble
 from tailbeat.robot.fits import check_swims
 
 IDEAL = "idealised"  # the servo's name in a description
+MESSY = ("everyday", "rough")  # levels of the labs; at wrecked every kind misses most targets
 
 
 @dataclass(frozen=True)
 class ComparisonConfig:
     """Which `policies` (names or files) swim to how many `targets`, drawn from `seed`. `fish` is
     the pool's fish, `twin` the one that they were trained in (None: the one that each policy
-    names)."""
+    names). `only` are the names of the conditions; empty, all."""
 
     policies: tuple[str, ...]
     fish: str = "pulley-fish"
     twin: str | None = None
     targets: int = 100
     seed: int = 0
+    only: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +76,12 @@ def cells_of(config: ComparisonConfig) -> list[tuple[str, str]]:
     entrants = [_entrant(name, config.twin, field.fish) for name in config.policies]
     if len({one.name for one in entrants}) < len(entrants):
         raise BadInput("two policies have the same name; rename a file or its folder.")
-    return [(one.name, own.name) for one in entrants for own in conditions_of(one, field)]
+    found = [(one.name, own.name) for one in entrants for own in conditions_of(one, field)]
+    names = dict.fromkeys(condition for _, condition in found)
+    for name in config.only:
+        if name not in names:
+            raise BadInput(f"--only {name!r}: not a condition; allowed are {', '.join(names)}.")
+    return [cell for cell in found if not config.only or cell[1] in config.only]
 
 
 def swim_cell(config: ComparisonConfig, policy: str, condition: str) -> Cell:
@@ -129,7 +138,10 @@ def conditions_of(entrant: Entrant, field: Field) -> list[Condition]:
     if IDEAL in fish.servos:
         found.append(replace(full, name="ideal servo", servo=fish.servos[IDEAL]))
     found.append(replace(full, name="ensemble", water=pools(ensemble(POOLS, ENSEMBLE_SEED), n)))
-    return found
+    return found + [
+        in_labs(replace(full, name=f"{name} labs"), [lab_at(name, field.seed, k) for k in range(n)])
+        for name in MESSY
+    ]
 
 
 def cell(entrant: Entrant, condition: Condition, field: Field) -> Cell:

@@ -5,15 +5,17 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tailbeat.evaluate import store
 from tailbeat.evaluate.provenance import Provenance, provenance
-from tailbeat.evaluate.rates import Difference, SuccessRates, paired
+from tailbeat.evaluate.rates import Difference, SuccessRates, apart, of_kind, over_seeds, paired
 from tailbeat.files import BadInput
 
 TWIN = "twin"  # the condition that the others are compared with
+REFERENCE = ("generator", "identified")  # kind that the others are compared with, if it swam
 AVERAGED = (
-    "arrived", "near", "share_below", "share_below_floor", "share_inside", "share_above",
+    "near", "share_below", "share_below_floor", "share_inside", "share_above",
     "actuator_watts", "reversals_per_minute", "speed", "speed_in_twin",
 )  # fmt: skip
 
@@ -67,13 +69,25 @@ class Row(Manner):
 @dataclass(frozen=True, kw_only=True)
 class Kind:
     """Means over the policies (seeds) of one kind under one condition, NaN where no policy has the
-    number; units as in `Manner`. The gap's interval treats targets and seeds as independent."""
+    number; units as in `Manner`.
+
+    Intervals are over seeds and targets, with one policy over targets alone. `seeds_spread` is the
+    standard deviation of the seeds' rates of arrivals, NaN for one. `gap` is the rate of
+    arrivals in the twin minus that here. `lead` is the rate minus that of the
+    reference kind, NaN if that did not swim.
+    """
 
     actions: str
     servo: str
     condition: str
     policies: int
     arrived: float
+    arrived_interval: tuple[float, float]
+    gap: float
+    gap_interval: tuple[float, float]
+    lead: float
+    lead_interval: tuple[float, float]
+    seeds_spread: float
     near: float
     share_below: float
     share_below_floor: float
@@ -83,13 +97,12 @@ class Kind:
     reversals_per_minute: float
     speed: float
     speed_in_twin: float
-    near_gap: float
-    gap_near_interval: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A row per policy and condition, and one per kind of policy and condition of the pool."""
+    """A row per policy and condition, and one per kind of policy and condition of the
+    pool."""
 
     rows: tuple[Row, ...]
     kinds: tuple[Kind, ...]
@@ -116,7 +129,7 @@ def read(out: Path) -> Comparison:
         raise BadInput(f"{out}: cells of several comparisons; use one folder for each.")
     twins = {one.policy: one for one in cells if one.condition == TWIN}
     rows = tuple(_row(one, twins.get(one.policy)) for one in cells)
-    return Comparison(rows, _kinds([row for row in rows if row.condition != TWIN]), provenance())
+    return Comparison(rows, _kinds(cells), provenance())
 
 
 def _read_cell(path: Path) -> Cell:
@@ -138,27 +151,44 @@ def _row(one: Cell, twin: Cell | None) -> Row:
     )
 
 
-def _kinds(rows: Sequence[Row]) -> tuple[Kind, ...]:
-    groups: dict[tuple[str, str, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row.actions, row.servo, row.condition), []).append(row)
-    return tuple(_kind(key, own) for key, own in groups.items())
+def _kinds(cells: Sequence[Cell]) -> tuple[Kind, ...]:
+    groups: dict[tuple[str, str, str], list[Cell]] = {}
+    for one in cells:
+        groups.setdefault((one.actions, one.servo, one.condition), []).append(one)
+    return tuple(
+        _kind(key, own, groups.get((*key[:2], TWIN), []), groups.get((*REFERENCE, key[2]), []))
+        for key, own in groups.items()
+        if key[2] != TWIN
+    )
 
 
-def _kind(key: tuple[str, str, str], own: Sequence[Row]) -> Kind:
-    gaps = [row.near_gap for row in own if row.near_gap]
-    mean = float(np.mean([gap.difference for gap in gaps])) if gaps else float("nan")
-    halves = [gap.interval[1] - gap.difference for gap in gaps]
-    half = float(np.sqrt(np.square(halves).sum()) / len(gaps)) if gaps else float("nan")
+def _kind(
+    key: tuple[str, str, str], own: Sequence[Cell], twins: Sequence[Cell], others: Sequence[Cell]
+) -> Kind:
+    hits, unknown = _hits(own), Difference(float("nan"), (float("nan"), float("nan")))
+    rate = of_kind(hits)
+    in_twin = _hits([one for one in twins if one.policy in {cell.policy for cell in own}])
+    gap = over_seeds(in_twin * 1.0 - hits) if in_twin.shape == hits.shape else unknown
+    lead = apart(hits * 1.0, _hits(others) * 1.0) if others else unknown
     return Kind(
         actions=key[0],
         servo=key[1],
         condition=key[2],
         policies=len(own),
-        **{name: _mean([getattr(row, name) for row in own]) for name in AVERAGED},
-        near_gap=mean,
-        gap_near_interval=(mean - half, mean + half),
+        arrived=rate.difference,
+        arrived_interval=rate.interval,
+        gap=gap.difference,
+        gap_interval=gap.interval,
+        lead=lead.difference,
+        lead_interval=lead.interval,
+        seeds_spread=float(hits.mean(axis=1).std(ddof=1)) if len(own) > 1 else float("nan"),
+        **{name: _mean([getattr(one, name) for one in own]) for name in AVERAGED},
     )
+
+
+def _hits(cells: Sequence[Cell]) -> NDArray[np.bool_]:
+    """Which targets the policies of these cells arrived at (policies, targets)."""
+    return np.array([one.hits_arrived for one in sorted(cells, key=lambda one: one.policy)], bool)
 
 
 def _mean(values: Sequence[float | None]) -> float:

@@ -268,8 +268,8 @@ def transfer(rows: Sequence[Kind]) -> Figure:
         own = [row for row in rows if (row.actions, row.servo) == kind]
         shift = 0.12 * (index - (len(kinds) - 1) / 2)
         place = np.array([conditions.index(row.condition) for row in own]) + shift
-        gap = 100 * np.array([row.near_gap for row in own])
-        low, high = 100 * np.array([row.gap_near_interval for row in own]).T
+        gap = 100 * np.array([row.gap for row in own])
+        low, high = 100 * np.array([row.gap_interval for row in own]).T
         label = f"{kind[0]}, {kind[1]} servo"
         reach = np.clip([gap - low, high - gap], 0, None)
         axes.errorbar(
@@ -277,6 +277,6 @@ def transfer(rows: Sequence[Kind]) -> Figure:
         )
     axes.axhline(0, color=LIMIT, lw=0.8)
     axes.set_xticks(range(len(conditions)), conditions)
-    axes.set(ylabel="twin minus pool, success rate\nnear the target [percentage points]")
+    axes.set(ylabel="twin minus pool, success rate\n[percentage points]")
     axes.legend(fontsize="small")
     return figure

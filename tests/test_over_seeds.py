@@ -1,0 +1,67 @@
+"""Intervals over seeds and targets: how often they hold, where intervals over targets do not."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tailbeat.evaluate.rates import apart, of_kind, over_seeds, wilson
+
+Hits = NDArray[np.bool_]
+SEEDS, TARGETS, DRAWS = 3, 100, 1_000
+
+
+def hits(rng: np.random.Generator, level: float, seeds: float, targets: float = 1.0) -> Hits:
+    """Hits of three seeds, whose log odds differ by `seeds`, of a hundred targets (by `targets`),
+    in one study after the other (DRAWS, SEEDS, TARGETS)."""
+    of_seed = seeds * rng.standard_normal((DRAWS, SEEDS, 1))
+    of_target = targets * rng.standard_normal((DRAWS, 1, TARGETS))
+    odds = level + of_seed + of_target
+    return np.asarray(rng.random((DRAWS, SEEDS, TARGETS)) < 1 / (1 + np.exp(-odds)))
+
+
+def share(inside: list[bool]) -> float:
+    return float(np.mean(inside))
+
+
+@pytest.mark.parametrize("level", [0.0, 1.5, 3.0])
+def test_an_interval_over_seeds_holds_the_rate_where_one_over_targets_does_not(level):
+    """The truth is the rate of all seeds on all targets."""
+    rng = np.random.default_rng(0)
+    studies = hits(rng, level, seeds=0.6)
+    truth = np.mean([hits(rng, level, seeds=0.6).mean() for _ in range(10)])
+    ours = [of_kind(one).interval for one in studies]
+    plain = [wilson(int(one.sum()), one.size) for one in studies]
+    assert share([low <= truth <= high for low, high in ours]) >= 0.94
+    assert share([low <= truth <= high for low, high in plain]) < 0.75
+
+
+def test_kinds_that_are_alike_are_seldom_told_apart():
+    rng = np.random.default_rng(1)
+    of_target = rng.standard_normal((DRAWS, 1, TARGETS))
+
+    def kind() -> Hits:
+        odds = 1.0 + of_target + 0.6 * rng.standard_normal((DRAWS, SEEDS, 1))
+        return np.asarray(rng.random((DRAWS, SEEDS, TARGETS)) < 1 / (1 + np.exp(-odds)))
+
+    found = [apart(a * 1.0, b * 1.0).interval for a, b in zip(kind(), kind(), strict=True)]
+    assert share([low <= 0 <= high for low, high in found]) >= 0.94
+
+
+def test_without_a_difference_between_seeds_the_interval_is_not_useless():
+    """Three seeds are few: the interval is wider than one over all swims, but not by much."""
+    rng = np.random.default_rng(2)
+    widths = [np.diff(of_kind(one).interval)[0] for one in hits(rng, 1.0, seeds=0.0)]
+    plain = [np.diff(wilson(int(one.sum()), one.size))[0] for one in hits(rng, 1.0, seeds=0.0)]
+    assert 1.0 < np.median(widths) / np.median(plain) < 2.5
+
+
+def test_a_kind_that_never_missed_has_an_interval_too():
+    low, high = of_kind(np.ones((SEEDS, TARGETS), bool)).interval
+    assert 0.98 < low < 1.0 and high == 1.0
+
+
+def test_of_one_seed_the_interval_is_over_its_targets():
+    one = np.arange(TARGETS)[None] % 4 > 0
+    found = over_seeds(one * 1.0)
+    assert found.difference == 0.75
+    assert np.diff(found.interval)[0] == pytest.approx(2 * 1.984 * np.sqrt(0.1875 / 99), rel=1e-3)
