@@ -59,7 +59,7 @@ class Evaluated(_Part):
 
 class Sweep(_Part):
     """A sweep's file. `hours` is the longest training of a trial, `checkpoint_minutes` the time
-    between two checkpoints; `cores` are a trial's own; with `gpus`, the share of a GPU that it
+    between two checkpoints; `cores` are a trial's own; with `gpus`, the part of a GPU that it
     takes, updates run there. A trial that fails is begun again up to `retries` times.
     `scheduler` ends hopeless trials early."""
 
