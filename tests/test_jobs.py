@@ -1,6 +1,7 @@
 """Jobs in many processes: in order, as if swum alone; an error ends them; cells of a comparison."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -9,8 +10,9 @@ from pathlib import Path
 from pickle import loads
 
 import pytest
+from psutil import pid_exists
 
-from support import complaint, importing_as_here
+from support import complaint, importing_as_here, until
 from synthetic import record
 from tailbeat.cluster import comparison
 from tailbeat.cluster.jobs import map_jobs
@@ -86,6 +88,33 @@ def test_ctrl_c_ends_all_processes_at_once():
         words, capture_output=True, text=True, timeout=60, start_new_session=True
     )  # it would wait for forty jobs
     assert done.stdout == "interrupted\n" and "Traceback" not in done.stderr
+
+
+KILLED = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from test_jobs import where
+from tailbeat.cluster.jobs import map_jobs
+map_jobs(where, [sys.argv[2]] * 2, lambda *row: None)
+"""
+
+
+def where(folder: str) -> None:
+    (Path(folder) / str(os.getpid())).touch()
+    time.sleep(60.0)
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_processes_end_with_the_one_that_wants_their_results(tmp_path, number):
+    """They waited for jobs for ever, and one wrote a cell that a new comparison swam too."""
+    words = [sys.executable, "-c", KILLED, str(Path(__file__).parent), str(tmp_path)]
+    driver = subprocess.Popen(words, stderr=subprocess.DEVNULL)
+    until(lambda: any(tmp_path.iterdir()))
+    workers = [int(path.name) for path in tmp_path.iterdir()]
+    driver.send_signal(number)
+    driver.wait(10.0)
+    until(lambda: not any(map(pid_exists, workers)), seconds=10.0)
 
 
 @pytest.mark.long

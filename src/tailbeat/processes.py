@@ -4,11 +4,13 @@ import contextlib
 import ctypes
 import fcntl
 import os
+import select
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -109,6 +111,16 @@ def end_with_parent() -> None:
     """Send this process SIGTERM when its parent dies (Linux: prctl(2), PR_SET_PDEATHSIG)."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(1, signal.SIGTERM)
+
+
+def end_with(pid: int) -> None:
+    """End this process at once when process `pid`, which need not be its parent, ends (Linux:
+    pidfd_open(2)). What it is writing stays unfinished, as if it were killed."""
+    with contextlib.suppress(OSError, AttributeError):
+        ended = os.pidfd_open(pid)
+        watch = threading.Thread(target=lambda: select.select([ended], [], []) and os._exit(1))
+        watch.daemon = True
+        watch.start()
 
 
 def end(

@@ -1,12 +1,13 @@
 """Independent jobs in many processes: of this machine, or as Ray tasks of a cluster."""
 
+import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from tailbeat.processes import ALONE, cores, fork_server
+from tailbeat.processes import ALONE, cores, end_with, fork_server
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -40,7 +41,7 @@ def _in_pool(
     """Number and result of each job, as they end."""
     count = max(min(cores(), len(jobs)), 1)
     with _deafened():
-        pool = ProcessPoolExecutor(count, fork_server(preload), initializer=_deaf)
+        pool = ProcessPoolExecutor(count, fork_server(preload), _begin, (os.getpid(),))
     try:
         with _deafened():
             numbers: dict[Future[Result], int] = {
@@ -70,9 +71,11 @@ def _deafened() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _deaf() -> None:
-    """Leave Ctrl-C to the process that started this one, which ends it."""
+def _begin(driver: int) -> None:
+    """Leave Ctrl-C to the process that started this one, which ends it; end when that is killed.
+    Its pool would wait for jobs for ever."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with(driver)
 
 
 def _in_ray(
