@@ -46,7 +46,10 @@ class QuickSAC(SAC):
         self.on_gpu = self.device.type == "cuda"
         self.rounded = self.rounded and (self.on_gpu or rounds())
         self.rate = torch.zeros((), device=self.device)
-        self.learn_from = Captured(self._learn_from) if self.on_gpu else self._learn_from
+        self.captured = Captured(self._learn_from) if self.on_gpu else None
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "captured"]
 
     def _sample_action(
         self, learning_starts: int, action_noise: Any = None, n_envs: int = 1
@@ -92,8 +95,7 @@ class QuickSAC(SAC):
         data = self._batch(batch_size)
         # drawn by the processor, whose state a checkpoint holds
         noise = torch.randn((2, *data.actions.shape)).to(self.device)
-        found: Tensor = self.learn_from(*data, noise)
-        return found
+        return (self.captured or self._learn_from)(*data, noise)
 
     def _batch(self, size: int) -> Any:
         """A batch from the buffer, with the discount of every transition."""
