@@ -82,12 +82,12 @@ def residuals_of(fit: Fit):
 def test_draws_spread_as_the_covariance_says_and_begin_with_the_fit():
     fit, _ = fitted(2, together=1.0)
     doubt = by_swims(fit, OWNER)
-    z = draw(SPACE, [doubt], residuals_of(fit), 2000, seed=0)
+    z = draw(SPACE, [doubt], [residuals_of(fit)], 2000, seed=0)
     assert np.array_equal(z[0], fit.z)
     share = stats.norm.cdf(1) - stats.norm.cdf(-1)
     near = np.abs(z - fit.z) < np.sqrt(np.diag(doubt.fit.covariance))
     assert near.mean(axis=0) == pytest.approx(share, abs=0.05)
-    assert np.array_equal(z, draw(SPACE, [doubt], residuals_of(fit), 2000, seed=0))
+    assert np.array_equal(z, draw(SPACE, [doubt], [residuals_of(fit)], 2000, seed=0))
 
 
 def test_a_seed_that_fits_as_well_is_drawn_and_a_worse_one_is_not():
@@ -111,13 +111,35 @@ def test_draws_stay_where_the_twin_still_swims_as_recorded():
         return np.concatenate([fit.residuals + away @ fit.jacobian.T, wall], axis=1)
 
     doubt = by_swims(fit, OWNER)
-    z = draw(SPACE, [doubt], bent, 200, seed=1)
-    straight = draw(SPACE, [doubt], residuals_of(fit), 200, seed=1)
+    z = draw(SPACE, [doubt], [bent], 200, seed=1)
+    straight = draw(SPACE, [doubt], [residuals_of(fit)], 200, seed=1)
     assert np.abs(z[:, 0] - fit.z[0]).max() <= np.abs(straight[:, 0] - fit.z[0]).max()
     best = np.square(fit.residuals).sum() + fit.z @ fit.z
     allowed = best + doubt.excess * stats.chi2.ppf(0.99, FREE)
     found = np.square(bent(z)).sum(axis=1) + np.square(z).sum(axis=1)
     assert (found <= allowed).mean() > 0.95
+
+
+def test_draws_by_parts_of_the_recordings_are_the_same_and_swim_less():
+    fit, _ = fitted(4, together=1.0)
+    asked = {"wall": 0, "rest": 0}
+
+    def wall(z: np.ndarray) -> np.ndarray:
+        asked["wall"] += len(z)
+        return np.asarray(1e5 * np.square((z - fit.z)[:, :1]) ** 2)
+
+    def rest(z: np.ndarray) -> np.ndarray:
+        asked["rest"] += len(z)
+        return residuals_of(fit)(z)
+
+    def whole(z: np.ndarray) -> np.ndarray:
+        return np.concatenate([residuals_of(fit)(z), wall(z)], axis=1)
+
+    doubts = [by_swims(fit, OWNER)]
+    once = draw(SPACE, doubts, [whole], 200, seed=1)
+    asked["wall"] = 0
+    assert np.array_equal(draw(SPACE, doubts, [wall, rest], 200, seed=1), once)
+    assert 100 < asked["rest"] < 0.9 * asked["wall"]
 
 
 def test_a_single_draw_is_the_fit_and_swims_nothing():
@@ -126,5 +148,5 @@ def test_a_single_draw_is_the_fit_and_swims_nothing():
     def refuse(z: np.ndarray) -> np.ndarray:
         raise AssertionError(f"asked for {len(z)} candidates")
 
-    found = draw(SPACE, [by_swims(fit, OWNER)], refuse, 1, 0)
+    found = draw(SPACE, [by_swims(fit, OWNER)], [refuse], 1, 0)
     assert np.array_equal(found, fit.z[None])

@@ -89,11 +89,12 @@ def plausible(doubts: Sequence[Doubt]) -> Array:
 def draw(
     space: tuple[Parameter, ...],
     doubts: Sequence[Doubt],
-    residuals: Residuals,
+    parts: Sequence[Residuals],
     count: int,
     seed: int,
 ) -> Array:
-    """Draws (count, p) of z, the first of which is the best fit.
+    """Draws (count, p) of z, the first of which is the best fit; `parts` are the residuals of some
+    recordings each, together of all.
 
     Each comes from a seed's fit by its `plausible` weight, in Student's t. Valleys of the cost are
     curved: a draw that misses the recordings clearly is moved halfway back, up to four times.
@@ -112,9 +113,21 @@ def draw(
         if not left.size:
             break
         z = np.clip(centre[left] + away[left], low, high)
-        left = left[cost(residuals(z) / noise, z) > limit]
+        left = left[_misses(parts, z, noise, limit)]
         away[left] /= 2
     return np.asarray(np.clip(centre + away, low, high))
+
+
+def _misses(parts: Sequence[Residuals], z: Array, noise: float, limit: float) -> NDArray[np.bool_]:
+    """Which z (n, p) cost more than the limit. What some recordings cost is enough to tell: the
+    others are then not swum."""
+    spent = np.square(z).sum(axis=1)
+    for residuals in parts:
+        near = spent <= limit
+        if near.any():
+            spent[near] += np.square(residuals(z[near]) / noise).sum(axis=1)
+            spent[np.isnan(spent)] = np.inf
+    return np.asarray(spent > limit)
 
 
 def _away(doubt: Doubt, rng: np.random.Generator) -> Array:

@@ -22,6 +22,7 @@ from tailbeat.identify.fluid import (
     INSENSITIVE,
     apply,
     fluid_space,
+    forward_checks,
     insensitive,
     owners,
     residual_function,
@@ -141,12 +142,13 @@ def identify_fluid(
     if not fit:
         raise BadInput("--fit is empty; give at least one recording to fit.")
     space, idle = _sensitive_space(fish, fit, config)
-    residuals, search = _search(fish, fit, space, config, scratch)
+    search = _search(fish, fit, space, config, scratch)
     fits = [search(seed, progress) for seed in seeds_of(config)]
     fits.sort(key=lambda found: found.cost)
     owner = owners(apply(fish, values(space, fits[0].z)), fit)
     doubts = tuple(by_swims(one, owner) for one in fits)
-    drawn = draw(space, doubts, residuals, config.draws, config.first_seed)
+    parts = parts_of(fish, fit, space, config.start_weight)
+    drawn = draw(space, doubts, parts, config.draws, config.first_seed)
     found = Found(
         fish, space, idle, doubts, np.array([list(values(space, z).values()) for z in drawn])
     )
@@ -163,8 +165,7 @@ def search_ahead(
 ) -> None:
     """One of the searches of `identify_fluid`, which finds its result in the folder `scratch`."""
     space, _ = _sensitive_space(fish, fit, config)
-    _, search = _search(fish, fit, space, config, scratch)
-    search(seed, lambda *_: None)
+    _search(fish, fit, space, config, scratch)(seed, lambda *_: None)
 
 
 def _search(
@@ -173,8 +174,8 @@ def _search(
     space: tuple[Parameter, ...],
     config: FluidConfig,
     scratch: Path,
-) -> tuple[Residuals, Callable[[int, Progress], Fit]]:
-    """The residuals of the fit, and the search from a seed."""
+) -> Callable[[int, Progress], Fit]:
+    """The search from a seed."""
     residuals = residual_function(fish, fit, space, config.start_weight)
     some = _cheap(fit)
     cheap = residual_function(fish, some, space, config.start_weight) if some else None
@@ -183,7 +184,17 @@ def _search(
     def search(seed: int, progress: Progress) -> Fit:
         return search_once(residuals, space, seed, config.effort, scratch / key, progress, cheap)
 
-    return residuals, search
+    return search
+
+
+def parts_of(
+    fish: Fish, fit: Sequence[Run], space: tuple[Parameter, ...], start_weight: bool | None
+) -> list[Residuals]:
+    """The residuals of a third of the swims each; of all in one if they have forward checks, which
+    are of all swims."""
+    whole = forward_checks(fish, fit) or len(fit) < THIRD
+    groups = [fit] if whole else [fit[k::THIRD] for k in range(THIRD)]
+    return [residual_function(fish, some, space, start_weight) for some in groups]
 
 
 def _cheap(fit: Sequence[Run]) -> Sequence[Run]:

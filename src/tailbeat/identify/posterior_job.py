@@ -12,7 +12,7 @@ from tailbeat.identify import posterior
 from tailbeat.identify.bands import swim_all
 from tailbeat.identify.doubt import by_swims, draw
 from tailbeat.identify.fluid import fluid_space, owners, residual_function, with_row
-from tailbeat.identify.job import BANDED, FluidConfig, check
+from tailbeat.identify.job import BANDED, FluidConfig, check, parts_of
 from tailbeat.identify.posterior import Posterior
 from tailbeat.identify.runs import Run, as_runs
 from tailbeat.identify.search import Fit
@@ -49,9 +49,9 @@ def posterior_of(
     z = np.array([p.to_z(value_at(fish, _one(fish, p))) for p in space])
     found, slope = sensitivity(residuals, z, step=WIDE_STEP, edges=bounds(space))
     own = Fit(0, z, float(cost(found, z)), found, slope, covariance(slope))
-    drawn = draw(
-        space, [by_swims(own, owners(fish, fit))], residuals, config.draws, config.first_seed
-    )
+    parts = parts_of(fish, fit, space, config.start_weight)
+    doubts = [by_swims(own, owners(fish, fit))]
+    drawn = draw(space, doubts, parts, config.draws, config.first_seed)
     rows = np.array([list(values_at(space, one).values()) for one in drawn])
     paths = [p.path for p in space]
     swims = swim_all([with_row(fish, paths, row) for row in rows[:BANDED]], judged)
