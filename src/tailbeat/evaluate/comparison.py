@@ -71,10 +71,9 @@ class Kind:
     """Means over the policies (seeds) of one kind under one condition, NaN where no policy has the
     number; units as in `Manner`.
 
-    Intervals are over seeds and targets, with one policy over targets alone. `seeds_spread` is the
-    standard deviation of the seeds' rates of arrivals, NaN for one. `gap` is the rate of
-    arrivals in the twin minus that here. `lead` is the rate minus that of the
-    reference kind, NaN if that did not swim.
+    Intervals are over seeds and targets, with one policy over targets alone. `gap` is the rate of
+    arrivals in the twin minus that here; `lead` is the rate minus that of the reference kind, NaN
+    if that did not swim. `seeds_spread` is the standard deviation of the seeds' rates, NaN for one.
     """
 
     actions: str
