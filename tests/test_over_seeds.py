@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from tailbeat.evaluate.rates import apart, of_kind, over_seeds, wilson
 
 Hits = NDArray[np.bool_]
-SEEDS, TARGETS, DRAWS = 3, 100, 1_000
+SEEDS, TARGETS, DRAWS = 3, 100, 500
 
 
 def hits(rng: np.random.Generator, level: float, seeds: float, targets: float = 1.0) -> Hits:
