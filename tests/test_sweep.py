@@ -177,8 +177,8 @@ def beginnings(out: Path) -> dict[str, int]:
     return {path.parent.parent.name: path.stat().st_mtime_ns for path in found}
 
 
-def wait_for(found, seconds: float = 60.0):
-    """Wait until `found()` is true; returns it."""
+def wait_for(found, seconds: float = 180.0):
+    """Wait until `found()` is true; returns it. Beside other tests Ray takes a minute to start."""
     until = time.monotonic() + seconds
     while time.monotonic() < until:
         if value := found():
