@@ -58,7 +58,7 @@ def test_the_targets_in_the_fish_s_log_are_those_of_the_clock(swum):
     frames = np.array([row["decided_on"][:6] for row in rows], float)
     filmed = np.array([row["time_s"] for row in rows]) - frames[:, 5] - began
     inside = (filmed > 0.2) & (filmed < SECONDS)
-    assert inside.sum() > 60 and np.ptp(filmed[inside]) > 3.0
+    assert inside.sum() > 100 and np.ptp(filmed[inside]) > 3.0
     off = np.hypot(*(frames[inside, 3:5] - path.along(filmed[inside])).T)
     assert np.median(off) < 0.02 and np.quantile(off, 0.95) < 0.02
     moved = np.hypot(*np.ptp(frames[inside, 3:5], axis=0))
