@@ -19,16 +19,16 @@ from tailbeat.env.world import seeds_from
 from tailbeat.evaluate import store
 from tailbeat.evaluate.comparison import TWIN, Cell, Comparison, read
 from tailbeat.evaluate.evaluation import ENSEMBLE_SEED, POOLS
+from tailbeat.evaluate.messy import at_level
 from tailbeat.evaluate.rates import success
 from tailbeat.evaluate.runs import Runs, surge
 from tailbeat.evaluate.scenes import grid
 from tailbeat.evaluate.spectrum import power_shares, windows
-from tailbeat.evaluate.trial import CHUNK, Condition, in_labs, part, pools, swim
+from tailbeat.evaluate.trial import CHUNK, Condition, part, pools, swim
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.runs import tracked_pose
-from tailbeat.pool.mess import lab_at
 from tailbeat.pool.water import ablations, ensemble
 from tailbeat.robot.fits import check_swims
 
@@ -139,8 +139,7 @@ def conditions_of(entrant: Entrant, field: Field) -> list[Condition]:
         found.append(replace(full, name="ideal servo", servo=fish.servos[IDEAL]))
     found.append(replace(full, name="ensemble", water=pools(ensemble(POOLS, ENSEMBLE_SEED), n)))
     return found + [
-        in_labs(replace(full, name=f"{name} labs"), [lab_at(name, field.seed, k) for k in range(n)])
-        for name in MESSY
+        at_level(replace(full, name=f"{name} labs"), name, field.seed) for name in MESSY
     ]
 
 

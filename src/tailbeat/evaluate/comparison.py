@@ -100,8 +100,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A row per policy and condition, and one per kind of policy and condition of the
-    pool."""
+    """A row per policy and condition, and one per kind of policy and condition of the pool."""
 
     rows: tuple[Row, ...]
     kinds: tuple[Kind, ...]

@@ -19,13 +19,12 @@ def conditions(pool: Pool) -> list[Condition]:
     has the same sides and directions at every level."""
     near, far = 0.5 * pool.measure.reach, 2.5 * pool.measure.reach
     scene = grid(pool.fish, pool.count, pool.seed + 3, near, far, np.pi)
-    return [
-        in_labs(
-            pool.condition(f"{PREFIX}{name}", scene),
-            [lab_at(name, pool.seed, i) for i in range(pool.count)],
-        )
-        for name in LEVELS
-    ]
+    return [at_level(pool.condition(f"{PREFIX}{name}", scene), name, pool.seed) for name in LEVELS]
+
+
+def at_level(condition: Condition, name: str, seed: int) -> Condition:
+    """A condition of the pool, each swim in its own lab of a level, drawn from the seed."""
+    return in_labs(condition, [lab_at(name, seed, i) for i in range(condition.count)])
 
 
 def numbers(by_condition: Mapping[str, Runs]) -> tuple[ConditionResult, ...]:

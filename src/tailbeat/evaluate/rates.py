@@ -89,8 +89,8 @@ def paired(first: Flags, second: Flags) -> Difference:
 def of_kind(hits: Flags) -> Difference:
     """Success rate of a kind of policy from the hits of its seeds (seeds, targets), with its 95 %
     interval over both."""
-    rate, (low, high) = vars(over_seeds(hits * 1.0)).values()
-    return Difference(rate, (max(low, 0.0), min(high, 1.0)))
+    found = over_seeds(hits * 1.0)
+    return Difference(found.difference, (max(found.interval[0], 0.0), found.interval[1]))
 
 
 def over_seeds(values: Array) -> Difference:

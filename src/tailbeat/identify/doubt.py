@@ -126,8 +126,7 @@ def _misses(parts: Sequence[Residuals], z: Array, noise: float, limit: float) ->
         near = spent <= limit
         if near.any():
             spent[near] += np.square(residuals(z[near]) / noise).sum(axis=1)
-            spent[np.isnan(spent)] = np.inf
-    return np.asarray(spent > limit)
+    return np.asarray(~(spent <= limit))  # NaN misses too
 
 
 def _away(doubt: Doubt, rng: np.random.Generator) -> Array:

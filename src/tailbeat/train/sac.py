@@ -3,9 +3,9 @@
 Critics and actor compute their gradients at the same time, each on its own thread, from the same
 parameters; in SB3 the actor uses the critics one step later. Samples, noise and steps are drawn in
 one thread, so a seed gives one run. On a GPU the whole update is one CUDA graph. The exploration
-noise is correlated in time: with white noise
-at 50 decisions a second, the generator's lag would average it out (after Eberhard et al., "Pink
-Noise Is All You Need", ICLR 2023; first order here). Everything else is `stable_baselines3.SAC`.
+noise is correlated in time: with white noise at 50 decisions a second, the generator's lag would
+average it out (after Eberhard et al., "Pink Noise Is All You Need", ICLR 2023; first order here).
+Everything else is `stable_baselines3.SAC`.
 """
 
 from collections.abc import Iterator
