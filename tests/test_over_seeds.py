@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat.evaluate.rates import apart, of_kind, over_seeds, wilson
+from tailbeat.evaluate.rates import apart, of_kind, over_seeds, paired, wilson
 
 Hits = NDArray[np.bool_]
 SEEDS, TARGETS, DRAWS = 3, 100, 500
@@ -67,3 +67,22 @@ def test_of_one_seed_the_interval_is_over_its_targets():
     found = over_seeds(one * 1.0)
     assert found.difference == 0.75
     assert np.diff(found.interval)[0] == pytest.approx(2 * 1.984 * np.sqrt(0.1875 / 99), rel=1e-3)
+
+
+@pytest.mark.parametrize("count", [60, 125, 250])
+@pytest.mark.parametrize(("gained", "gone"), [(0.01, 0.0), (0.03, 0.0), (0.02, 0.01), (0.1, 0.05)])
+def test_an_interval_of_pairs_holds_the_difference_however_few_pairs_differ(count, gained, gone):
+    """Chance decides which pairs differ, and which way."""
+    rng = np.random.default_rng(3)
+    drawn = rng.random((2 * DRAWS, count, 1))
+    first = (drawn[..., 0] < 0.5) & (drawn[..., 0] >= gained)
+    second = (drawn[..., 0] < 0.5) & (drawn[..., 0] < 0.5 - gone)
+    found = [paired(*one).interval for one in zip(first, second, strict=True)]
+    assert share([low <= gained - gone <= high for low, high in found]) >= 0.925
+
+
+def test_without_a_pair_that_differs_three_in_a_hundred_may():
+    none = np.zeros(100, bool)
+    found = paired(none, none)
+    assert found.difference == 0.0
+    assert found.interval == pytest.approx((-0.0272, 0.0272), abs=1e-4)

@@ -73,7 +73,8 @@ class Kind:
 
     Intervals are over seeds and targets, with one policy over targets alone. `gap` is the rate of
     arrivals in the twin minus that here; `lead` is the rate minus that of the reference kind, NaN
-    if that did not swim. `seeds_spread` is the standard deviation of the seeds' rates, NaN for one.
+    if that did not swim, and of that kind itself. `seeds_spread` is the standard deviation of the
+    seeds' rates, NaN for one.
     """
 
     actions: str
@@ -167,7 +168,8 @@ def _kind(
     rate = of_kind(hits)
     in_twin = _hits([one for one in twins if one.policy in {cell.policy for cell in own}])
     gap = over_seeds(in_twin * 1.0 - hits) if in_twin.shape == hits.shape else unknown
-    lead = apart(hits * 1.0, _hits(others) * 1.0) if others else unknown
+    compared = bool(others) and key[:2] != REFERENCE
+    lead = apart(hits * 1.0, _hits(others) * 1.0) if compared else unknown
     return Kind(
         actions=key[0],
         servo=key[1],
