@@ -97,6 +97,7 @@ def test_gymnasium_knows_the_environment_in_either_order_of_import(order):
     assert said == "tailbeat/Reach-v0\n"
 
 
+@pytest.mark.thorough
 def test_the_environment_passes_gymnasium_s_checker():
     env = gymnasium.make("tailbeat/Reach-v0", fish=FISH)
     check_env(env.unwrapped, skip_render_check=True)

@@ -31,6 +31,7 @@ def test_lists_of_recordings_follow_an_option():
     )
 
 
+@pytest.mark.thorough
 def test_new_fish_show_and_predict(tmp_path, swim, monkeypatch):
     monkeypatch.setattr(launch, "SECONDS", 2.5)
     assert tailbeat_process("new-fish", tmp_path / "my.toml").returncode == 0
@@ -56,6 +57,7 @@ def test_new_fish_show_and_predict(tmp_path, swim, monkeypatch):
     assert result["runs"][0]["recording"] == "swim"
 
 
+@pytest.mark.thorough
 def test_identify_writes_fish_report_and_figure_and_its_fish_predicts(tmp_path, swim):
     out = tmp_path / "id.toml"
     done = tailbeat_process(
@@ -135,6 +137,7 @@ def test_no_engine_warning_is_left_behind(tmp_path, swim):
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
+@pytest.mark.thorough
 def test_open_loop_swim_leaves_picture_film_and_summary(tmp_path, monkeypatch):
     monkeypatch.setattr("tailbeat.fish.render.FILM_RATE", 5)  # software rendering takes its time
     done = tailbeat("swim", "--fish", "pulley-fish", "--out", tmp_path / "runs")
@@ -186,6 +189,7 @@ def test_the_worked_example_of_the_tail(tmp_path):
     assert again.returncode == 2 and "exists already" in again.stderr
 
 
+@pytest.mark.thorough
 @pytest.mark.long
 def test_the_worked_example_of_the_servo(tmp_path):
     out = tmp_path / "fish.toml"

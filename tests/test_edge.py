@@ -113,6 +113,7 @@ def test_the_numpy_law_is_the_engines_with_weighed_coefficients() -> None:
         model.geom_fluid[where.geom, edge.KUTTA] = nominal
 
 
+@pytest.mark.thorough
 def test_the_even_engine_swims_backward_for_good_and_a_trailing_edge_does_not() -> None:
     """The fault this law is for, and its cure, by the same launch."""
     even = kutta_led(even=True)

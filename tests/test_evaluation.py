@@ -54,6 +54,7 @@ def cells_of(page: str) -> list[list[str]]:
     return [re.findall(r"<t[hd]>(.*?)</t[hd]>", row) for row in rows]
 
 
+@pytest.mark.thorough
 def test_an_evaluation_leaves_numbers_figures_and_one_page(evaluated):
     out, found = evaluated
     open_water = found.reach["reach open"]
@@ -68,6 +69,7 @@ def test_an_evaluation_leaves_numbers_figures_and_one_page(evaluated):
         assert (out / "figures" / f"{name}.png").stat().st_size > 5000
 
 
+@pytest.mark.thorough
 def test_the_page_shows_what_its_json_holds(evaluated):
     """Read back from both files: success rates of every condition, power, and the paper's rows."""
     out, found = evaluated
@@ -96,6 +98,7 @@ def test_the_page_shows_what_its_json_holds(evaluated):
     assert paper[name] == ["92 %", f"{100 * known['share_below']:.0f} %"]
 
 
+@pytest.mark.thorough
 def test_runs_of_an_earlier_version_are_read_and_gone_on_with(evaluated, tmp_path):
     """They had `plan.json` with `arms`, and called `beyond` what is out of distribution."""
     out, found = evaluated
@@ -119,6 +122,7 @@ def test_runs_of_an_earlier_version_are_read_and_gone_on_with(evaluated, tmp_pat
         evaluation.read(old)
 
 
+@pytest.mark.thorough
 def test_a_page_of_runs_cut_short_says_so(evaluated, tmp_path):
     out, _ = evaluated
     copy = tmp_path / "copy"
@@ -131,6 +135,7 @@ def test_a_page_of_runs_cut_short_says_so(evaluated, tmp_path):
     assert "Incomplete, read as far as they go: reach open." in (out / "report.html").read_text()
 
 
+@pytest.mark.thorough
 @pytest.mark.long
 def test_a_comparison_pairs_every_policy_with_its_twin(tmp_path, monkeypatch):
     """In swims of six seconds: how far they come does not matter here."""
@@ -205,6 +210,7 @@ def test_cells_of_an_earlier_version_are_read(tmp_path):
     assert row == replace(same, share_below_floor=None, share_inside=None, share_above=None)
 
 
+@pytest.mark.thorough
 def test_what_does_not_fit_is_refused(evaluated, tmp_path):
     out, _ = evaluated
     with pytest.raises(BadInput, match="fish is not the pool's"):

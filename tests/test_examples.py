@@ -43,6 +43,7 @@ def test_a_fish_swims_from_its_numbers():
     assert len(speeds) == 4 and min(speeds) > 0.01
 
 
+@pytest.mark.thorough
 def test_the_test_bench_is_identified():
     printed = said("identify.py", "--generations", "3")
     stiffness = re.search(r"k \[N m/rad\] +(\S+) +(\S+) +(\S+)", printed)
@@ -62,6 +63,7 @@ def test_the_recordings_of_the_test_bench_are_those_that_today_s_servo_makes():
     assert kept.columns["angle_rad"] == pytest.approx(made.columns["angle_rad"], abs=1e-6)
 
 
+@pytest.mark.thorough
 def test_an_own_algorithm_runs_on_an_own_reward():
     first, second = said("own_reward.py", "--rounds", "2").splitlines()
     assert "cm nearer" in first and first.split(":")[1] != second.split(":")[1]

@@ -31,10 +31,8 @@ from tailbeat.robot import session
 pytestmark = pytest.mark.realtime("robot")
 
 POLICY, DRIVE = "pulley-fish-pool-generator", session.drive
-QUICK = (
-    "servo cable", "forgeries", "encoder frozen", "watchdog", "clock back", "nan", "disk full",
-    "tail reversed", "encoder 30 %", "stopped watchdog",
-)  # fmt: skip
+QUICK = ("encoder frozen", "watchdog", "clock back", "nan", "stopped watchdog")
+THOROUGH = ("servo cable", "forgeries", "disk full", "tail reversed", "encoder 30 %")
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +41,11 @@ def patient() -> Iterator[Bench]:
         yield bench
 
 
-@pytest.mark.parametrize("case", [c for c in CASES if c.name in QUICK], ids=lambda c: c.name)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(c, id=c.name) for c in CASES if c.name in QUICK]
+    + [pytest.param(c, id=c.name, marks=pytest.mark.thorough) for c in CASES if c.name in THOROUGH],
+)
 def test_a_fault_leads_to_its_safe_state_and_says_why(patient, case):
     row = faults.measure(case, patient, POLICY, DRIVE)
     assert row.ok, row
@@ -60,6 +62,7 @@ def test_a_fish_that_goes_on_where_it_should_hold_is_not_called_safe(patient, mo
     assert not row.ok  # it may hold for another reason, and that does not count
 
 
+@pytest.mark.thorough
 def test_killed_at_random_moments_the_torque_goes_and_the_log_stays(patient):
     rows = faults.kill_at_random(3, patient, POLICY, DRIVE, np.random.default_rng(0))
     for row in rows:
@@ -100,6 +103,7 @@ def test_a_fault_that_is_none_is_refused():
     assert "no such fault" in complaint("faults", "--only", "shark")
 
 
+@pytest.mark.thorough
 def test_the_loop_s_punctuality_is_measured_and_judged(tmp_path: Path):
     """What is measured depends on the machine; that it is judged does not."""
     out = tmp_path / "pace.json"

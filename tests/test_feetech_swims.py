@@ -191,6 +191,7 @@ def test_torque_off_needs_no_fish():
         assert done.returncode == 0 and not bench.on, done.stderr
 
 
+@pytest.mark.thorough
 def test_emulate_and_drive_take_the_servo_from_the_fish(fish, tmp_path):
     """In real time, in processes of their own; a busy host may make the loop hold: then again."""
     for attempt in range(4):

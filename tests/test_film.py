@@ -183,6 +183,7 @@ def test_the_tag_in_the_picture_is_the_fish_s_own_and_not_mirrored(monkeypatch):
     assert [one.tag_id for one in pyapriltags.Detector("tag36h11").detect(grey)] == [0]
 
 
+@pytest.mark.thorough
 def test_a_film_has_the_frames_and_length_asked_for(log, tmp_path):
     words = [log, "--seconds", "0.6", "--start", "1.0", "--json", tmp_path / "film.json"]
     done = tailbeat("film", *words, "--out", tmp_path / "a.mp4", "--view", "side")

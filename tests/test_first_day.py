@@ -59,6 +59,7 @@ def test_the_page_names_what_nobody_measured_and_every_check(tmp_path):
     assert "exists" in complaint("first-day", NAME, "--out", tmp_path / "page")
 
 
+@pytest.mark.thorough
 def test_the_page_shows_the_thinnest_margin_first_and_what_widens_it(tmp_path):
     found = margins(tmp_path / "margins", DIGEST)
     assert found.thinnest[0] == "tag askew"
@@ -71,6 +72,7 @@ def test_the_page_shows_the_thinnest_margin_first_and_what_widens_it(tmp_path):
     assert "glue the tag along a straight edge" in text
 
 
+@pytest.mark.thorough
 def test_measurements_of_another_policy_are_refused(tmp_path):
     margins(tmp_path / "margins", "another")
     words = ("first-day", NAME, "--out", tmp_path / "page")

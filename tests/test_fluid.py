@@ -131,6 +131,7 @@ def test_start_counts_four_times_as_much_from_rest(monkeypatch):
     assert np.array_equal(weighed, asked)
 
 
+@pytest.mark.thorough
 def test_numbers_without_effect_are_named():
     """A motionless fin's coefficients cannot matter: a fin in a zone no part has."""
     zones = {**PULLEY.zones, "spare": PULLEY.zones["fin"]}

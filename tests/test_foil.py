@@ -68,6 +68,7 @@ def step_response(lag: str, semichords: np.ndarray) -> np.ndarray:
     return np.interp(semichords, ds * (np.arange(len(force)) + 0.5), force[:, 1]) / (-np.pi * 0.1)
 
 
+@pytest.mark.thorough
 def test_the_lag_is_jones_s_and_near_wagner_s():
     found = step_response("section", np.array(PLACES))
     assert found == pytest.approx(JONES, abs=1e-4)  # the table's digits

@@ -85,6 +85,7 @@ def fault(path: str, log: Found) -> str:
     return "" if values and not isinstance(values[0], list) else "no value in any row"
 
 
+@pytest.mark.thorough
 @pytest.mark.realtime
 def test_every_path_of_the_layout_has_values_in_a_log(log):
     used = {path for panel in PANELS.values() for path in paths(panel)}
@@ -92,6 +93,7 @@ def test_every_path_of_the_layout_has_values_in_a_log(log):
     assert not {path: why for path in sorted(used) if (why := fault(path, log))}
 
 
+@pytest.mark.thorough
 @pytest.mark.realtime
 def test_rows_are_as_their_schema_says(log):
     kinds, rows = log["/swim"]
@@ -127,6 +129,7 @@ def test_the_layout_holds_together():
     }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "path", ["/swam.x_m", "/swim.x", "/swim.observation", "/swim.decided_on[18]", "/swim.x_m."]
 )

@@ -67,6 +67,7 @@ def test_three_wrong_readings_move_the_friction_if_kept_and_nothing_if_left_out(
     assert outside(polished(left_out), clean) == []
 
 
+@pytest.mark.thorough
 def test_two_percent_of_glitches_keep_every_number_in_its_interval():
     clean = polished([as_bench(one, FISH) for one in RECORDINGS])
     for seed in range(3):

@@ -109,6 +109,7 @@ def test_a_page_s_server_that_hangs_is_told_within_half_a_second_and_replaced(pa
             assert "now" in browser.recv(30)
 
 
+@pytest.mark.thorough
 def test_a_page_s_server_that_was_slow_for_a_moment_goes_on(page):
     with serving(page) as said:
         until(lambda: time.monotonic() > page.again)
@@ -120,6 +121,7 @@ def test_a_page_s_server_that_was_slow_for_a_moment_goes_on(page):
         assert page.process is slow
 
 
+@pytest.mark.thorough
 def test_a_station_that_stood_still_itself_does_not_blame_its_server(page):
     with sender() as made:
         turn(page, made, DESCRIBED, time.monotonic())
@@ -196,6 +198,7 @@ def test_a_swim_whose_station_hangs_is_ended_in_a_sentence(station):
     assert part.process.wait(5) == -signal.SIGKILL
 
 
+@pytest.mark.thorough
 def test_a_swim_whose_station_hangs_is_interrupted_by_ctrl_c(station, monkeypatch):
     part, beats = station
     monkeypatch.setattr(live, "HUNG", 60.0)
@@ -230,6 +233,7 @@ def test_a_tracker_that_hangs_is_noticed_within_half_a_second_and_replaced(pair)
     assert tracker.restarts == 1
 
 
+@pytest.mark.thorough
 def test_a_tracker_that_was_slow_for_a_moment_goes_on(pair):
     _, tracker = pair
     first = tracker.pid
@@ -240,6 +244,7 @@ def test_a_tracker_that_was_slow_for_a_moment_goes_on(pair):
     assert tracker.pid == first and tracker.restarts == 0
 
 
+@pytest.mark.thorough
 def test_a_camera_without_frames_is_not_taken_for_a_tracker_that_hangs(pair):
     camera, tracker = pair
     heard = tracker.newest().frame.captured
@@ -252,6 +257,7 @@ def test_a_camera_without_frames_is_not_taken_for_a_tracker_that_hangs(pair):
     until(lambda: tracker.fault == "" and tracker.newest().frame.captured > heard)
 
 
+@pytest.mark.thorough
 def test_the_station_says_that_its_tracker_hangs_and_that_frames_arrive_again(pair):
     _, tracker = pair
     said, ended = list[str](), Event()

@@ -76,6 +76,7 @@ def with_step(seconds: float) -> Simulation:
     return Simulation(step=seconds, integrator="Euler")
 
 
+@pytest.mark.thorough
 def test_a_step_that_holds_stays_and_one_that_does_not_is_replaced():
     fish = load_fish("pulley-fish-pool")
     assert step_check.toml_values(step_check.held(fish)) == {}
@@ -95,6 +96,7 @@ def test_a_fish_that_diverges_at_every_step_is_refused():
         step_check.held(wild)
 
 
+@pytest.mark.thorough
 def test_an_identified_tail_is_written_with_a_step_that_holds(tmp_path: Path):
     text = Path(stages.fish_path("pulley-fish-pool")).read_text("utf-8")
     (tmp_path / "coarse.toml").write_text(text.replace('step = "4 ms"', 'step = "20 ms"'))

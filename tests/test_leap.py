@@ -75,6 +75,7 @@ def test_the_last_stage_follows_the_first_and_counts_for_all(tmp_path, monkeypat
     assert held["stages_passed"] == 4 and held["stage"] == STAGES[3].name
 
 
+@pytest.mark.thorough
 def test_a_leap_that_does_not_pass_goes_back_to_the_stages_between(tmp_path, monkeypatch):
     failed: list[int] = []
 
@@ -98,6 +99,7 @@ def test_without_a_leap_every_stage_comes_in_turn(tmp_path, monkeypatch):
     assert [stage for stage, _ in asked] == [1, 2, 3, 4]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("better", [True, False])
 def test_a_polish_is_kept_only_if_it_arrives_earlier(tmp_path, monkeypatch, better):
     deciding(monkeypatch, lambda stage, updates: True)
@@ -114,6 +116,7 @@ def test_a_polish_is_kept_only_if_it_arrives_earlier(tmp_path, monkeypatch, bett
 NAMES = ("stage-04", "policy")
 
 
+@pytest.mark.thorough
 def test_a_leap_outlives_an_interruption(tmp_path, monkeypatch):
     """Resumed in the last stage, a run goes back when it would have."""
     stop = {4}
@@ -130,6 +133,7 @@ def test_a_leap_outlives_an_interruption(tmp_path, monkeypatch):
     assert [stage for stage, _ in asked] == [2] and done.leapt is None
 
 
+@pytest.mark.thorough
 def test_a_polish_outlives_an_interruption(tmp_path, monkeypatch):
     deciding(monkeypatch, lambda stage, updates: True, {4})
     monkeypatch.setattr(TrainingCallback, "_lateness", lambda self, decided: 9.0)

@@ -248,6 +248,7 @@ def shown(value: object) -> str:
     return default if low == high == default else f"{default} ({low} … {high})"
 
 
+@pytest.mark.thorough
 def test_the_printed_tables_equal_the_json(written):
     folder, text = written
     found = json.loads((folder / "a.json").read_text("utf-8"))
@@ -261,6 +262,7 @@ def test_the_printed_tables_equal_the_json(written):
     assert {"pool, in the band", "twin, below the band"} <= {row[0] for row in printed if row}
 
 
+@pytest.mark.thorough
 def test_the_folder_has_numbers_and_a_figure_with_units(written, tmp_path, monkeypatch):
     folder = written[0]
     assert (folder / "out/limits.json").read_text() == (folder / "a.json").read_text()
@@ -273,6 +275,7 @@ def test_the_folder_has_numbers_and_a_figure_with_units(written, tmp_path, monke
     assert not without_unit(figure) and colours(figure) <= ALLOWED
 
 
+@pytest.mark.thorough
 def test_the_json_s_keys_are_no_columns_of_a_recording(written):
     keys = set(re.findall(r'"(\w+)":', (written[0] / "a.json").read_text("utf-8")))
     assert {"steerable", "distance"} <= keys

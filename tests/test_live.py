@@ -48,6 +48,7 @@ def swum(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, page.TourRepor
     return out, done, said
 
 
+@pytest.mark.thorough
 def test_a_fish_seen_by_the_camera_alone_swims_towards_its_target(swum):
     out, done, said = swum
     target = draw_targets(1, 0)[0]
@@ -59,6 +60,7 @@ def test_a_fish_seen_by_the_camera_alone_swims_towards_its_target(swum):
     assert any("lens" in line for line in said) and any("run" in line for line in said)
 
 
+@pytest.mark.thorough
 def test_the_log_is_read_for_the_targets_that_were_swum_to_alone(swum):
     out, done, _ = swum
     tour = tour_of(out / "swim.mcap", FISH, draw_targets(1, 0))
@@ -69,10 +71,12 @@ def test_the_log_is_read_for_the_targets_that_were_swum_to_alone(swum):
         tour_of(out / "swim.mcap", FISH, draw_targets(1, 1))
 
 
+@pytest.mark.thorough
 def test_the_log_s_head_names_the_calibration_of_the_station_s_camera(swum):
     assert re.fullmatch("sha256 [0-9a-f]{64}", read_notes(swum[0] / "swim.mcap")["calibration"])
 
 
+@pytest.mark.thorough
 def test_the_page_offers_the_command_that_corrects_the_policy(swum, tmp_path):
     """As it stands it reads this swim's log, which is too short to tell anything."""
     found = re.search("<pre>tailbeat (.*)</pre>", (swum[0] / "report.html").read_text())
@@ -91,12 +95,17 @@ def verbs(of: Path) -> set[str]:
     return found
 
 
+@pytest.mark.thorough
 def test_nothing_that_was_started_outlives_the_swim(swum):
     assert not verbs(swum[0])
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+    "number",
+    [
+        pytest.param(signal.SIGKILL, marks=pytest.mark.thorough),
+        pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
+    ],
 )
 def test_a_swim_that_is_ended_takes_its_processes_along(tmp_path, number):
     words = ["swim", "--headless", "--targets", "1", "--out", str(tmp_path)]

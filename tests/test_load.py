@@ -169,12 +169,14 @@ def test_one_cut_tendon_is_told_where_it_had_something_to_pull(side):
     assert np.array(found)[asked].sum() >= asked.sum() - 1
 
 
+@pytest.mark.thorough
 def test_halved_setpoints_are_told_where_the_stroke_hides_them():
     rows = toured(halve, "everyday", 12)
     found, before = told(rows, motor()), told(rows, None)
     assert sum(found) >= 17 and sum(before) <= 14
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("break_it", "words", "least"),
     [

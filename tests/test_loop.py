@@ -285,6 +285,7 @@ def test_a_pulled_servo_stops_and_an_exception_lets_go(swimming):
 # ---- the verbs ----------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_drive_swims_its_own_rig_and_its_log_is_a_recording(tmp_path: Path):
     """In real time, in processes of their own. A host that takes its cores away makes the loop hold
     before it swims, as it should: then once more."""

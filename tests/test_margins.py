@@ -63,6 +63,7 @@ def searched(stands, name=NAME):
     raise AssertionError("the search does not end")
 
 
+@pytest.mark.thorough
 def test_the_search_finds_the_size_that_three_quarters_stand():
     """Within the fifth that a bracket leaves, plus what clear cells are known to; few cells."""
     for seed in range(20):

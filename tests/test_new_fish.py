@@ -35,7 +35,10 @@ SIZES = {
 }
 
 
-@pytest.fixture(scope="module", params=list(SIZES))
+THOROUGH = [pytest.param(name, marks=pytest.mark.thorough) for name in ("paper", "tiny", "long")]
+
+
+@pytest.fixture(scope="module", params=["small", "large", *THOROUGH])
 def written(request, tmp_path_factory):
     given = SIZES[request.param]
     path = tmp_path_factory.mktemp("sketch") / "mine.toml"
@@ -228,6 +231,7 @@ def test_the_shipped_fish_needs_no_warning_of_the_check():
 # ---- the verbs ----------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_the_verb_writes_a_fish_that_show_accepts_strictly(tmp_path):
     path = tmp_path / "mine.toml"
     done = tailbeat_process(
@@ -244,6 +248,7 @@ def test_the_verb_writes_a_fish_that_show_accepts_strictly(tmp_path):
     assert heavy.returncode == 1 and "it sinks" in heavy.stdout
 
 
+@pytest.mark.thorough
 def test_on_a_terminal_five_questions_are_asked(tmp_path):
     master, slave = pty.openpty()
     words = command("new-fish", tmp_path / "mine.toml")

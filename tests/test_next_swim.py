@@ -106,6 +106,7 @@ def test_without_a_posterior_the_command_says_how_to_write_it(tmp_path):
     assert done.returncode == 2 and "tailbeat identify posterior" in done.stderr
 
 
+@pytest.mark.thorough
 def test_the_command_prints_and_writes_its_advice(tmp_path, few):
     fish, out = tmp_path / "my.toml", tmp_path / "next.json"
     fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))

@@ -88,6 +88,7 @@ def test_the_tag_is_found_within_a_degree_and_millimetres(many):
         assert middle < most < scale, (name, off)  # the naive guess of 0 errs by `scale`
 
 
+@pytest.mark.thorough
 def test_mirrored_swims_give_mirrored_offsets(made):
     _, found, _, swims = made
     mirror = [
@@ -104,6 +105,7 @@ def test_mirrored_swims_give_mirrored_offsets(made):
         assert other.value == pytest.approx(sign * row.value, abs=1e-6), row.name
 
 
+@pytest.mark.thorough
 def test_a_straight_swim_cannot_tell_and_a_short_one_is_refused(made):
     *_, swims = made
     one = swims[0][0]
@@ -125,6 +127,7 @@ def written(made, tmp_path):
     return write_logs(found[0], tmp_path, fish_digest="abc", policy_sha256="def")
 
 
+@pytest.mark.thorough
 def test_the_command_reads_logs_and_refuses_those_of_two_robots(made, written, tmp_path):
     done = tailbeat("offsets", *written, "--json", tmp_path / "o.json")
     assert done.returncode == 0, done.stderr

@@ -30,11 +30,7 @@ from tailbeat.link.reasons import Reason
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import Numbers, State, Status
 from tailbeat.operator import snapshot as snapshots
-from tailbeat.operator.client import (
-    announce,
-    is_local,
-    open_client,
-)
+from tailbeat.operator.client import announce, is_local, open_client
 from tailbeat.operator.snapshot import snapshot
 
 pytestmark = pytest.mark.realtime
@@ -389,6 +385,7 @@ def test_a_browser_that_does_not_draw_gets_the_newest_when_it_does(lab):
     lab.order(do="tag")
 
 
+@pytest.mark.thorough
 def test_where_a_console_cannot_be_is_one_sentence_and_an_open_one_is_warned_of(lab, monkeypatch):
     with pytest.raises(BadInput, match="choose another address or port"):
         open_client(lab.client.listening.getsockname(), ROOM)

@@ -124,6 +124,7 @@ def test_a_floor_travels_in_the_contract(tmp_path):
 # ---- the verbs ----------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_show_diff_and_try_from_the_command_line(written, tmp_path):
     shown = tailbeat_process("policy", "show", written[0], "--json", tmp_path / "show.json")
     assert shown.returncode == 0 and "16 golden pairs agree" in shown.stdout

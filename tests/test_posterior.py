@@ -113,6 +113,7 @@ def test_the_discrepancy_is_what_the_draws_do_not_explain():
     assert max(getattr(exact, name) for name in banded.UNITS) == 0.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("held_out", [4, 8, 13])
 def test_bands_hold_95_percent_of_fresh_swims(held_out):
     """However few swims told the discrepancy. Draws alone hold a third."""
@@ -200,6 +201,7 @@ def test_predict_refuses_the_posterior_of_another_fish(tmp_path):
     assert not (tmp_path / "out.json").exists()
 
 
+@pytest.mark.thorough
 def test_show_warns_of_the_posterior_of_numbers_that_were_changed(tmp_path):
     fish = tmp_path / "my.toml"
     fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))
@@ -244,6 +246,7 @@ def test_training_on_a_posterior_needs_one(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.thorough
 def test_show_prints_what_the_recordings_decide(tmp_path):
     done = tailbeat("show", "pulley-fish-pool", "--picture", tmp_path / "fish.png")
     assert done.returncode == 0, done.stderr

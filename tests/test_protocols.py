@@ -75,6 +75,7 @@ def test_the_same_seed_is_the_same_recording_and_the_plant_stays_hidden():
     assert not hidden & set(first.meta) and not hidden & set(first.columns)
 
 
+@pytest.mark.thorough
 def test_swims_start_at_rest_cover_the_band_and_stay_off_the_walls():
     swims = list(record_fluid(FISH, seed=1))
     assert len(swims) == 45

@@ -77,6 +77,7 @@ def test_the_shipped_generator_does_not_circle_a_target_behind_it():
     assert found.slowest_seconds is not None and found.slowest_seconds < 14, found
 
 
+@pytest.mark.thorough
 def test_the_shipped_generator_does_not_back_off_in_the_twin():
     """Two-second pieces with everything drawn, targets all round. The policies of the twin that
     was not the identified one went backward in half of them; the pool's fish never does."""

@@ -336,6 +336,7 @@ def other(path: Path, topic: str, message: Any) -> None:
         writer.finish()
 
 
+@pytest.mark.thorough
 def test_options_that_a_replay_cannot_have_are_refused(log):
     assert "--camera: a replay has no fish" in complaint(
         "station", "--replay", log, "--camera", "/dev/video0", "--page", "8080"

@@ -53,6 +53,7 @@ def made(tmp_path_factory):
         return path, make(RunConfig(load_fish(FISH), Path("unused")), path, lambda *_: None)
 
 
+@pytest.mark.thorough
 def test_the_file_is_the_formula_and_names_its_constants(made):
     path, done = made
     policy = load_policy(path)
@@ -63,6 +64,7 @@ def test_the_file_is_the_formula_and_names_its_constants(made):
     assert policy.contract.training["gain"] == done.rule.gain
 
 
+@pytest.mark.thorough
 def test_the_better_of_two_gains_is_chosen_and_reaches_other_targets(made):
     """A gain of 1 turns too slowly: in the twin it reaches a tenth of the targets."""
     path, done = made
@@ -71,6 +73,7 @@ def test_the_better_of_two_gains_is_chosen_and_reaches_other_targets(made):
     assert found.reached > 0.9
 
 
+@pytest.mark.thorough
 def test_a_crank_and_a_file_that_exists_are_refused(made, tmp_path):
     path, _ = made
     assert "exists" in complaint("policy", "rule", "--fish", FISH, "--out", path)

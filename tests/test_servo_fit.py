@@ -42,6 +42,7 @@ def report(recordings, tmp_path_factory) -> dict:
     return as_report(identify_servo(FISH, fit, held, ServoConfig(seeds=1, effort=SHORT), scratch))
 
 
+@pytest.mark.thorough
 def test_the_shaft_moves_as_the_compiled_twin(recordings):
     """Same servo on another code: one degree of freedom against the engine's six."""
     for bench in benches(recordings, "chirp", "steps", "triangle", "mixed", "beat"):
@@ -49,6 +50,7 @@ def test_the_shaft_moves_as_the_compiled_twin(recordings):
         assert np.degrees(np.sqrt(np.mean((angle - bench.angle) ** 2))) < 0.1, bench.name
 
 
+@pytest.mark.thorough
 def test_the_servo_is_recovered(report):
     for name, within in (("kp", 0.05), ("armature", 0.05), ("damping", 0.05)):
         row = report["parameters"][name]
@@ -63,6 +65,7 @@ def test_the_servo_is_recovered(report):
     assert report["parameters"]["friction"]["value"] < 0.01
 
 
+@pytest.mark.thorough
 def test_the_paper_s_contrast_is_reproduced(report):
     held_out = [run for run in report["runs"] if run["role"] == "validate"]
     for run in held_out:
@@ -71,6 +74,7 @@ def test_the_paper_s_contrast_is_reproduced(report):
         assert run["idealised_rmse_deg"] > 3.0
 
 
+@pytest.mark.thorough
 def test_trade_offs_name_the_experiment(report):
     pairs = {frozenset(pair["parameters"]): pair["separated_by"] for pair in report["trade_offs"]}
     assert all(len(text) > 10 for text in pairs.values())
@@ -96,6 +100,7 @@ OWN = TRUTH.model_copy(
 )
 
 
+@pytest.mark.thorough
 def test_intervals_hold_the_truth_where_the_model_is_exact(tmp_path):
     names = ("gain_scale", "armature", "damping", "friction", "force_limit", "delay")
     truth = [0.6, 0.002, 0.05, 0.02, 0.9, TRUTH.delay]

@@ -92,6 +92,7 @@ def test_the_shaft_s_torque_ends_at_its_limit():
     assert state.angle == pytest.approx(0.2, rel=1e-3)  # limit over stiffness
 
 
+@pytest.mark.thorough
 def test_one_period_at_a_time_is_the_whole_swim(known, toured):
     swum, rows = toured
     state = looks.held(known.shaft, 0.0)
@@ -168,6 +169,7 @@ def test_no_check_is_broken_in_tours_of_the_pool(known, toured):
 CUT, WITHIN = 9.0, 3.0  # s
 
 
+@pytest.mark.thorough
 def test_tendons_that_are_cut_on_a_tour_are_told_within_three_seconds(known):
     """At one moment of twenty tours, a third of them beside a wall. Those whose tail rests at a
     target have nothing to compare."""
@@ -189,6 +191,7 @@ def test_tendons_that_are_cut_on_a_tour_are_told_within_three_seconds(known):
     assert sum(t for t, b in zip(told, beating, strict=True) if b) == sum(beating)
 
 
+@pytest.mark.thorough
 def test_setpoints_that_are_halved_on_a_tour_are_told_by_the_robot_s_own_stroke_before(known):
     """At one moment of twenty tours. A saturated servo moves four fifths of its stroke even so,
     which an everyday lab's does too: those are not told. (10 are, 4 without this check.)"""

@@ -70,6 +70,7 @@ def fetched(text: str) -> list[str]:
     return [one for one in given if re.match(r"(https?:)?//", one)]
 
 
+@pytest.mark.thorough
 def test_a_page_fetches_nothing_from_another_host(site):
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 10
@@ -78,6 +79,7 @@ def test_a_page_fetches_nothing_from_another_host(site):
     assert fetched(bad) == ["https://cdn.example/x.js", "//api.github.com"]
 
 
+@pytest.mark.thorough
 def test_sections_stand_in_the_order_of_a_reader(site):
     text = (site / "index.html").read_text("utf-8")
     tabs = re.findall(r'class="md-tabs__link">\s*(.*?)\s*<', text)
@@ -94,6 +96,7 @@ def docstring(name: str) -> str:
     return next(ast.get_docstring(node) or "" for node in found if node.name == attribute)
 
 
+@pytest.mark.thorough
 def test_each_public_name_has_its_own_docstring(site):
     text = (site / "reference" / "python" / "index.html").read_text("utf-8")
     entries = dict(re.findall(r'id="tailbeat\.(\w+)".*?<p>(.*?)</p>', text, re.S))

@@ -89,6 +89,7 @@ def test_the_laptop_answers_orders_and_stops_the_fish_when_it_ends(tmp_path: Pat
         fish.close()
 
 
+@pytest.mark.thorough
 def test_a_drive_waits_for_orders_and_ends_with_the_torque_off(tmp_path: Path):
     """All of it in processes of its own; a busy machine may refuse to arm, and says why."""
     words = ["drive", "pulley-fish-pool-generator", "--emulated", "--wait", "--page", "127.0.0.1:0",

@@ -109,6 +109,7 @@ def test_a_fish_that_does_not_compile_names_its_trial(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:10001", "nowhere"])
 def test_an_address_without_a_cluster_is_said_at_once(tmp_path, address):
     """Not tried: auto, which would find a cluster that another test started here."""
@@ -118,6 +119,7 @@ def test_an_address_without_a_cluster_is_said_at_once(tmp_path, address):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(torch.cuda.is_available(), reason="Ray would find a GPU here")
 def test_a_share_of_a_gpu_is_refused_where_there_is_none(tmp_path):
     path = tiny(tmp_path)

@@ -105,6 +105,7 @@ def test_systemd_itself_takes_the_unit(tmp_path):
     assert "nothing" in worse.stderr  # it does look
 
 
+@pytest.mark.thorough
 def test_the_loop_itself_says_that_it_turns_and_stays_disarmed_until_ordered(manager, tmp_path):
     command = [sys.executable, "-m", "tailbeat", "drive", "pulley-fish-pool-generator",
                "--emulated", "--wait", "--seconds", "inf", "--log", str(tmp_path)]  # fmt: skip

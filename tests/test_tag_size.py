@@ -50,6 +50,7 @@ def found(filming: Filming) -> tuple[float, float]:
     return len(off) / COUNT, float(np.sqrt(np.mean(np.square(off)))) if off else np.inf
 
 
+@pytest.mark.thorough
 def test_a_small_tag_is_seen_by_a_camera_with_more_pixels_and_not_by_the_usual_one(small):
     filming = filming_of(small[1])
     assert filming.fish.side == pytest.approx(0.04) and filming.optics.size[0] > 1800
@@ -71,6 +72,7 @@ def test_the_paper_s_fish_has_the_camera_of_before():
     assert filming_of(PULLEY) == Filming()
 
 
+@pytest.mark.thorough
 def test_a_tag_that_is_too_wide_for_the_head_is_refused(small, tmp_path):
     text = small[0].read_text(encoding="utf-8")
     wrong = tmp_path / "wrong.toml"
@@ -83,6 +85,7 @@ def test_the_tag_is_no_matter_to_a_policy():
     assert digest(with_values(PULLEY, {"tag": 0.06})) == digest(PULLEY)
 
 
+@pytest.mark.thorough
 def test_the_sheets_have_the_fish_s_own_size(small, tmp_path):
     assert tailbeat("tags", "--out", tmp_path / "own.png", "--fish", small[0]).returncode == 0
     assert tailbeat("tags", "--out", tmp_path / "any.png").returncode == 0
@@ -91,6 +94,7 @@ def test_the_sheets_have_the_fish_s_own_size(small, tmp_path):
     assert sides == pytest.approx([40, 80], abs=0.15)
 
 
+@pytest.mark.thorough
 def test_a_calibration_for_another_tag_is_told(small, tmp_path):
     made = known_calibration(Filming())
     assert of_other_size(made.fish, None) == of_other_size(made.fish, 0.081) == ""

@@ -251,6 +251,7 @@ def test_a_tail_driven_beyond_its_resonance_keeps_its_stiffness():
     assert two_terms(fit) > 1.1 * true
 
 
+@pytest.mark.thorough
 def test_a_tail_that_stiffens_with_the_stroke_keeps_the_stiffness_of_small_strokes():
     fit, true = driven(CURLED)
     assert fit.bend is not None and fit.k_eff.interval[0] <= true <= fit.k_eff.interval[1]

@@ -53,6 +53,7 @@ def closed_form(fish: Fish, frequency: float) -> complex:
     return complex(1 / yielding - rotor * omega**2)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", FISH)
 def test_the_bench_measures_the_tail_within_one_percent_up_to_the_band_s_edge(name):
     fish = FISH[name]

@@ -154,6 +154,7 @@ def test_a_resumed_run_goes_on_where_it_was(run):
     assert (np.diff(ends, axis=0) >= 0).all()  # no episode spans the interruption
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("greedy", [True, False])
 def test_exploring_fish_pass_no_stage_that_greedy_ones_fail(tmp_path, monkeypatch, greedy):
     """All exploring fish are said to arrive, and the network without its noise never has."""
@@ -172,6 +173,7 @@ def copied(run: Path, folder: Path, **changes: Any) -> Path:
     return copy
 
 
+@pytest.mark.thorough
 def test_of_episodes_cut_by_an_interruption_the_arrivals_do_not_count_either(run, tmp_path):
     """The late ones of their fellows are lost, so what is left of that time is arrivals."""
     recent = [[1_000, False], [3_900, True]]
@@ -180,6 +182,7 @@ def test_of_episodes_cut_by_an_interruption_the_arrivals_do_not_count_either(run
     assert progress.recent == [(1_000, False)]
 
 
+@pytest.mark.thorough
 def test_a_finished_run_goes_on_in_a_stage_asked_for_alone(run, tmp_path):
     copy = copied(run, tmp_path, finished=True)
     with pytest.raises(BadInput, match="passed all its stages"):
@@ -365,6 +368,7 @@ def test_the_smoke_recipe_learns_in_a_minute(tmp_path):
     assert not still.reached.any()
 
 
+@pytest.mark.thorough
 def test_ctrl_c_leaves_a_checkpoint_and_a_policy(tmp_path):
     out = tmp_path / "run"
     process = started(out)

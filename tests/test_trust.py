@@ -56,6 +56,7 @@ def sweep(stiffness: float, seed: int):
     return tail_sweep(truth, (0.7, 1.3, 2.2, 3.6), (0.1, 0.2, 0.3), 5.0, seed, Noise(rate=60.0))
 
 
+@pytest.mark.thorough
 def test_two_stiffnesses_contradict_each_other(tmp_path):
     soft, stiff = (
         replace(sweep(k, i), name=name) for i, (k, name) in enumerate([(0.98, "a"), (1.5, "b")])
