@@ -42,6 +42,7 @@ SOURCE = ROOT / "src" / "tailbeat"
 PATIENCE = 4.0  # times the CPU time of the unchanged code
 HUNG = 60.0  # s of sleep without an end: a mutant that waits for ever computes nothing
 QUICK_START = ("-p", "no:cacheprovider", "-p", "xdist", "--assert=plain")
+MARKED = "not slow and not gpu"  # thorough tests notice what `make test` leaves to them
 CHECK = 25  # mutants between two runs of the unchanged code
 
 
@@ -90,7 +91,7 @@ ROOMS = {
     "signals": Room(
         tuple(f"control/{one}.py" for one in ("consistency", "expected", "load", "sign_test")),
         ("test_signal_models.py", "test_signals.py", "test_load.py", "test_expected.py"),
-        "not one_period",  # it swims for minutes
+        "not one_period and not no_tour_of_an_everyday_lab",  # they swim for minutes
         LEARNING,
     ),
 }  # fmt: skip
@@ -259,7 +260,7 @@ def _test(room: Room, mutant: Mutant | None, seconds: float, times: Path) -> Non
     os.dup2(quiet, 1)
     os.dup2(quiet, 2)
     files = [str(ROOT / "tests" / name) for name in room.tests]
-    words = [*QUICK_START, "-x", "-q", f"--rootdir={ROOT}", *files]
+    words = [*QUICK_START, "-x", "-q", "-m", MARKED, f"--rootdir={ROOT}", *files]
     words += ["-k", room.choose] if room.choose else []
     os._exit(int(pytest.main(words, plugins=[QuickestFirst(times)])))
 
