@@ -47,8 +47,8 @@ tests: $(READY)
 	$(VENV)/bin/pytest -n auto --no-loadscope-reorder $(ARGS) || { test $$? = 1 && $(AGAIN); }
 
 thorough: $(READY)  ## the tests that take longer than all of `make test` leaves time for
-	$(VENV)/bin/pytest -n auto --no-loadscope-reorder -m thorough $(ARGS) || \
-	{ test $$? = 1 && $(AGAIN) -m thorough; }
+	$(VENV)/bin/pytest -n auto --no-loadscope-reorder -m "thorough and not slow" $(ARGS) || \
+	{ test $$? = 1 && $(AGAIN) -m "thorough and not slow"; }
 
 mutation: $(READY)  ## change the code in one place at a time; which changes does no test notice? (half an hour)
 	$(VENV)/bin/python tests/mutation.py $(ARGS)
