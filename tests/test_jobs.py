@@ -1,6 +1,7 @@
 """Jobs in many processes: in order, as if swum alone; an error ends them; cells of a comparison."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -105,13 +106,14 @@ def where(folder: str) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.realtime
-def test_processes_end_with_the_one_that_wants_their_results(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_processes_end_with_the_one_that_wants_their_results(tmp_path, number):
     """They waited for jobs for ever, and one wrote a cell that a new comparison swam too."""
     words = [sys.executable, "-c", KILLED, str(Path(__file__).parent), str(tmp_path)]
     driver = subprocess.Popen(words, stderr=subprocess.DEVNULL)
     until(lambda: any(tmp_path.iterdir()))
     workers = [int(path.name) for path in tmp_path.iterdir()]
-    driver.kill()
+    driver.send_signal(number)
     driver.wait(10.0)
     until(lambda: not any(map(pid_exists, workers)), seconds=10.0)
 

@@ -35,10 +35,11 @@ SIZES = {
 }
 
 
-THOROUGH = [pytest.param(name, marks=pytest.mark.thorough) for name in ("paper", "tiny", "long")]
+QUICK = ("small", "large")
+THOROUGH = [pytest.param(one, marks=pytest.mark.thorough) for one in SIZES if one not in QUICK]
 
 
-@pytest.fixture(scope="module", params=["small", "large", *THOROUGH])
+@pytest.fixture(scope="module", params=[*QUICK, *THOROUGH])
 def written(request, tmp_path_factory):
     given = SIZES[request.param]
     path = tmp_path_factory.mktemp("sketch") / "mine.toml"

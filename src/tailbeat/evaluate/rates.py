@@ -78,7 +78,7 @@ def _against(reference: Runs, name: str, runs: Runs) -> ConditionResult:
 
 def paired(first: Flags, second: Flags) -> Difference:
     """Success rate of `second` (n,) minus that of `first` (n,) over the same targets. The interval
-    is normal after one more pair that differs, either way (Bonett and Price 2012, from memory): it
+    is normal, after one more pair that differs each way (Bonett and Price 2012, from memory). So it
     has a width where no pair differs. Of 125 pairs of which one in a hundred differs, one way, it
     holds the difference in 100 % of studies, without the two pairs in 71 %."""
     n, gained = first.size, int((second & ~first).sum())
