@@ -117,7 +117,7 @@ def test_a_crank_is_trained_and_tried_as_it_is_described(tmp_path):
     assert list(found.steps) == ["train"] and found.reached is None
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_a_small_fish_goes_the_whole_way(tmp_path):
     """From new-fish to targets with four swims, short searches and a few seconds of
     training: that a fish learns from this is not asked (`test_train.py` does)."""

@@ -99,7 +99,7 @@ def test_the_fundamental_stays_above_its_floor_once_it_is_there(seed):
 def test_without_a_floor_targets_are_bit_equal_to_those_of_before_the_field():
     action = np.random.default_rng(0).uniform(-1, 1, (1000, 6))
     half = np.pi * 4.0
-    before = action * [half, 0.8, 1.0, 1.0, 0.4, 0.4]
+    before = action * [half, GENERATOR.offset, 1.0, 1.0, 0.4, 0.4]
     before[:, 0] += half
     assert np.array_equal(targets(GENERATOR, action), before)
 
@@ -118,7 +118,7 @@ def test_the_generator_s_setpoint_is_continuous():
     fine = 1e-4
     setpoints, _ = played(space, np.repeat(wild(space, 50, 8, 1), 200, axis=0), fine)
     wave = 2 * np.pi * 4 * np.hypot(1, 1) + 2 * np.pi * 8 * np.hypot(0.4, 0.4)
-    lag = 2 * (0.8 + 2 * 1.0 + 2 * 0.4) / space.tau
+    lag = 2 * (space.offset + 2 * 1.0 + 2 * 0.4) / space.tau
     assert np.abs(np.diff(setpoints, axis=0)).max() < (wave + lag) * fine
 
 
@@ -298,7 +298,7 @@ def test_one_fish_is_a_batch_of_one():
     raw = samples()
     first = Samples(*(one[:1] for one in vars(raw).values() if one is not None))
     assert np.array_equal(observe(first)[0], observe(raw)[0])
-    assert len(as_markdown().splitlines()) == 30
+    assert len(as_markdown().splitlines()) == 44
 
 
 def test_a_bearing_is_from_straight_ahead_and_to_the_left():

@@ -119,7 +119,13 @@ def signed(to: Path, **fields: Any) -> Path:
         ({"motion": {"haste": 1.0}}, "is not what it should be"),
         ({"motion": vars(CONTRACT.motion) | {"noise": -0.003}}, "is not what it should be"),
         ({"motion": vars(CONTRACT.motion) | {"jump": float("nan")}}, "is not what it should be"),
-        ({"version": 3}, "contract version 3; this tailbeat reads 1 and 2"),
+        ({"version": 3}, "a field of its contract is not what it should be"),
+        ({"averages": {"fast": 1.0, "slow": 4.0}}, "is not what it should be"),
+        (
+            {"version": 3, "averages": {"fast": 1.0, "slow": 4.0}},
+            "28 observations; this tailbeat makes 42",
+        ),
+        ({"version": 4}, "contract version 4; this tailbeat reads 1 to 3"),
         ({"version": 1, "motion": "gone"}, "28 observations; this tailbeat makes 24"),
     ],
 )

@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
+import gymnasium
 import torch
 from stable_baselines3 import SAC
 
@@ -16,7 +17,7 @@ from support import complaint, tailbeat, tailbeat_process
 from tailbeat.control import actions as act
 from tailbeat.control.actions import Direct, Generator
 from tailbeat.control.measure import Measure
-from tailbeat.control.observation import TABLE
+from tailbeat.control.observation import REMEMBERING, TABLE
 from tailbeat.control.policy import Policy, decide, load_policy
 from tailbeat.env.task import Settings
 from tailbeat.env.vector_env import FishEnv, FishVecEnv
@@ -89,6 +90,35 @@ def test_a_close_up_gives_bearings_far_off_and_decimetres_near():
     share = away / (away + 0.1)
     wanted = np.stack([share * np.cos(angle), share * np.sin(angle), 1 - share], axis=1)
     assert found[:, 24:] == pytest.approx(wanted, abs=1e-6)
+
+
+def test_with_averages_the_target_is_seen_from_the_course_too():
+    """A fish that swims 30 degrees to the left of its heading sees a target there straight
+    ahead."""
+    names, seen = [one.name for one in REMEMBERING], np.zeros((1, 42), np.float32)
+    angle = np.radians(30)
+    for name, metres in (("distance", 2.4), ("ahead", 2.4 * np.cos(angle)),
+                         ("left", 2.4 * np.sin(angle))):  # fmt: skip
+        seen[0, names.index(f"frame 0 (newest): target {name}")] = metres / 2.0
+    for name, speed in (("ahead", 0.4 * np.cos(angle)), ("left", 0.4 * np.sin(angle))):
+        seen[0, names.index(f"own velocity {name}, fast average")] = speed / 0.5
+    space = gymnasium.spaces.Box(-np.inf, np.inf, (42,), np.float32)
+    found = TargetFeatures(space, Measure())(torch.as_tensor(seen)).numpy()[0]
+    assert np.array_equal(found[:42], seen[0]) and len(found) == 47
+    far, moving = 2.4 / 2.5, 0.8 / 0.9
+    assert found[45:] == pytest.approx([far * moving, 0.0], abs=1e-6)
+
+
+def test_a_network_with_averages_is_sb3_s_too(tmp_path):
+    run = RunConfig(FISH, Path(), actions=Generator(LOW, HIGH), averages=True)
+    env = FishVecEnv(FISH, 8, run.settings(0), seed=3)
+    model = SAC("MlpPolicy", env, policy_kwargs={"net_arch": [32, 32], **CLOSE_UP}, device="cpu")
+    rng, met = np.random.default_rng(0), [np.asarray(env.reset())]
+    for _ in range(60):
+        met.append(np.asarray(env.step(rng.uniform(-1, 1, (8, 6)))[0]))
+    seen = np.concatenate(met)
+    policy = export(model, run, seen, {}, tmp_path / "policy.onnx")
+    assert np.abs(decide(policy, seen) - act_of_sb3(model, seen)).max() <= 1e-6
 
 
 def test_a_thousand_recorded_steps_replay_to_the_bit(written):

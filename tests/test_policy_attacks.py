@@ -14,6 +14,7 @@ import onnxruntime
 
 from policies import POLICIES
 from tailbeat.control import policy_checks
+from tailbeat.control.motion import MotionFilter
 from tailbeat.control.network_file import LARGEST, _fields, check_network
 from tailbeat.control.policy import KEY, _digests, as_text, decide, load_policy, shipped
 from tailbeat.files import BadInput
@@ -261,9 +262,10 @@ def test_a_filter_of_impossible_constants_is_refused(tmp_path, constant):
     following = load_policy("pulley-fish-pool-follow").contract
     assert following.motion is not None
     held = {**vars(following.motion), "noise": constant}
-    with pytest.raises(ValueError, match="in version 2"):
-        policy_checks.filter_from(2, held)
-    assert policy_checks.filter_from(2, {**held, "noise": 999.0}) is not None
+    with pytest.raises(ValueError, match="not as in its version"):
+        policy_checks.constants_from(MotionFilter, held, True)
+    good = {**held, "noise": 999.0}
+    assert policy_checks.constants_from(MotionFilter, good, True) is not None
 
 
 def test_one_golden_pair_is_enough(tmp_path):

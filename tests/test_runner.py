@@ -10,7 +10,7 @@ pytest.importorskip("onnxruntime")
 from policies import POLICIES
 from tailbeat.control.policy import decide, load_policy
 from tailbeat.control.runner import Readings, begin, steer
-from tailbeat.env.task import Settings
+from tailbeat.env.task import Settings, as_seen
 from tailbeat.env.world import World
 from tailbeat.fish.store import load_fish
 
@@ -22,13 +22,13 @@ def test_a_swim_recorded_in_the_environment_is_replayed_to_the_bit(name, monkeyp
     """Noise, drops and delays on: the readings of 500 steps give the same 500 setpoints."""
     policy = load_policy(POLICIES[name])
     contract = policy.contract
-    settings = Settings(contract.actions, measure=contract.measure, motion=contract.motion)
+    settings = as_seen(Settings(contract.actions, measure=contract.measure), contract)
     world = World(FISH, settings, [5])
     kept, observe_ = [], world._observe
 
-    def keep(readings):
+    def keep(readings, *rest):
         kept.append(deepcopy(readings))  # some are views that the next step writes to
-        return observe_(readings)
+        return observe_(readings, *rest)
 
     monkeypatch.setattr(world, "_observe", keep)
     seen, sent = world.reset(), []

@@ -12,16 +12,19 @@ from support import complaint
 pytest.importorskip("gymnasium", reason="the train extra is not installed")
 pytest.importorskip("torch", reason="the train extra is not installed")
 
+from tailbeat.control.actions import Generator
 from tailbeat.control.measure import PAPER
 from tailbeat.control.policy import load_policy
 from tailbeat.env import randomize, tours
 from tailbeat.env.curriculum import STAGES, velocity_filter
 from tailbeat.env.errors import NONE, Errors
+from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import quiet
 from tailbeat.env.task import Settings, Task
 from tailbeat.env.world import World
 from tailbeat.fish.store import load_fish
-from tailbeat.train.config import RunConfig
+from tailbeat.pool import mess
+from tailbeat.train.config import RunConfig, action_space, begin, check
 from tailbeat.train.recipes import recipe_of
 
 FISH = load_fish("pulley-fish-pool")
@@ -80,8 +83,53 @@ def test_a_policy_that_reaches_is_not_taken_for_one_that_follows(name):
 
 def test_a_run_without_velocities_is_not_resumed_with_them(tmp_path):
     words = ["train", "--fish", "pulley-fish-pool", "--recipe", "smoke", "--out", tmp_path / "run"]
-    from tailbeat.train.config import begin
-
     begin(run(tmp_path / "run"))
     said = complaint(*map(str, words), "--resume", "--velocities")
     assert "velocities was False, now True" in said
+
+
+def test_a_run_of_before_the_wider_centre_goes_on_with_its_own(tmp_path):
+    usual, older = (action_space(None, FISH, centre=c) for c in (None, 0.8))
+    assert isinstance(usual, Generator)
+    assert usual.offset == pytest.approx(1.2) and older == replace(usual, offset=0.8)
+    words = ["train", "--fish", "pulley-fish-pool", "--out", tmp_path / "run", "--resume"]
+    begin(RunConfig(FISH, tmp_path / "run", actions=older))
+    said = complaint(*map(str, words))
+    assert "actions.offset was 0.8, now 1.2" in said and "Give the options" in said
+    check(RunConfig(FISH, tmp_path / "run", actions=older), resume=True)
+    for wrong in (["--centre", "-1"], ["--centre", "0.8", "--actions", "direct"]):
+        assert "only of generator actions" in complaint(*map(str, words), *wrong)
+
+
+# ---- how wrong fish are built -------------------------------------------------------------------
+
+
+def test_a_build_has_a_lab_s_sizes_and_is_never_narrower_than_the_usual_ranges():
+    usual, rough = Randomisation(), mess.build(mess.level("rough"))
+    assert mess.build(mess.level("clean")) == usual
+    assert (rough.tail_stiffness, rough.servo_limit) == pytest.approx((0.4, 0.4))
+    assert (rough.head_mass, rough.fluid, rough.current) == pytest.approx((0.3, 0.3, 0.06))
+    assert rough.servo_damping == usual.servo_damping and rough.push == usual.push
+    assert all(getattr(rough, name) >= width for name, width in vars(usual).items())
+    randomize.check(mess.build(mess.level("wrecked")))
+
+
+def test_a_run_draws_the_build_in_its_stages_shares(tmp_path):
+    wide = mess.build(mess.level("rough"))
+    plain, built = (RunConfig(FISH, tmp_path, build=one) for one in (None, wide))
+    first, third, last = (built.settings(i) for i in (0, 3, len(STAGES) - 1))
+    assert first == plain.settings(0) and last.physics == wide
+    assert third.physics.tail_stiffness == pytest.approx(0.4 / 3)
+    assert replace(last, physics=plain.settings(len(STAGES) - 1).physics) == plain.settings(
+        len(STAGES) - 1
+    )
+
+
+def test_a_run_is_not_resumed_with_another_build_and_levels_are_named(tmp_path):
+    words = ["train", "--fish", "pulley-fish-pool", "--recipe", "smoke", "--out", tmp_path / "run"]
+    begin(run(tmp_path / "run"))
+    said = complaint(*map(str, words), "--resume", "--build", "rough")
+    assert "build.tail_stiffness was None, now 0.4" in said
+    assert "mess 'odd': allowed are clean, everyday" in complaint(
+        *map(str, words), "--build", "odd"
+    )

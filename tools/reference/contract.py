@@ -7,6 +7,7 @@ from typing import Any
 from reference.fields import described, summary
 from reference.markdown import code, page, table
 from tailbeat.control.actions import Direct, Filtered, Generator
+from tailbeat.control.averages import Averages
 from tailbeat.control.motion import MotionFilter
 from tailbeat.control.observation import Entry, as_markdown
 from tailbeat.control.policy import KEY, VERSIONS, Contract, load_policy, shipped
@@ -20,11 +21,12 @@ def contract_page() -> str:
     """Every field of the metadata in policy.onnx."""
     head = (
         f"A policy is one ONNX file. Its metadata have the key `{KEY}`: JSON with `contract` and"
-        f" `digests`, one digest for each field. Its version is {VERSIONS[0]}, or"
-        f" {VERSIONS[1]} for a policy that observes velocities."
+        f" `digests`, one digest for each field. Its version is {VERSIONS[0]},"
+        f" {VERSIONS[1]} for a policy that observes velocities, or {VERSIONS[2]} for one that"
+        " observes averages too."
         " `tailbeat policy show FILE` prints it. A file whose contract does not hold is refused."
     )
-    kinds = (Contract, Entry, Generator, Direct, Filtered, MotionFilter)
+    kinds = (Contract, Entry, Generator, Direct, Filtered, MotionFilter, Averages)
     return page("Policy contract", head, *map(_section, kinds), _observation(), _training())
 
 

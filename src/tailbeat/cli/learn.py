@@ -15,6 +15,7 @@ from tailbeat.report.tables import as_rows
 if TYPE_CHECKING:
     from tailbeat.control.camera_yaw import Source
     from tailbeat.env.errors import Errors
+    from tailbeat.env.randomize import Randomisation
 
 PhysicsOption = Annotated[
     Literal["ranges", "posterior"],
@@ -54,6 +55,10 @@ TrainedServo = Annotated[
 FloorOption = Annotated[
     float, typer.Option(help="Lowest fundamental of the generator [Hz]; with 0 it can stop.")
 ]
+CentreOption = Annotated[
+    float | None,
+    typer.Option(help="Largest centre of the generator [rad]; default: 1.2 of a range of ±80°."),
+]
 TrainedMess = Annotated[
     str,
     typer.Option(
@@ -62,9 +67,25 @@ TrainedMess = Annotated[
     ),
 ]
 
+TrainedBuild = Annotated[
+    str,
+    typer.Option(
+        help="How wrong fish are built in training, up to a level's sizes if these are above the"
+        " usual ranges: clean, everyday, rough or wrecked."
+    ),
+]
+
 SeesVelocities = Annotated[
     bool,
     typer.Option(help="The policy also observes filtered velocities, its own and the target's."),
+]
+
+
+SeesAverages = Annotated[
+    bool,
+    typer.Option(
+        help="The policy also observes averages of its own signals over seconds, and velocities."
+    ),
 ]
 
 
@@ -88,10 +109,13 @@ def train(
     servo: TrainedServo = None,
     binds: BindsOption = None,
     floor: FloorOption = 0.0,
+    centre: CentreOption = None,
     physics: PhysicsOption = "ranges",
     imu: SeenImu = None,
     mess: TrainedMess = "clean",
+    build: TrainedBuild = "clean",
     velocities: SeesVelocities = False,
+    averages: SeesAverages = False,
     stage: Annotated[
         str | None, typer.Option(help="Stage to continue in; default: the checkpoint's.")
     ] = None,
@@ -110,17 +134,15 @@ def train(
 
     with progress.training() as report:
         described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe, task)
-        space = action_space(actions, described, binds or chosen.binds, floor)
-        draws = _draws(fish) if physics == "posterior" else None
+        space = action_space(actions, described, binds or chosen.binds, floor, centre)
         told = described, out, chosen, space, seed, hours, device
-        run = RunConfig(*told, draws=draws, errors=_wrong(mess), velocities=velocities)
-        run = replace(run, yaw_rate=_source(imu) or "imu")
-        room = run.recipe.buffer_bytes / 1e6
-        output.say(f"replay buffer: {room:.0f} MB in memory and in every checkpoint")
+        run = RunConfig(*told, velocities=velocities, averages=averages)
+        run = replace(run, draws=_draws(fish, physics), yaw_rate=_source(imu) or "imu")
+        run = replace(run, errors=_wrong(mess), build=_built(build))
+        output.say(f"replay buffer: {run.buffer_bytes / 1e6:.0f} MB, in every checkpoint too")
         course = learn(run, resume, report, stage)
     courses({f"{space.kind}, seed {seed}": course.history}, out / "curve.png")
-    done = result(run, course)
-    results.trained(done)
+    results.trained(done := result(run, course))
     if done.finished and space.kind != "turning":
         _expect_or_say(str(done.policy), recipe)
     if json is not None:
@@ -136,10 +158,18 @@ def _wrong(mess: str) -> "Errors | None":
     return None if mess == "clean" else widths(level(mess))
 
 
-def _draws(fish: str) -> Any:
+def _built(name: str) -> "Randomisation | None":
+    """Half widths of the physics at a level; None, the usual ones, at the clean one. Raises
+    BadInput."""
+    from tailbeat.pool import mess
+
+    return None if name == "clean" else mess.build(mess.level(name))
+
+
+def _draws(fish: str, physics: str) -> Any:
     from tailbeat.identify.posterior import factors_of
 
-    return factors_of(fish)
+    return factors_of(fish) if physics == "posterior" else None
 
 
 def show(file: PolicyFile, json: JsonOption = None) -> None:

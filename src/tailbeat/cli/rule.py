@@ -15,6 +15,9 @@ from tailbeat.files import refuse_existing, write_json
 def rule(
     fish: FishOption,
     out: Annotated[Path, typer.Option("--out", help="Policy to write, .onnx.")],
+    course: Annotated[
+        bool, typer.Option(help="Steer the direction in which it swims, not the one it looks in.")
+    ] = False,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -29,7 +32,8 @@ def rule(
     from tailbeat.train.rule import make
 
     with progress.counting() as count:
-        done = make(RunConfig(load_fish(fish), out.parent, seed=seed), out, count)
+        run = RunConfig(load_fish(fish), out.parent, seed=seed, averages=course)
+        done = make(run, out, count)
     output.tables({"best rule, as actions": [asdict(done.rule)]})
     share = f"{100 * done.reached:.0f} % of {done.targets} targets in the twin"
     output.say(f"{share}, median {done.median_seconds:.1f} s; policy: {done.policy}")

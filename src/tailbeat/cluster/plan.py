@@ -34,10 +34,13 @@ class Varied(_Part):
     servo: tuple[str, ...] = ()
     binds: tuple[Literal["fundamental", "signal"], ...] = ()
     floor: tuple[float, ...] = ()
+    centre: tuple[float, ...] = ()
     physics: tuple[Literal["ranges", "posterior"], ...] = ()
     imu: tuple[Literal["bno055", "none"], ...] = ()
     mess: tuple[Literal["clean", "everyday", "rough", "wrecked"], ...] = ()
+    build: tuple[Literal["clean", "everyday", "rough", "wrecked"], ...] = ()
     velocities: tuple[bool, ...] = ()
+    averages: tuple[bool, ...] = ()
     seed: tuple[NonNegativeInt, ...] = Field(default=(0,), min_length=1)
 
 
@@ -89,10 +92,13 @@ class Trial:
     servo: str | None
     binds: str | None
     floor: float | None
+    centre: float | None
     physics: str | None
     imu: str | None
     mess: str | None
+    build: str | None
     velocities: bool | None
+    averages: bool | None
     seed: int
     changed: Mapping[str, float | str | bool]
 

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from scipy import stats
 
 from tailbeat.cluster.plan import Trial
-from tailbeat.evaluate.rates import wilson
+from tailbeat.evaluate.rates import of_kind
 from tailbeat.files import new_file
 
 RESULT = "result.json"
@@ -48,8 +47,8 @@ class TrialRow:
 @dataclass(frozen=True)
 class GroupRow:
     """All seeds of a kind: how many are done, and the mean fraction of targets reached, in the twin
-    and in open water of the pool, with its 95 % interval (low, high). Over several seeds it is that
-    of their mean (Student's t), for one seed that over its targets (Wilson)."""
+    and in open water of the pool, with its 95 % interval (low, high) over seeds and targets, which
+    all seeds share (`rates.over_seeds`). In a sweep of an older release it is NaN."""
 
     group: str
     seeds: int
@@ -114,20 +113,24 @@ def _row(folder: Path, trial: Trial, failed: Mapping[str, str], ended: Sequence[
 
 def _group(name: str, rows: Sequence[TrialRow]) -> GroupRow:
     done = [row for row in rows if row.state == "done"]
-    twin = mean([row.twin for row in done], [row.targets for row in done])
-    swum = mean([row.open for row in done], [row.swims for row in done])
-    return GroupRow(name, len(done), twin[0], twin[1:], swum[0], swum[1:])
+    return GroupRow(name, len(done), *_mean(done, "twin"), *_mean(done, "open"))
 
 
-def mean(rates: Sequence[float], counts: Sequence[float]) -> tuple[float, float, float]:
-    """Mean of success rates and its 95 % interval, within 0 to 1; NaN without rates."""
-    if not rates or not np.isfinite(rates).all():
-        return np.nan, np.nan, np.nan
-    middle = float(np.mean(rates))
-    if len(rates) == 1:
-        return middle, *wilson(round(rates[0] * counts[0]), round(counts[0]))
-    far = stats.t.ppf(0.975, len(rates) - 1) * np.std(rates, ddof=1) / np.sqrt(len(rates))
-    return middle, max(middle - float(far), 0.0), min(middle + float(far), 1.0)
+def _mean(rows: Sequence[TrialRow], where: str) -> tuple[float, tuple[float, float]]:
+    """Mean fraction of targets reached, and its interval; NaN without hits."""
+    hits = [hits_of(Path(row.folder), where) for row in rows]
+    if not hits or not all(map(len, hits)):
+        unknown = [getattr(row, where) for row in rows] or [np.nan]
+        return float(np.mean(unknown)), (np.nan, np.nan)
+    found = of_kind(np.array(hits))
+    return found.difference, found.interval
+
+
+def hits_of(folder: Path, where: str) -> list[bool]:
+    """Which targets a trial's policy reached, in the `twin` or in `open` water of the pool; none in
+    the result of an older release."""
+    held = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+    return list(held.get("hits", {}).get(where, []))
 
 
 def _chosen(rows: Sequence[TrialRow]) -> str:

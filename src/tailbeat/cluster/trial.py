@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +21,18 @@ import numpy as np
 from psutil import Process
 
 from tailbeat.cluster.plan import Evaluated, Sweep, Trial, Tried
-from tailbeat.control.policy import Policy, load_policy
+from tailbeat.control.policy import Policy, decide, load_policy
+from tailbeat.env.assess import assess
 from tailbeat.env.curriculum import OPEN_WATER, Stage, settings_of
+from tailbeat.env.task import as_seen
+from tailbeat.evaluate import store
 from tailbeat.evaluate.evaluation import EvaluationConfig, evaluate, waters_of
-from tailbeat.evaluate.reach import in_twin, reach
+from tailbeat.evaluate.reach import OPEN, in_twin, seeded
+from tailbeat.evaluate.trial import CHUNK
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import load_fish, with_servo
 from tailbeat.identify.posterior import factors_of
-from tailbeat.pool.mess import level, widths
+from tailbeat.pool import mess
 from tailbeat.train.config import RunConfig, action_space, check, measured_run
 from tailbeat.train.expect import FEWER, FISH, SECONDS, of_file
 from tailbeat.train.progress import TrainingRow
@@ -43,19 +48,23 @@ def run_of(trial: Trial, sweep: Sweep, folder: Path) -> RunConfig:
     changed: dict[str, Any] = dict(trial.changed)
     recipe = replace(recipe_of(trial.recipe, trial.task), **changed)
     fish = with_servo(load_fish(trial.fish), trial.servo)
-    mess = trial.mess or "clean"
+    wrong, built = trial.mess or "clean", trial.build or "clean"
     return RunConfig(
         fish,
         folder / "run",
         recipe,
-        action_space(trial.actions, fish, trial.binds or recipe.binds, trial.floor or 0.0),
+        action_space(
+            trial.actions, fish, trial.binds or recipe.binds, trial.floor or 0.0, trial.centre
+        ),
         trial.seed,
         sweep.hours,
         device="cuda" if sweep.gpus else "cpu",
         checkpoint_minutes=sweep.checkpoint_minutes,
         draws=factors_of(trial.fish) if trial.physics == "posterior" else None,
-        errors=None if mess == "clean" else widths(level(mess)),
+        errors=None if wrong == "clean" else mess.widths(mess.level(wrong)),
+        build=None if built == "clean" else mess.build(mess.level(built)),
         velocities=bool(trial.velocities),
+        averages=bool(trial.averages),
         yaw_rate="camera" if trial.imu == "none" else "imu",
     )
 
@@ -81,12 +90,14 @@ def swim(folder: Path) -> None:
         _train(run, folder)
     policy = load_policy(str(run.out / "policy.onnx"))
     if not (folder / TRIED).is_file():
-        write_json(folder / TRIED, vars(_tried(policy, run, sweep.trial)))
+        write_json(folder / TRIED, _tried(policy, run, sweep.trial))
     pool = None if sweep.evaluate is None else _evaluated(policy, sweep.evaluate, folder)
+    swum = [] if sweep.evaluate is None else _arrivals(folder, sweep.evaluate.episodes)
     trained = json.loads((folder / TRAINED).read_text(encoding="utf-8"))
     tried = json.loads((folder / TRIED).read_text(encoding="utf-8"))
     spent = time.time() - Process().create_time()
     result = {"trained": trained, "twin": tried, "pool": pool, "process_s": spent}
+    result["hits"] = {"twin": tried.pop("hits", []), "open": swum}
     write_json(folder / RESULT, result, overwrite=True)
 
 
@@ -156,13 +167,15 @@ def _numbers(course: dict[str, Any], run: RunConfig) -> dict[str, Any]:
     }
 
 
-def _tried(policy: Policy, run: RunConfig, asked: Tried) -> Any:
-    """Swims in the twin, with all noise and randomisation, to the targets of every trial."""
+def _tried(policy: Policy, run: RunConfig, asked: Tried) -> dict[str, Any]:
+    """Swims in the twin, with all noise and randomisation, to the targets of every trial: their
+    numbers, and the `hits` of each target."""
     held = policy.contract
     stage = Stage("trial", 3, 1.0, 1.0, float(np.radians(asked.arc)))
     settings = settings_of(stage, held.actions, OPEN_WATER, held.measure)
-    settings = replace(settings, yaw_rate=held.yaw_rate, motion=held.motion)
-    return reach(policy, in_twin(run.fish, settings), asked.targets, 0)
+    settings = as_seen(settings, held)
+    swims = assess(partial(decide, policy), in_twin(run.fish, settings), asked.targets, 0)
+    return {**vars(seeded(policy, swims)), "hits": swims.reached.tolist()}
 
 
 def _evaluated(policy: Policy, asked: Evaluated, folder: Path) -> dict[str, Any]:
@@ -172,6 +185,12 @@ def _evaluated(policy: Policy, asked: Evaluated, folder: Path) -> dict[str, Any]
     )
     done = evaluate(policy, config, folder / "evaluation", lambda name, swum, total: None)
     return {name: asdict(one) for name, one in done.reach.items()}
+
+
+def _arrivals(folder: Path, episodes: int) -> list[bool]:
+    """Which targets in open water of the pool were reached."""
+    runs, _ = store.load(folder / "evaluation", OPEN, -(-episodes // CHUNK))
+    return [bool(one) for one in runs.reached]
 
 
 def say(**row: float) -> None:

@@ -44,7 +44,7 @@ class Generator:
     binds: Literal["fundamental", "signal"] = "fundamental"
     """What the ceiling limits. With `fundamental` (the paper) the second harmonic reaches twice the
     ceiling. With `signal` the fundamental stays below half of it."""
-    offset: float = 0.8
+    offset: float = 1.2
     """Largest mean angle, theta_c [rad]."""
     first: float = 1.0
     """Largest size of the first harmonic's a_1 and b_1 [rad]."""

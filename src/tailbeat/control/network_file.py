@@ -24,7 +24,7 @@ PARTS, TENSOR_PARTS, RANK = 10_000, 100, 8  # of a message; of a weight; dimensi
 # Layers and what may stand between them. None holds a graph of its own.
 OPERATORS = frozenset({
     "Add", "Clip", "Concat", "Div", "Elu", "Flatten", "Gemm", "Identity", "LayerNormalization",
-    "LeakyRelu", "MatMul", "Mul", "Relu", "Sigmoid", "Softplus", "Sub", "Tanh",
+    "LeakyRelu", "MatMul", "Mul", "Relu", "Sigmoid", "Softplus", "Sqrt", "Sub", "Tanh",
 })  # fmt: skip
 # Fields of the messages of ONNX. A sparse tensor may be small here and huge there.
 GRAPH, TRAINING, FUNCTIONS = 7, 20, 25  # of ModelProto

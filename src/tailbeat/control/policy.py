@@ -26,6 +26,7 @@ from tailbeat.control.actions import (
     Turning,
     check_space,
 )
+from tailbeat.control.averages import Averages
 from tailbeat.control.camera_yaw import Source
 from tailbeat.control.corrections import Corrections
 from tailbeat.control.corrections import from_contract as corrections_from
@@ -39,12 +40,14 @@ from tailbeat.control.observation import Entry, table
 from tailbeat.files import BadInput
 
 Single = NDArray[np.float32]
-VERSIONS = (1, 2)  # 2: the policy sees velocities, and the contract has their filter
+# 2: the policy sees velocities, and the contract has their filter; 3: it sees averages too
+VERSIONS = (1, 2, 3)
 LATER = {
     "description",
     "measure",
     "yaw_rate",
     "motion",
+    "averages",
     "corrections",
 }  # fields that older files lack
 KEY = "tailbeat"  # of the file's metadata
@@ -66,7 +69,8 @@ class Contract:
     period: float
     """Period of control [s]."""
     observation: tuple[Entry, ...]
-    """Inputs of the network in their order, with units and scales; 24, in version 2 28."""
+    """Inputs of the network in their order, with units and scales; 24, in version 2 28, in 3
+    42."""
     actions: ActionSpace
     """Action space with every scale, ceiling and time constant."""
     training: dict[str, Any]
@@ -81,7 +85,9 @@ class Contract:
     yaw_rate: Source = "imu"
     """Source of the yaw rate, "imu" or "camera". Without it in the file it is the IMU."""
     motion: MotionFilter | None = None
-    """Constants of the filter of velocities, in version 2; None in version 1, which has none."""
+    """Constants of the filter of velocities, from version 2 on; None in version 1."""
+    averages: Averages | None = None
+    """Time constants of the averages, from version 3 on; None before."""
     corrections: Corrections | None = None
     """Errors of the one robot that it swims on, by `tailbeat refine`; None for any robot."""
 
@@ -97,8 +103,8 @@ class Policy:
 
 
 def decide(policy: Policy, observation: Single) -> Single:
-    """Deterministic actions (n, size), within [-1, 1], for observations (n, 24 or 28). Values are
-    not checked: an observation that is not finite gives an action that is not."""
+    """Deterministic actions (n, size), within [-1, 1], for observations (n, 24, 28 or 42). Values
+    are not checked: an observation that is not finite gives an action that is not."""
     answer: Single = policy.session.run(None, {"observation": observation})[0]
     return answer
 
@@ -111,10 +117,9 @@ def as_text(contract: Contract) -> str:
     content = asdict(contract)
     if contract.description is None:
         del content["description"], content["measure"]  # an older file stays as it was
-    if contract.motion is None:
-        del content["motion"]
-    if contract.corrections is None:
-        del content["corrections"]
+    for name in ("motion", "averages", "corrections"):
+        if content[name] is None:
+            del content[name]
     if contract.yaw_rate == "imu":
         del content["yaw_rate"]  # so does a file of before this field
     return json.dumps({"contract": content, "digests": _digests(content)}, sort_keys=True)
@@ -192,8 +197,8 @@ def _contract(path: Path, text: str) -> Contract:
         raise BadInput(f"{path}: its contract cannot be read; export the policy again.") from error
     if version not in VERSIONS:
         raise BadInput(
-            f"{path}: contract version {version}; this tailbeat reads 1 and 2. Use the tailbeat"
-            f" that exported it."
+            f"{path}: contract version {version}; this tailbeat reads {VERSIONS[0]} to"
+            f" {VERSIONS[-1]}. Use the tailbeat that exported it."
         )
     names = [field.name for field in fields(Contract)]
     odd = sorted((set(content) | LATER) ^ set(names))
@@ -217,7 +222,7 @@ def _contract(path: Path, text: str) -> Contract:
         ) from None
     checks.check_times(path, contract.band, contract.period)
     checks.check_source(path, contract.yaw_rate)
-    ours = table(contract.measure, contract.yaw_rate, contract.motion is not None)
+    ours = observed_by(contract)
     checks.check_observation(path, contract.observation, ours)
     checks.check_pairs(path, contract.golden, contract.observation, contract.actions)
     return contract
@@ -230,9 +235,17 @@ def _built(content: dict[str, Any]) -> Contract:
     low, high = map(float, content["band"])
     content["band"] = (low, high)
     content["golden"] = tuple(tuple(side) for side in content["golden"])
-    content["motion"] = checks.filter_from(content["version"], content.get("motion"))
+    for name, kind, since in (("motion", MotionFilter, 2), ("averages", Averages, 3)):
+        held = content.get(name)
+        content[name] = checks.constants_from(kind, held, content["version"] >= since)
     content["corrections"] = corrections_from(content.get("corrections"))
     return Contract(**content)
+
+
+def observed_by(contract: Contract) -> tuple[Entry, ...]:
+    """The observation table that this package makes for a policy."""
+    kinds = contract.motion is not None, contract.averages is not None
+    return table(contract.measure, contract.yaw_rate, *kinds)
 
 
 def measure_in(name_or_path: str | None) -> Measure:

@@ -4,7 +4,7 @@ import math
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import onnxruntime
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from tailbeat.control.actions import PERIOD, ActionSpace, size
 from tailbeat.control.camera_yaw import SOURCES
 from tailbeat.control.measure import PAPER, Measure
-from tailbeat.control.motion import MotionFilter
 from tailbeat.control.network_file import ROWS
 from tailbeat.control.observation import Entry
 from tailbeat.files import BadInput
 
 Single = NDArray[np.float32]
 Pairs = tuple[Sequence[list[float]], ...]
+Constants = TypeVar("Constants")
 LARGEST = 1e6  # of the numbers in golden pairs
 DEPTH = 30  # tables inside tables of a contract; a fish has nine
 KINDS = {"fish": str, "fish_digest": str, "training": dict, "description": dict | None}
@@ -107,15 +107,15 @@ def check_source(path: Path, yaw_rate: object) -> None:
         )
 
 
-def filter_from(version: int, held: Any) -> MotionFilter | None:
-    """The filter of velocities in a contract: version 2 has one, version 1 has none. Raises
-    TypeError or ValueError for anything else."""
-    if held is None and version == 1:
+def constants_from(kind: type[Constants], held: Any, has: bool) -> Constants | None:
+    """The constants of a filter in a contract whose version `has` them; None in one that has not.
+    Raises TypeError or ValueError for anything else."""
+    if held is None and not has:
         return None
-    found = MotionFilter(**held)
+    found = kind(**held)
     fits = all(_is_number(one) and 0 < one < 1000 for one in held.values())
-    if version == 1 or not fits or set(held) != set(vars(found)):
-        raise ValueError(f"motion {held} in version {version}")
+    if not has or not fits or set(held) != set(vars(found)):
+        raise ValueError(f"{kind.__name__} {held}, {'not as in' if has else 'none in'} its version")
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
-from tailbeat.control import motion
+from tailbeat.control import averages, motion
 from tailbeat.control.actions import PERIOD, ActionState
 from tailbeat.control.corrections import corrected_frames, zero
 from tailbeat.control.motion import MotionState
@@ -36,17 +36,19 @@ class Readings:
 @dataclass(frozen=True, eq=False)
 class RunnerState:
     """State between two decisions: the action space's state, and the last commands (1, 3, 2),
-    newest first, each a frequency [rad/s] and a centre [rad]. `motion` is the filters' state, None
-    before the first decision and for a policy that sees no velocities."""
+    newest first, each a frequency [rad/s] and a centre [rad]. `motion` is the filters' state,
+    `averages` (1, 2, 7) are the averages; both are None before the first decision and for a policy
+    that does not see them."""
 
     state: ActionState
     commands: Array
     motion: MotionState | None = None
+    averages: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """One decision: observation (24,), action (size,), and the motor's setpoint [rad]."""
+    """One decision: observation (k,), action (size,), and the motor's setpoint [rad]."""
 
     observation: NDArray[np.float32]
     action: NDArray[np.float32]
@@ -76,16 +78,17 @@ def steer(
         readings.frames[None],
         None if moved is None else motion.observed(moved, readings.frames[:1, 2]),
     )
-    seen = observe(samples, policy.contract.measure)
+    kept = _averaged(policy, runner_state, samples, readings.elapsed)
+    seen = observe(replace(samples, averages=kept), policy.contract.measure)
     action = decide(policy, seen)
     if not np.isfinite(action).all():
-        kept = runner_state if moved is None else replace(runner_state, motion=moved)
-        return kept, Decision(seen[0], action[0], float("nan"))
+        unmoved = runner_state if moved is None else replace(runner_state, motion=moved)
+        return unmoved, Decision(seen[0], action[0], float("nan"))
     state = act.step(space, runner_state.state, np.asarray(action, float), policy.contract.period)
     newest = act.command(space, state)[:, None]
     commands = np.concatenate([newest, runner_state.commands[:, :-1]], axis=1)
     setpoint = float(act.setpoint(space, state)[0]) + zero(policy.contract.corrections)
-    return RunnerState(state, commands, moved), Decision(seen[0], action[0], setpoint)
+    return RunnerState(state, commands, moved, kept), Decision(seen[0], action[0], setpoint)
 
 
 def _corrected(policy: Policy, readings: Readings) -> Readings:
@@ -110,3 +113,16 @@ def _moved(policy: Policy, runner_state: RunnerState, readings: Readings) -> Mot
     if runner_state.motion is None:
         return motion.begin(constants, frames)
     return motion.update(constants, runner_state.motion, frames, readings.elapsed)
+
+
+def _averaged(
+    policy: Policy, runner_state: RunnerState, samples: Samples, elapsed: float
+) -> Array | None:
+    """The averages with this decision's samples; None if the policy sees none."""
+    constants = policy.contract.averages
+    if constants is None:
+        return None
+    if runner_state.averages is None:
+        return averages.begin(1)
+    setpoint = act.setpoint(policy.contract.actions, runner_state.state)
+    return averages.update(constants, runner_state.averages, samples, setpoint, elapsed)

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from tailbeat.control import motion
+from tailbeat.control import averages, motion
 from tailbeat.control.actions import ActionSpace
 from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.policy import Contract
@@ -89,6 +89,11 @@ def settings_of(
 def velocity_filter(measure: Measure) -> motion.MotionFilter:
     """The filter of observed velocities, in a fish's measure."""
     return motion.sized(motion_filter(), measure)
+
+
+def averages_of(measure: Measure) -> averages.Averages:
+    """The time constants of observed averages, in a fish's measure."""
+    return averages.sized(averages.Averages(), measure)
 
 
 def trained_speed(contract: Contract) -> float:

@@ -1,12 +1,14 @@
 """The task: targets and ends of episodes, reward, sensors, physics."""
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, ActionSpace, Generator, Turning
+from tailbeat.control.averages import Averages
 from tailbeat.control.camera_yaw import Source
 from tailbeat.control.corrections import Corrections
 from tailbeat.control.measure import ARRIVAL, PATIENCE, Measure
@@ -20,7 +22,12 @@ from tailbeat.env.sensors import SensorModel
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 Array = NDArray[np.float64]
+Seeing = TypeVar("Seeing", bound="DataclassInstance")
+SEEN = ("yaw_rate", "motion", "averages")  # fields of a contract that say what a policy sees
 
 
 @dataclass(frozen=True)
@@ -82,21 +89,23 @@ class Settings:
     measure: Measure = field(default_factory=Measure)  # of rewards and observations
     yaw_rate: Source = "imu"  # what the observed yaw rate comes from
     motion: MotionFilter | None = None  # of the observed velocities; None: they are not observed
+    averages: Averages | None = None  # their time constants; None: they are not observed
     errors: Errors | None = None
     corrections: Corrections | None = None  # of one robot; None: its readings stay as they are
 
 
 def settings_for(contract: Contract) -> Settings:
-    """The settings that a policy's contract asks for: its actions, targets in its measure, the
-    source of its yaw rate, the filter of its velocities, and the corrections of its robot."""
+    """The settings that a policy's contract asks for: its actions, targets in its measure, what it
+    sees, and the corrections of its robot."""
     measure = contract.measure
     found = Settings(contract.actions, sized(Task(), measure), measure=measure)
-    return replace(
-        found,
-        yaw_rate=contract.yaw_rate,
-        motion=contract.motion,
-        corrections=contract.corrections,
-    )
+    return replace(as_seen(found, contract), corrections=contract.corrections)
+
+
+def as_seen(one: Seeing, other: Any) -> Seeing:
+    """The first with what fish see as in the second: the source of the yaw rate, the filter of the
+    velocities, the averages. Either may be settings, a contract, or a trial's pool or condition."""
+    return replace(one, **{name: getattr(other, name) for name in SEEN})
 
 
 def sized(task: Task, measure: Measure) -> Task:
@@ -133,6 +142,8 @@ def check_settings(fish: Fish, settings: Settings) -> ActionSpace:
             f" {low:g} to {high:g} rad."
         )
     act.check_band(space, fish.band[1])
+    if settings.averages is not None and settings.motion is None:
+        raise BadInput("averages: they are of velocities too; give motion, the filter of these.")
     randomize.check(settings.physics)
     if settings.errors is not None:
         errors.check_widths(settings.errors)

@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD
-from tailbeat.control.observation import FOLLOWING, TABLE
+from tailbeat.control.observation import rows
 from tailbeat.env import rendering
 from tailbeat.env.reward import TERMS
 from tailbeat.env.simulator import Flags
@@ -27,8 +27,9 @@ Array = NDArray[np.float64]
 
 
 def observation_space(settings: Settings, count: int | None = None) -> gymnasium.spaces.Box:
-    """The observation space: 24 unbounded numbers, with velocities 28, or a batch of them."""
-    observed = len(TABLE if settings.motion is None else FOLLOWING)
+    """The observation space: 24 unbounded numbers, with velocities 28, with averages too 42, or a
+    batch of them."""
+    observed = len(rows(settings.motion is not None, settings.averages is not None))
     shape = (observed,) if count is None else (count, observed)
     return gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
 

@@ -5,14 +5,14 @@ number of threads. The interfaces of gymnasium and SB3 are in `vector_env.py`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
-from tailbeat.control import motion
+from tailbeat.control import averages, motion
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.corrections import zero
 from tailbeat.control.observation import COMMANDS, Samples, observe
@@ -35,7 +35,7 @@ JUMP = 0.1  # m in one step: a new target
 
 @dataclass(frozen=True)
 class Outcome:
-    """Results of one control step of n fish: observation (n, 24 or 28) and its frames (n, 3, 6),
+    """Results of one control step of n fish: observation (n, k) and its frames (n, 3, 6),
     reward and its terms (n,), ends (n,)."""
 
     observation: NDArray[np.float32]
@@ -89,6 +89,7 @@ class World:
         self.frames = np.zeros((self.count, 3, 6))  # as the policy gets them
         self.read = self._first_readings()  # the newest, before corrections
         self.motion = motion.begin(sensors.motion_filter(), self.frames)
+        self.averages = averages.begin(self.count)
         self.walls = np.array(settings.task.walls or (np.inf, np.inf)) / 2
 
     def reseed(self, seeds: list[int]) -> None:
@@ -110,8 +111,7 @@ class World:
     # ---- beginning ------------------------------------------------------------------------------
 
     def reset(self, which: Flags | None = None) -> NDArray[np.float32]:
-        """Start new episodes for the fish in `which` (all by default); observation (n, 24 or
-        28)."""
+        """Start new episodes for the fish in `which` (all by default); observation (n, k)."""
         chosen = np.flatnonzero(np.ones(self.count, bool) if which is None else which)
         if chosen.size:
             self.simulator.rest(chosen)
@@ -126,6 +126,7 @@ class World:
             first = motion.begin(self.settings.motion, readings.frames)
             for held, new in zip(self.motion, first, strict=True):
                 held[chosen] = new[chosen]
+        self.averages[chosen] = 0.0
         return self._observe(readings)
 
     def _begin(self, fish: int, rng: np.random.Generator) -> None:
@@ -215,7 +216,7 @@ class World:
         if self.settings.motion is not None:
             self.motion = motion.update(self.settings.motion, self.motion, readings.frames, PERIOD)
         self.age = self.age + 1
-        return self._judge(action, self._observe(readings), lost)
+        return self._judge(action, self._observe(readings, PERIOD), lost)
 
     def _moved(self, before: Array, was: Array) -> sensors.Motion:
         """What the sensors see of this step, with what the lab has wrong."""
@@ -244,27 +245,20 @@ class World:
         self.here = np.where(new, 0.0, self.here + 1)
         return np.where(new[:, None], self.target, before)
 
-    def _observe(self, readings: sensors.Readings) -> NDArray[np.float32]:
+    def _observe(self, readings: sensors.Readings, elapsed: float = 0.0) -> NDArray[np.float32]:
         self.frames, yaw_rate = readings.frames, readings.yaw_rate
         if self.settings.yaw_rate == "camera":
             yaw_rate = sensors.camera_yaw_rate(self.seen, self.age.astype(np.float64) * PERIOD)
-        return observe(
-            Samples(
-                readings.motor_angle,
-                readings.motor_velocity,
-                yaw_rate,
-                self.state.phase,
-                self.commands,
-                readings.frames,
-                self._velocities(),
-            ),
-            self.settings.measure,
-        )
-
-    def _velocities(self) -> Array | None:
-        if self.settings.motion is None:
-            return None
-        return motion.observed(self.motion, self.frames[:, 0, 2])
+        felt = readings.motor_angle, readings.motor_velocity, yaw_rate, self.state.phase
+        samples = Samples(*felt, self.commands, readings.frames)
+        if self.settings.motion is not None:
+            velocities = motion.observed(self.motion, self.frames[:, 0, 2])
+            samples = replace(samples, motion=velocities)
+        if (spans := self.settings.averages) is not None:
+            sent = act.setpoint(self.space, self.state)
+            self.averages = averages.update(spans, self.averages, samples, sent, elapsed)
+            samples = replace(samples, averages=self.averages)
+        return observe(samples, self.settings.measure)
 
     def _judge(self, action: Array, seen: NDArray[np.float32], lost: Flags) -> Outcome:
         """Reward and ends, from the exact distance (paper: only the reward uses it).

@@ -15,6 +15,7 @@ import numpy as np
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import Policy, decide, load_policy
 from tailbeat.env.simulator import TwinSimulator
+from tailbeat.env.task import as_seen
 from tailbeat.env.world import seeds_from
 from tailbeat.evaluate import store
 from tailbeat.evaluate.comparison import TWIN, Cell, Comparison, read
@@ -123,7 +124,7 @@ def conditions_of(entrant: Entrant, field: Field) -> list[Condition]:
     space, m = contract.actions, contract.measure
     scene = grid(fish, n, field.seed, 0.5 * m.reach, 2.5 * m.reach, float(np.radians(120)))
     full = Condition("full", fish, scene, space, pools([ablations()["full"]], n), measure=m)
-    full = replace(full, yaw_rate=contract.yaw_rate, motion=contract.motion)
+    full = as_seen(full, contract)
     own = fish.servos[fish.servo]
     prompt = own.model_copy(update={"delay": 0.0})
     twin = replace(full, name=TWIN, fish=entrant.twin, water=None)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.policy import Policy, contract_digest, decide
+from tailbeat.env.task import as_seen
 from tailbeat.evaluate import (
     disturb,
     fresh_recordings,
@@ -123,8 +124,7 @@ def pool_of(policy: Policy, config: EvaluationConfig) -> Pool:
     walls = config.walls or room(measure.reach)
     found = Pool(own, trained, actions, waters, config.episodes, config.seed, walls, draws, measure)
     held = policy.contract
-    found = replace(found, yaw_rate=held.yaw_rate, motion=held.motion)
-    return replace(found, corrections=held.corrections)
+    return replace(as_seen(found, held), corrections=held.corrections)
 
 
 def _draws(fish: str) -> NDArray[np.float64] | None:

@@ -10,9 +10,9 @@ import numpy as np
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.camera_yaw import Source
 from tailbeat.control.policy import Policy, check_fits, decide, load_policy
-from tailbeat.env.assess import Build, assess
+from tailbeat.env.assess import Build, Swims, assess
 from tailbeat.env.curriculum import OPEN_WATER, Stage, settings_of
-from tailbeat.env.task import Settings
+from tailbeat.env.task import Settings, as_seen
 from tailbeat.env.world import World
 from tailbeat.evaluate.rates import Flags, SuccessRates, success
 from tailbeat.evaluate.runs import Runs
@@ -26,6 +26,7 @@ from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water, ensemble
 from tailbeat.robot.fits import check_same_body, twin_of
 
+OPEN = "reach open"  # the condition without walls
 SECTOR = 30  # degrees of bearing, left and right together
 NEAREST, TRAINED, FARTHEST = 0.5, 2.5, 3.0  # m, of the paper's fish; trained to the second
 
@@ -123,6 +124,11 @@ def reach(policy: Policy, build: Build, count: int, seed: int) -> SeededTrial:
     """Swim a policy to `count` targets in worlds built from `seed`. Raises BadInput for worlds in
     another measure than the policy's."""
     swims = assess(partial(decide, policy), partial(_fitting, policy, build), count, seed)
+    return seeded(policy, swims)
+
+
+def seeded(policy: Policy, swims: Swims) -> SeededTrial:
+    """The numbers of swims to seeded targets."""
     near = swims.nearest < policy.contract.measure.near
     sectors = by_sector(swims.bearing, swims.reached, near, swims.seconds)
     return SeededTrial(
@@ -162,8 +168,8 @@ def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:
     noise = 0.0 if config.exact else 1.0
     stage = Stage("trial", 3, noise, noise, float(np.radians(config.arc)))
     task = replace(OPEN_WATER, least_arc=float(np.radians(config.least_arc)))
-    settings = settings_of(stage, held.actions, task, held.measure)
-    settings = replace(settings, yaw_rate=config.yaw_rate or held.yaw_rate, motion=held.motion)
+    settings = as_seen(settings_of(stage, held.actions, task, held.measure), held)
+    settings = replace(settings, yaw_rate=config.yaw_rate or held.yaw_rate)
     waters = ensemble(config.pools, config.seed) if config.pools else []
     build = in_pool(described, settings, waters) if waters else in_twin(described, settings)
     return reach(policy, build, config.targets, config.seed)
@@ -191,7 +197,7 @@ def conditions(pool: Pool) -> list[Condition]:
     clear = CLEAR * pool.measure.reach
     inside = walled(pool.fish, pool.count, pool.seed, (near, far), pool.walls, clear)
     found = [
-        pool.condition("reach open", scene),
+        pool.condition(OPEN, scene),
         pool.condition("reach walled", inside, around=around),
         pool.in_twin("reach twin", scene),
     ]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, ActionSpace
+from tailbeat.control.averages import Averages
 from tailbeat.control.camera_yaw import Source
 from tailbeat.control.corrections import Corrections
 from tailbeat.control.measure import PATIENCE, Measure
@@ -22,7 +23,7 @@ from tailbeat.env.assess import Decide
 from tailbeat.env.errors import Errors
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.sensors import SensorModel
-from tailbeat.env.task import Scene, Settings, Task, sized
+from tailbeat.env.task import Scene, Settings, Task, as_seen, sized
 from tailbeat.env.world import World, seeds_from
 from tailbeat.evaluate import store
 from tailbeat.evaluate.runs import SHOWN, Runs
@@ -46,8 +47,8 @@ class Condition:
     """n swims under one condition. Without `water` they are swum in the fish's own twin, with its
     `physics` randomised; `draws` as in `Settings`. `stop` ends a swim at its arrival. `physics` and
     `seconds` are those of the paper's fish, and are taken in the fish's own `measure`. `yaw_rate`
-    is the source of the policy's yaw rate, `motion` the filter of its velocities, `corrections`
-    those of its robot."""
+    is the source of the policy's yaw rate, `motion` the filter of its velocities, `averages` the
+    time constants of its averages, `corrections` those of its robot."""
 
     name: str
     fish: Fish
@@ -66,6 +67,7 @@ class Condition:
     measure: Measure = field(default_factory=Measure)
     yaw_rate: Source = "imu"
     motion: MotionFilter | None = None
+    averages: Averages | None = None
     corrections: Corrections | None = None
 
     @property
@@ -89,8 +91,9 @@ class Pool:
     """The pool for a policy.
 
     The pool's `fish` and `waters`; the `twin` that the policy was trained in; the `actions` of its
-    contract, which has the fish's `measure`, the source of the `yaw_rate`, the filter of
-    velocities, `motion`, and its robot's `corrections`, which swims in the twin do without;
+    contract, which has the fish's `measure`, what the policy sees (`yaw_rate`, `motion`,
+    `averages`, as in `Condition`), and its robot's `corrections`, which swims in the twin do
+    without;
     `count` swims per condition, drawn from `seed`;
     `walls` (length, width) [m] of the walled trials, the paper's pool by default; `draws` of the
     twin's posterior as in `Settings` (None: it has none).
@@ -107,20 +110,20 @@ class Pool:
     measure: Measure = field(default_factory=Measure)
     yaw_rate: Source = "imu"
     motion: MotionFilter | None = None
+    averages: Averages | None = None
     corrections: Corrections | None = None
 
     def condition(self, name: str, scene: Scene, **changed: Any) -> Condition:
         """A condition in the pool's waters, used in turn."""
         water = changed.pop("water", pools(self.waters, len(scene.start)))
         own = Condition(name, self.fish, scene, self.actions, water, measure=self.measure)
-        own = replace(own, yaw_rate=self.yaw_rate, motion=self.motion)
-        return replace(own, corrections=self.corrections, **changed)
+        return replace(as_seen(own, self), corrections=self.corrections, **changed)
 
     def in_twin(self, name: str, scene: Scene, draws: Array | None = None) -> Condition:
         """The same swims in the twin, with all noise and randomisation; with `draws`, the water's
         coefficients are drawn from these."""
         own = Condition(name, self.twin, scene, self.actions, None, measure=self.measure)
-        return replace(own, draws=draws, yaw_rate=self.yaw_rate, motion=self.motion)
+        return replace(as_seen(own, self), draws=draws)
 
 
 def part(condition: Condition, chunk: int) -> Condition:
@@ -214,10 +217,9 @@ def _world(one: Condition, seeds: list[int]) -> World:
         physics=randomize.sized(one.physics, one.measure),
         draws=one.draws,
         measure=one.measure,
-        yaw_rate=one.yaw_rate,
-        motion=one.motion,
         corrections=one.corrections,
     )
+    settings = as_seen(settings, one)
     return World(one.fish, settings, seeds, simulator=simulator, scene=one.scene, wrong=one.wrong)
 
 

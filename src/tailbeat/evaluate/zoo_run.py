@@ -15,6 +15,7 @@ from pathlib import Path
 
 from tailbeat.control.policy import load_policy
 from tailbeat.evaluate.evaluation import read
+from tailbeat.evaluate.reach import OPEN
 from tailbeat.evaluate.store import read_record
 from tailbeat.evaluate.zoo import COUNT, SERVO, Animal, animals, guess
 from tailbeat.files import BadInput, write_json
@@ -217,7 +218,7 @@ def outcome(animal: Animal, folder: Path, steps: dict[str, Step]) -> Outcome:
         passed, updates = (int(contract.training[name]) for name in ("stages_passed", "updates"))
         found = replace(found, stages=passed, updates=updates, arrival_m=contract.measure.arrival)
     if steps.get("evaluate") and steps["evaluate"].code == 0:
-        rates = read(folder / "evaluation").reach["reach open"]
+        rates = read(folder / "evaluation").reach[OPEN]
         found = replace(found, reached=rates.arrived, interval=rates.arrived_interval)
     if (folder / "tour.json").is_file():
         toured = json.loads((folder / "tour.json").read_text(encoding="utf-8"))["arrived"]

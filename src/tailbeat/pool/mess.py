@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.env.errors import BURSTS, Errors, true_frame
+from tailbeat.env.randomize import Randomisation
 from tailbeat.files import BadInput
 from tailbeat.pool.dynamics import FADING
 from tailbeat.pool.plant import Surroundings, stirred
@@ -137,6 +138,26 @@ def widths(sizes: Sizes) -> Errors:
     frame, in which relabelled targets would be wrong."""
     size = _si(sizes)
     return true_frame(_errors(size, size))
+
+
+def build(sizes: Sizes) -> Randomisation:
+    """Half widths for a training of how wrong a fish is built, and of the current: these sizes, or
+    the usual ranges where those are wider. A lab multiplies by 1 + size or divides by it; a
+    training draws up to a size either way."""
+    size, usual = _si(sizes), vars(Randomisation())
+    own = {
+        "head_mass": size["mass"],
+        "head_inertia": size["mass"],
+        "head_centre": size["centre"],
+        "tail_stiffness": size["stiffness"],
+        "tail_damping": size["damping"],
+        "fluid": max(size["fin"], size["added mass"]),
+        "servo_gain": size["servo gain"],
+        "servo_limit": size["servo torque"],
+        "servo_delay": size["servo delay"],
+        "current": size["current"],
+    }
+    return replace(Randomisation(), **{name: max(usual[name], own[name]) for name in own})
 
 
 def fingerprint() -> str:

@@ -56,4 +56,6 @@ def _known(value: float) -> float | None:
 
 
 def _rate(value: float, interval: tuple[float, float]) -> str | None:
-    return None if np.isnan(value) else percent(value, interval)
+    if np.isnan(value):
+        return None
+    return f"{100 * value:.1f}" if np.isnan(interval[0]) else percent(value, interval)

@@ -55,7 +55,7 @@ NUMBERS = {
 }
 ABSENT = dict.fromkeys(NUMBERS)  # a row without a number
 ARRAYS = {
-    "observation": "24 inputs of the policy, scaled; empty while it does not swim",
+    "observation": "inputs of the policy, scaled; empty while it does not swim",
     "action": "outputs of the policy; empty while it does not swim",
     "decided_on": "three newest frames, newest first, each x, y, yaw, target x, target y, age"
     " [m, m, rad, m, m, s]; empty while the policy does not swim",

@@ -17,7 +17,6 @@ from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import decide, load_policy
 from tailbeat.env import curriculum, rendering
 from tailbeat.env.assess import Decide, Settled, Summary, Swims, assess, never
-from tailbeat.env.errors import Errors
 from tailbeat.env.vector_env import FishVecEnv
 from tailbeat.env.world import World
 from tailbeat.files import BadInput
@@ -233,6 +232,7 @@ class TrainingCallback(BaseCallback):
             "recipe": self.run.recipe.name,
             "physics": self.run.record().physics,
             "errors": _widths(self.run.errors),
+            "build": _widths(self.run.build),
             "updates": self.model._n_updates,
             "control_steps": self.progress.control_steps,
             "hours": round(self.progress.seconds / 3600, 3),
@@ -293,7 +293,7 @@ class TrainingCallback(BaseCallback):
             )
 
 
-def _widths(errors: Errors | None) -> str:
-    """Half widths of what robots had wrong in training, in SI."""
-    given = {} if errors is None else {name: w for name, w in vars(errors).items() if w}
+def _widths(widths: object | None) -> str:
+    """Half widths of what was drawn in training, in SI."""
+    given = {} if widths is None else {name: w for name, w in vars(widths).items() if w}
     return ", ".join(f"{name} {width:.3g}" for name, width in given.items()) or "none"

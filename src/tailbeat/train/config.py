@@ -4,6 +4,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import psutil
@@ -13,9 +14,12 @@ from torch import cuda
 from tailbeat.control.actions import ActionSpace, Direct, Filtered, Turning, generator
 from tailbeat.control.camera_yaw import Source
 from tailbeat.control.measure import PAPER, Measure
-from tailbeat.env.curriculum import scaled, settings_of, velocity_filter
+from tailbeat.control.observation import rows
+from tailbeat.env import randomize
+from tailbeat.env.curriculum import averages_of, scaled, settings_of, velocity_filter
 from tailbeat.env.errors import Errors
 from tailbeat.env.measured import measure_of
+from tailbeat.env.randomize import Randomisation
 from tailbeat.env.task import Settings, check_settings
 from tailbeat.files import BadInput, leaves, write_json
 from tailbeat.fish.description import Fish
@@ -43,6 +47,8 @@ class RunRecord:
     yaw_rate: Source = "imu"
     errors: Errors | None = None
     velocities: bool = False
+    averages: bool = False
+    build: Randomisation | None = None
 
 
 @dataclass(frozen=True)
@@ -55,8 +61,9 @@ class RunConfig:
     `device` is cpu or cuda. `measure` is that of the fish; `measured_run` takes it. `yaw_rate` is
     the source of the yaw rate that the policy sees: imu, or camera for a robot without an IMU.
     `errors` are half widths of what each episode's robot has wrong, in full once all noise is; None
-    without. With `velocities` the policy also observes filtered velocities, its own and the
-    target's, as a policy that follows always does.
+    without. `build` are half widths of the physics; None takes the usual ones. With `velocities`
+    the policy also observes filtered velocities, its own and the target's, as a policy that follows
+    always does; with `averages` slow averages too, which takes the velocities along.
     """
 
     fish: Fish
@@ -72,6 +79,8 @@ class RunConfig:
     yaw_rate: Source = "imu"
     errors: Errors | None = None
     velocities: bool = False
+    averages: bool = False
+    build: Randomisation | None = None
 
     @property
     def discount(self) -> float:
@@ -86,10 +95,22 @@ class RunConfig:
         """The environment's settings in a stage."""
         recipe, share = self.recipe, self.recipe.stages[stage].noise
         found = settings_of(recipe.stages[stage], self.space(), recipe.task, self.measure)
-        if self.velocities:
+        if self.velocities or self.averages:
             found = replace(found, motion=velocity_filter(self.measure))
+        if self.build is not None:
+            widths = scaled(self.build, recipe.stages[stage].physics)
+            found = replace(found, physics=randomize.sized(widths, self.measure))
+        if self.averages:
+            found = replace(found, averages=averages_of(self.measure))
         wrong = scaled(self.errors, share) if self.errors is not None and share else None
         return replace(found, draws=self.draws, yaw_rate=self.yaw_rate, errors=wrong)
+
+    @property
+    def buffer_bytes(self) -> int:
+        """Size of the replay buffer in memory and in every checkpoint [bytes]."""
+        settings = self.settings(0)
+        kinds = settings.motion is not None, settings.averages is not None
+        return self.recipe.buffer_bytes(len(rows(*kinds)))
 
     def record(self) -> RunRecord:
         """What must be equal when the run is resumed."""
@@ -105,6 +126,8 @@ class RunConfig:
             self.yaw_rate,
             self.errors,
             self.velocities,
+            self.averages,
+            self.build,
         )
 
 
@@ -121,11 +144,16 @@ def _physics(draws: Array | None) -> str:
 
 
 def action_space(
-    kind: str | None, fish: Fish, binds: str = "fundamental", floor: float = 0.0
+    kind: str | None,
+    fish: Fish,
+    binds: str = "fundamental",
+    floor: float = 0.0,
+    centre: float | None = None,
 ) -> ActionSpace:
     """A fish's action space by name; None is the motor's own: the generator of a pulley, turning of
     a crank. The ceiling is the band's upper edge; `binds` is what stays below it, fundamental or
-    signal; `floor` [Hz] is the lowest fundamental. Raises BadInput."""
+    signal; `floor` [Hz] is the lowest fundamental; `centre` [rad] the largest centre, None for that
+    of the paper's fish in proportion to the range. Raises BadInput."""
     crank = fish.motor.range is None
     kind = kind or ("turning" if crank else "generator")
     allowed = ACTIONS[3:] if crank else ACTIONS[:3]
@@ -136,6 +164,8 @@ def action_space(
         )
     if floor and kind not in ("generator", "turning"):
         raise BadInput(f"--floor {floor:g}: {kind} actions have no floor; omit it.")
+    if centre is not None and not (kind == "generator" and 0 < centre <= np.pi):
+        raise BadInput(f"--centre {centre:g}: above 0 to 3.14 rad, and only of generator actions.")
     if kind == "turning":
         return Turning(fish.band[1], floor)
     low, high = fish.motor.range or (-np.pi, np.pi)
@@ -145,9 +175,9 @@ def action_space(
         return Filtered(low, high)
     if binds not in ("fundamental", "signal"):
         raise BadInput(f"--binds {binds}: allowed are fundamental, signal.")
-    return generator(
-        low, high, fish.band[1], "signal" if binds == "signal" else "fundamental", floor
-    )
+    bound: Literal["fundamental", "signal"] = "signal" if binds == "signal" else "fundamental"
+    found = generator(low, high, fish.band[1], bound, floor)
+    return found if centre is None else replace(found, offset=centre)
 
 
 def check(run: RunConfig, resume: bool) -> None:
@@ -157,7 +187,7 @@ def check(run: RunConfig, resume: bool) -> None:
     if run.device not in ("cpu", "cuda") or (run.device == "cuda" and not cuda.is_available()):
         raise BadInput(f"--device {run.device}: allowed are cpu, and cuda if this machine has it.")
     check_settings(run.fish, run.settings(0))
-    _check_memory(run.recipe)
+    _check_memory(run.buffer_bytes)
     if resume:
         _check_same(run)
     elif run.out.exists() and any(run.out.iterdir()):
@@ -173,12 +203,12 @@ def check_stage(run: RunConfig, stage: str) -> None:
         raise BadInput(f"--stage {stage!r}: allowed are {', '.join(names)}.")
 
 
-def _check_memory(recipe: Recipe) -> None:
+def _check_memory(buffer: int) -> None:
     free = psutil.virtual_memory().available
-    needed = recipe.buffer_bytes + WORKING_SET
+    needed = buffer + WORKING_SET
     if free < needed:
         raise BadInput(
-            f"training needs {needed / 1e9:.1f} GB of memory ({recipe.buffer_bytes / 1e9:.1f} GB"
+            f"training needs {needed / 1e9:.1f} GB of memory ({buffer / 1e9:.1f} GB"
             f" for the replay buffer), but {free / 1e9:.1f} GB are free; close other programs."
         )
 
@@ -199,6 +229,8 @@ def _check_same(run: RunConfig) -> None:
         held.setdefault("actions.floor", 0.0)  # older runs have no floor
     held.setdefault("errors", None)
     held.setdefault("velocities", False)
+    held.setdefault("averages", False)
+    held.setdefault("build", None)
     held.setdefault("physics", "ranges")  # and no posterior
     held.setdefault("yaw_rate", "imu")  # and an IMU
     for name in ("greedy", "promising", "between", "leap", "polish", "late_rate"):

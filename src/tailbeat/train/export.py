@@ -32,7 +32,7 @@ PRODUCED_BY = ("tailbeat", "mujoco", "torch", "stable-baselines3")
 def export(model: SAC, run: RunConfig, seen: Single, training: Facts, path: Path) -> Policy:
     """Write a run's policy, read it back and check its golden pairs.
 
-    `seen` (k, 24 or 28) are observations of real swims, from which the golden ones are taken.
+    `seen` (k, observed) are observations of real swims, from which the golden ones are taken.
     `training` says how the policy was trained. Raises BadInput.
     """
     golden = seen[np.linspace(0, len(seen) - 1, GOLDEN).astype(int)]
@@ -41,23 +41,25 @@ def export(model: SAC, run: RunConfig, seen: Single, training: Facts, path: Path
 
 
 def contract_of(run: RunConfig, seen: Single, actions: Single, training: Facts) -> Contract:
-    """The contract of a run's policy, with golden observations (k, 24 or 28) and its actions (k,
+    """The contract of a run's policy, with golden observations (k, observed) and its actions (k,
     size) for them."""
-    fish, measure, filtered = run.fish, run.measure, run.settings(0).motion
+    fish, measure, settings = run.fish, run.measure, run.settings(0)
+    motion, averages = settings.motion, settings.averages
     return Contract(
-        version=1 if filtered is None else 2,
+        version=1 + (motion is not None) + (averages is not None),
         fish=fish.name,
         fish_digest=digest(fish),
         band=fish.band,
         period=PERIOD,
-        observation=table(measure, run.yaw_rate, filtered is not None),
+        observation=table(measure, run.yaw_rate, motion is not None, averages is not None),
         actions=run.space(),
         training={**training, "versions": versions()},
         golden=(tuple(seen.tolist()), tuple(actions.tolist())),
         description=fish.model_dump(mode="json"),
         measure=measure,
         yaw_rate=run.yaw_rate,
-        motion=filtered,
+        motion=motion,
+        averages=averages,
     )
 
 
@@ -109,13 +111,31 @@ def _close_up(extractor: Any) -> tuple[list[Any], list[Any], str]:
         return [], [], "observation"
     held = extractor.named_buffers()
     weights = [numpy_helper.from_array(matrix.cpu().numpy(), name) for name, matrix in held]
-    top, low = ["observation", "above", "constant"], ["observation", "below", "range"]
+
+    def linear(matrix: str, given: str, name: str, *constant: str) -> onnx.NodeProto:
+        return helper.make_node("Gemm", [given, matrix, *constant], [name], transB=1)
+
     nodes = [
-        helper.make_node("Gemm", top, ["numerator"], transB=1),
-        helper.make_node("Gemm", low, ["denominator"], transB=1),
+        linear("above", "observation", "numerator", "constant"),
+        linear("below", "observation", "denominator", "range"),
         helper.make_node("Div", ["numerator", "denominator"], ["close"]),
-        helper.make_node("Concat", ["observation", "close"], ["features"], axis=1),
     ]
+    shown = ["observation", "close"]
+    if extractor.has_course:
+        nodes += [
+            linear("speeds", "observation", "velocity"),
+            helper.make_node("Mul", ["velocity", "velocity"], ["squares"]),
+            linear("both", "squares", "square"),
+            helper.make_node("Sqrt", ["square"], ["size"]),
+            helper.make_node("Add", ["size", "slow"], ["speed"]),
+            linear("place", "close", "places"),
+            linear("way", "observation", "ways"),
+            helper.make_node("Mul", ["places", "ways"], ["products"]),
+            linear("turn", "products", "turned"),
+            helper.make_node("Div", ["turned", "speed"], ["course"]),
+        ]
+        shown.append("course")
+    nodes.append(helper.make_node("Concat", shown, ["features"], axis=1))
     return nodes, weights, "features"
 
 

@@ -10,8 +10,9 @@ from tailbeat.env.task import Task
 from tailbeat.files import BadInput
 
 WIDTH, DEPTH = 286, 3  # of actor and critics (paper)
-# float32: two observations, action, reward, two ends, and the data for relabelling
-BYTES_PER_TRANSITION = 4 * (2 * 28 + 6 + 3 + 42)
+# numbers of a transition in single precision, beside two observations: action, reward, two ends,
+# and the data for relabelling
+NUMBERS = 6 + 3 + 42
 
 
 @dataclass(frozen=True)
@@ -69,10 +70,10 @@ class Recipe:
         threads of its own with one each; SB3's update runs on one and splits its operations."""
         return 1 if self.quick else None
 
-    @property
-    def buffer_bytes(self) -> int:
-        """Size of the replay buffer in memory and in every checkpoint [bytes]."""
-        return self.buffer * BYTES_PER_TRANSITION
+    def buffer_bytes(self, observed: int) -> int:
+        """Size of the replay buffer in memory and in every checkpoint [bytes], with so many
+        numbers in an observation."""
+        return 4 * self.buffer * (2 * observed + NUMBERS)
 
 
 # neither early verdicts nor a leap or polish

@@ -34,7 +34,7 @@ EXTRA = ("frames", "next_frames", "place", "target", "effort", "episode")
 class Transitions:
     """n transitions of up to k steps.
 
-    First observation `seen` (n, 24 or 28) and action (n, size), discounted reward (n,), last
+    First observation `seen` (n, observed) and action (n, size), discounted reward (n,), last
     observation `next`, whether the last step ended the episode (n,). For relabelling: the effort's
     term of every step (n, k), the positions of the tag `way` and of the `target` after every step
     (n, k, 2) [m], NaN after the last, and the frames of both observations (n, 3, 6).
@@ -217,7 +217,7 @@ def _unit(turn: Turns) -> Turns:
 
 
 def _seen(seen: Single, frames: Single, turn: Turns, move: Turns, measure: Measure) -> Single:
-    """The observations (n, 24 or 28) of frames (n, 3, 6) whose targets moved to turn p + move."""
+    """The observations (n, observed) of frames (n, 3, 6) whose targets moved to turn p + move."""
     full, after = np.array(frames, dtype=np.float64), seen.copy()
     target = turn[:, None] * _complex(full[..., 3:5]) + move[:, None]
     full[..., 3], full[..., 4] = target.real, target.imag

@@ -3,12 +3,17 @@
 The tail beats at one frequency with one stroke, and its centre follows the tangent of half the
 target's bearing: centre = gain tan(beta / 2), bounded. Frequency, stroke and gain are the best of a
 small grid in the twin, as one would choose them by hand. Ours.
+
+The bearing beta is seen from the heading or, if the policy observes averages, from the course: the
+direction of its own velocity, averaged over a second. A tag glued askew turns bearing and course
+alike, and a current is in the course.
 """
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -25,6 +30,8 @@ from tailbeat.train.export import GOLDEN, contract_of, model_of, save
 Single = NDArray[np.float32]
 Progress = Callable[[str, int, int], None]
 DISTANCE, AHEAD, LEFT = 12, 13, 14  # of the target in the newest frame, in the observation
+ONWARD, ASIDE = 31, 32  # own velocity ahead and left, fast average
+SLOWLY = 0.05  # added to the velocity ahead: a fish at rest, or going backward, keeps its heading
 BEHIND = (
     1.05  # times the distance, for 1 in tan(beta / 2) = sin / (1 + cos): finite straight behind
 )
@@ -36,11 +43,12 @@ TUNED, TRIED = 64, 250  # targets to choose by, and others to report
 @dataclass(frozen=True)
 class Rule:
     """Constants of the rule, as actions: of the frequency and the first harmonic, in [-1, 1], and
-    of the centre over tan(beta / 2)."""
+    of the centre over tan(beta / 2). With `course` beta is seen from the course."""
 
     frequency: float
     stroke: float
     gain: float
+    course: bool = False
 
 
 @dataclass(frozen=True)
@@ -62,7 +70,7 @@ def make(run: RunConfig, path: Path, progress: Progress) -> RuleResult:
     run = measured_run(run)
     if not isinstance(run.space(), Generator):
         raise BadInput(f"{run.fish.name}: the steering rule needs a generator, so a pulley.")
-    rules = [Rule(*one) for one in product(FREQUENCIES, STROKES, GAINS)]
+    rules = [Rule(*one, run.averages) for one in product(FREQUENCIES, STROKES, GAINS)]
     scored = []
     for number, rule in enumerate(rules, 1):
         scored.append(_score(_swum(rule, run, TUNED, run.seed)))
@@ -74,17 +82,22 @@ def make(run: RunConfig, path: Path, progress: Progress) -> RuleResult:
     facts: dict[str, str | int | float] = {"recipe": "steering rule", "seed": run.seed}
     facts |= {"stage": "rule", "reached": done.reached, **asdict(best)}
     contract = contract_of(run, seen, rule_of(best)(seen), facts)
-    save(model_of(*_layers(best, len(contract.observation)), 6, contract), path)
+    layers = _layers(best, len(contract.observation))
+    save(model_of(*layers, 6, contract), path)
     return RuleResult(str(path), best, done.targets, done.reached, done.median_seconds)
 
 
 def rule_of(rule: Rule) -> Decide:
-    """The rule as a function of observations (n, 24)."""
+    """The rule as a function of observations (n, 24), with a course (n, 42)."""
 
     def decide(seen: Single) -> Single:
         action = np.zeros((len(seen), 6), np.float32)
-        below = BEHIND * seen[:, DISTANCE] + seen[:, AHEAD] + LEAST
-        action[:, 1] = np.clip(rule.gain * seen[:, LEFT] / below, -1.0, 1.0)
+        away, ahead, left = seen[:, [DISTANCE, AHEAD, LEFT]].T
+        if rule.course:
+            onward, aside = np.maximum(seen[:, ONWARD], 0) + SLOWLY, seen[:, ASIDE]
+            away = away * np.hypot(onward, aside)
+            ahead, left = ahead * onward + left * aside, left * onward - ahead * aside
+        action[:, 1] = np.clip(rule.gain * left / (BEHIND * away + ahead + LEAST), -1.0, 1.0)
         action[:, 0], action[:, 2] = rule.frequency, rule.stroke
         return action
 
@@ -104,18 +117,53 @@ def _score(swims: Swims) -> tuple[float, float]:
 
 
 def _layers(rule: Rule, inputs: int) -> tuple[list[onnx.NodeProto], list[onnx.TensorProto]]:
-    """Nodes and weights of the rule: two rows of the observation, their ratio, the action."""
-    above, below = np.zeros((1, inputs)), np.zeros((1, inputs))
-    above[0, LEFT], below[0, DISTANCE], below[0, AHEAD] = rule.gain, BEHIND, 1.0
+    """Nodes and weights of the rule: where the target is, seen from the heading or the course; its
+    tangent; the action."""
+    place = np.zeros((3, inputs))
+    place[[0, 1, 2], [DISTANCE, AHEAD, LEFT]] = 1.0
     centre = np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]]).T
     rest = [rule.frequency, 0.0, rule.stroke, 0.0, 0.0, 0.0]
-    held = {"above": above, "below": below, "least": [LEAST], "low": -1.0, "high": 1.0,
-            "centre": centre, "rest": rest}  # fmt: skip
-    nodes = [
-        helper.make_node("Gemm", ["observation", "above"], ["numerator"], transB=1),
-        helper.make_node("Gemm", ["observation", "below", "least"], ["denominator"], transB=1),
+    held = {"place": place, "above": [[0.0, 0.0, rule.gain]], "below": [[BEHIND, 1.0, 0.0]],
+            "least": [LEAST], "low": -1.0, "high": 1.0, "centre": centre, "rest": rest}  # fmt: skip
+    nodes = [_linear("observation", "place", "seen")]
+    if rule.course:
+        more, turned = _turned(inputs)
+        nodes, held = [*nodes, *turned], held | more
+    seen = nodes[-1].output[0]
+    nodes += [
+        _linear(seen, "above", "numerator"),
+        _linear(seen, "below", "denominator", "least"),
         helper.make_node("Div", ["numerator", "denominator"], ["tangent"]),
         helper.make_node("Clip", ["tangent", "low", "high"], ["bounded"]),
-        helper.make_node("Gemm", ["bounded", "centre", "rest"], ["action"], transB=1),
+        _linear("bounded", "centre", "action", "rest"),
     ]
     return nodes, [numpy_helper.from_array(np.array(v, np.float32), k) for k, v in held.items()]
+
+
+def _turned(inputs: int) -> tuple[dict[str, Any], list[onnx.NodeProto]]:
+    """Weights and nodes that see distance, ahead and left from the course, times the speed."""
+    onward, aside = np.zeros((1, inputs)), np.zeros((1, inputs))
+    onward[0, ONWARD] = aside[0, ASIDE] = 1.0
+    one, turn = np.eye(3), np.array([[0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    held = {"onward": onward, "aside": aside, "zero": 0.0, "most": 1e6, "slowly": [SLOWLY],
+            "away": one[:, :1] @ one[:1], "along": np.diag([0, 1, 1]), "across": turn}  # fmt: skip
+    nodes = [
+        _linear("observation", "onward", "forward"),
+        helper.make_node("Clip", ["forward", "zero", "most"], ["never back"]),
+        helper.make_node("Add", ["never back", "slowly"], ["u"]),
+        _linear("observation", "aside", "v"),
+        helper.make_node("Mul", ["u", "u"], ["uu"]),
+        helper.make_node("Mul", ["v", "v"], ["vv"]),
+        helper.make_node("Add", ["uu", "vv"], ["square"]),
+        helper.make_node("Sqrt", ["square"], ["speed"]),
+    ]
+    for scale, matrix, name in (("speed", "away", "a"), ("u", "along", "b"), ("v", "across", "c")):
+        nodes += [_linear("seen", matrix, f"{name} of it"),
+                  helper.make_node("Mul", [f"{name} of it", scale], [name])]  # fmt: skip
+    nodes += [helper.make_node("Add", ["a", "b"], ["ab"]),
+              helper.make_node("Add", ["ab", "c"], ["turned"])]  # fmt: skip
+    return held, nodes
+
+
+def _linear(given: str, matrix: str, name: str, *constant: str) -> onnx.NodeProto:
+    return helper.make_node("Gemm", [given, matrix, *constant], [name], transB=1)
