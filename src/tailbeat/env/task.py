@@ -1,7 +1,7 @@
 """The task: targets and ends of episodes, reward, sensors, physics."""
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import Field, dataclass, field, replace
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,16 @@ from tailbeat.env.sensors import SensorModel
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
 Array = NDArray[np.float64]
-Seeing = TypeVar("Seeing", bound="DataclassInstance")
+
+
+class Record(Protocol):
+    """Any dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+
+Seeing = TypeVar("Seeing", bound=Record)
 SEEN = ("yaw_rate", "motion", "averages")  # fields of a contract that say what a policy sees
 
 
