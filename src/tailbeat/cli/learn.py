@@ -167,9 +167,11 @@ def _built(name: str) -> "Randomisation | None":
 
 
 def _draws(fish: str, physics: str) -> Any:
+    if physics != "posterior":
+        return None
     from tailbeat.identify.posterior import factors_of
 
-    return factors_of(fish) if physics == "posterior" else None
+    return factors_of(fish)
 
 
 def show(file: PolicyFile, json: JsonOption = None) -> None:

@@ -111,32 +111,33 @@ def _close_up(extractor: Any) -> tuple[list[Any], list[Any], str]:
         return [], [], "observation"
     held = extractor.named_buffers()
     weights = [numpy_helper.from_array(matrix.cpu().numpy(), name) for name, matrix in held]
-
-    def linear(matrix: str, given: str, name: str, *constant: str) -> onnx.NodeProto:
-        return helper.make_node("Gemm", [given, matrix, *constant], [name], transB=1)
-
     nodes = [
-        linear("above", "observation", "numerator", "constant"),
-        linear("below", "observation", "denominator", "range"),
+        linear("observation", "above", "numerator", "constant"),
+        linear("observation", "below", "denominator", "range"),
         helper.make_node("Div", ["numerator", "denominator"], ["close"]),
     ]
     shown = ["observation", "close"]
     if extractor.has_course:
         nodes += [
-            linear("speeds", "observation", "velocity"),
+            linear("observation", "speeds", "velocity"),
             helper.make_node("Mul", ["velocity", "velocity"], ["squares"]),
-            linear("both", "squares", "square"),
+            linear("squares", "both", "square"),
             helper.make_node("Sqrt", ["square"], ["size"]),
             helper.make_node("Add", ["size", "slow"], ["speed"]),
-            linear("place", "close", "places"),
-            linear("way", "observation", "ways"),
+            linear("close", "place", "places"),
+            linear("observation", "way", "ways"),
             helper.make_node("Mul", ["places", "ways"], ["products"]),
-            linear("turn", "products", "turned"),
+            linear("products", "turn", "turned"),
             helper.make_node("Div", ["turned", "speed"], ["course"]),
         ]
         shown.append("course")
     nodes.append(helper.make_node("Concat", shown, ["features"], axis=1))
     return nodes, weights, "features"
+
+
+def linear(given: str, matrix: str, name: str, *constant: str) -> onnx.NodeProto:
+    """The node `name` = `given` times the transposed `matrix`, plus a `constant` if given."""
+    return helper.make_node("Gemm", [given, matrix, *constant], [name], transB=1)
 
 
 def model_of(

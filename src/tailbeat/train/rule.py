@@ -25,7 +25,7 @@ from tailbeat.env.assess import Decide, Swims, assess
 from tailbeat.env.world import World
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.train.config import RunConfig, measured_run
-from tailbeat.train.export import GOLDEN, contract_of, model_of, save
+from tailbeat.train.export import GOLDEN, contract_of, linear, model_of, save
 
 Single = NDArray[np.float32]
 Progress = Callable[[str, int, int], None]
@@ -125,17 +125,17 @@ def _layers(rule: Rule, inputs: int) -> tuple[list[onnx.NodeProto], list[onnx.Te
     rest = [rule.frequency, 0.0, rule.stroke, 0.0, 0.0, 0.0]
     held = {"place": place, "above": [[0.0, 0.0, rule.gain]], "below": [[BEHIND, 1.0, 0.0]],
             "least": [LEAST], "low": -1.0, "high": 1.0, "centre": centre, "rest": rest}  # fmt: skip
-    nodes = [_linear("observation", "place", "seen")]
+    nodes = [linear("observation", "place", "seen")]
     if rule.course:
         more, turned = _turned(inputs)
         nodes, held = [*nodes, *turned], held | more
     seen = nodes[-1].output[0]
     nodes += [
-        _linear(seen, "above", "numerator"),
-        _linear(seen, "below", "denominator", "least"),
+        linear(seen, "above", "numerator"),
+        linear(seen, "below", "denominator", "least"),
         helper.make_node("Div", ["numerator", "denominator"], ["tangent"]),
         helper.make_node("Clip", ["tangent", "low", "high"], ["bounded"]),
-        _linear("bounded", "centre", "action", "rest"),
+        linear("bounded", "centre", "action", "rest"),
     ]
     return nodes, [numpy_helper.from_array(np.array(v, np.float32), k) for k, v in held.items()]
 
@@ -148,22 +148,18 @@ def _turned(inputs: int) -> tuple[dict[str, Any], list[onnx.NodeProto]]:
     held = {"onward": onward, "aside": aside, "zero": 0.0, "most": 1e6, "slowly": [SLOWLY],
             "away": one[:, :1] @ one[:1], "along": np.diag([0, 1, 1]), "across": turn}  # fmt: skip
     nodes = [
-        _linear("observation", "onward", "forward"),
+        linear("observation", "onward", "forward"),
         helper.make_node("Clip", ["forward", "zero", "most"], ["never back"]),
         helper.make_node("Add", ["never back", "slowly"], ["u"]),
-        _linear("observation", "aside", "v"),
+        linear("observation", "aside", "v"),
         helper.make_node("Mul", ["u", "u"], ["uu"]),
         helper.make_node("Mul", ["v", "v"], ["vv"]),
         helper.make_node("Add", ["uu", "vv"], ["square"]),
         helper.make_node("Sqrt", ["square"], ["speed"]),
     ]
     for scale, matrix, name in (("speed", "away", "a"), ("u", "along", "b"), ("v", "across", "c")):
-        nodes += [_linear("seen", matrix, f"{name} of it"),
+        nodes += [linear("seen", matrix, f"{name} of it"),
                   helper.make_node("Mul", [f"{name} of it", scale], [name])]  # fmt: skip
     nodes += [helper.make_node("Add", ["a", "b"], ["ab"]),
               helper.make_node("Add", ["ab", "c"], ["turned"])]  # fmt: skip
     return held, nodes
-
-
-def _linear(given: str, matrix: str, name: str, *constant: str) -> onnx.NodeProto:
-    return helper.make_node("Gemm", [given, matrix, *constant], [name], transB=1)
