@@ -37,6 +37,7 @@ def test_a_zoo_uses_every_servo_and_soft_and_stiff_tails():
     assert min(usual) < 0.6 and max(usual) > 1.3
 
 
+@pytest.mark.thorough
 def test_a_guess_is_wrong_by_40_percent_in_stiffness_and_servo_and_right_elsewhere(tmp_path):
     given = animals(0)[2].given
     assert given is not None

@@ -101,11 +101,13 @@ def check_the_same_target_changes_nothing(buffer: RelabelBuffer, targets: Any) -
     return before
 
 
+@pytest.mark.thorough
 def test_the_same_target_gives_the_same_sight_reward_and_end(filled):
     before = check_the_same_target_changes_nothing(*filled)
     assert before.ended.sum() >= 1 and filled[0].timeouts.sum() > 10
 
 
+@pytest.mark.thorough
 def test_the_same_target_that_goes_on_gives_the_same_reward_and_no_end(followed):
     before = check_the_same_target_changes_nothing(*followed)
     assert not before.ended.any() and before.reward.max() > 0.1  # nearness pays

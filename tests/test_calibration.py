@@ -42,6 +42,7 @@ def surveyed(height: float) -> tuple[list[Surveyed], np.ndarray]:
     return points, pixels + RNG.normal(0, 0.1, pixels.shape)
 
 
+@pytest.mark.thorough
 def test_the_lens_is_found_from_views_of_a_board(lens):
     assert lens.size == OPTICS.size and lens.rms < 0.4
     assert lens.matrix[0, 0] == pytest.approx(OPTICS.focal, rel=0.004)

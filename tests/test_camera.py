@@ -69,6 +69,7 @@ def test_a_plane_at_depth_over_the_index_is_off_by_millimetres_in_the_corner():
     assert 0.003 < np.linalg.norm(shifted - corner[:, :2]) < 0.02
 
 
+@pytest.mark.thorough
 def test_a_seed_s_pictures_repeat_and_another_s_do_not():
     first, again, other = (Renderer(seed=seed).draw(SCENE, 1.0) for seed in (4, 4, 5))
     assert first.shape == (720, 1280) and first.dtype == np.uint8

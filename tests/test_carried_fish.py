@@ -167,6 +167,7 @@ def test_golden_pairs_still_hold_for_a_policy_that_carries_its_fish(own):
     assert np.isfinite(seen).all() and KEY in {p.key for p in onnx.load(str(path)).metadata_props}
 
 
+@pytest.mark.thorough
 def test_a_newer_identification_can_be_tried_and_another_body_cannot(own):
     """The same policy in the fish as it was identified later, and in one of another mass."""
     path, _ = own

@@ -148,6 +148,7 @@ def test_open_loop_swim_leaves_picture_film_and_summary(tmp_path, monkeypatch):
         assert (tmp_path / "runs" / name).stat().st_size > 5000
 
 
+@pytest.mark.thorough
 def test_a_missing_gl_library_never_stops_a_picture(tmp_path):
     code = (
         "import mujoco, numpy as np, pathlib;"  # the engine first, without a screen: it picks GLFW
@@ -165,6 +166,7 @@ def test_a_missing_gl_library_never_stops_a_picture(tmp_path):
 EXAMPLES = Path(__file__).parents[1] / "examples" / "bench"
 
 
+@pytest.mark.thorough
 def test_the_worked_example_of_the_tail(tmp_path):
     words = ["--static", EXAMPLES / "tail-static.csv", "--ring-down", EXAMPLES / "tail-release.csv"]
     out = tmp_path / "fish.toml"
@@ -214,6 +216,7 @@ def test_the_worked_example_of_the_servo(tmp_path):
     assert not list(tmp_path.glob(".*"))  # no checkpoints left
 
 
+@pytest.mark.thorough
 def test_protocols_and_bad_benches(tmp_path):
     done = tailbeat_process("protocol", "servo", "--fish", "pulley-fish", "--out", tmp_path / "p")
     assert done.returncode == 0, done.stderr

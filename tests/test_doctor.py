@@ -252,6 +252,7 @@ def test_a_policy_that_does_not_fit_is_found(tmp_path):
 # ---- the verb -----------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_the_emulated_bench_is_well_and_what_is_broken_is_exit_code_1(tmp_path):
     out = tmp_path / "found.json"
     done = tailbeat_process("doctor", "--emulated", "--json", out)

@@ -44,6 +44,7 @@ def test_a_camera_that_sees_both_tags_is_well(look):
     assert float(found["frames per second"].found) > 3  # of a loaded machine
 
 
+@pytest.mark.thorough
 def test_a_missing_tag_is_told_apart_from_a_second_print_of_it(look):
     gone = look(replace(WELL, fish=None))["fish's tag"]
     assert gone.verdict == "bad" and "in 0 % of frames" in gone.found and gone.do

@@ -142,6 +142,7 @@ def path_errors(rough: list[Swim], fine: list[Swim]) -> np.ndarray:
     return np.array(apart) / np.array(way)
 
 
+@pytest.mark.thorough
 def test_the_lift_held_for_a_control_period_errs_less_than_one_percent(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -151,6 +152,7 @@ def test_the_lift_held_for_a_control_period_errs_less_than_one_percent(
     assert 0 < max(path_errors(held, beats_and_turns(fish))) < 0.01
 
 
+@pytest.mark.thorough
 def test_a_finer_step_changes_no_path_by_one_percent() -> None:
     fish = load_fish("pulley-fish-pool")
     fine = fish.model_copy(update={"simulation": fish.simulation.model_copy(update={"step": 1e-3})})

@@ -35,6 +35,7 @@ def test_a_script_is_short_and_shows_what_it_prints(script):
     assert f"python examples/{script}" in text.split('"""')[1]
 
 
+@pytest.mark.thorough
 def test_a_fish_swims_from_its_numbers():
     shown = (EXAMPLES / "swim.py").read_text().split('"""')[1]
     printed = said("swim.py", "--seconds", "3")

@@ -170,6 +170,7 @@ with watchdog.guard(sys.argv[1], families=[hardware.family]) as watcher:
 """
 
 
+@pytest.mark.thorough
 def test_the_watchdog_process_turns_torque_off_after_a_kill(fish):
     with servo_bench(STS3215) as bench:
         words = [sys.executable, "-c", LOOP, bench.path, str(fish)]

@@ -23,6 +23,7 @@ def seen(optics: Optics, place: tuple[float, float], turns: int = 4) -> bool:
     return all(rows[-1].frame.fish is not None for rows in frames)
 
 
+@pytest.mark.thorough
 def test_the_emulated_camera_sees_the_whole_pool():
     """It hung too low: everyday tours lost the fish beside one wall, where it drifted unseen."""
     assert max(unseen(true_calibration())) <= NEAR and blind(true_calibration()) == ""

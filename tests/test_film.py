@@ -197,6 +197,7 @@ def test_a_film_has_the_frames_and_length_asked_for(log, tmp_path):
     assert '"frames": 18' in (tmp_path / "film.json").read_text()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("end", [".webp", ".gif"])
 def test_an_animated_picture_is_as_good_as_fits(log, tmp_path, monkeypatch, end):
     width, height = films.SIZES[end]
@@ -294,6 +295,7 @@ def test_without_gl_the_film_says_so_and_leaves_nothing(log, tmp_path, monkeypat
     assert "no GL library" in refused(tmp_path, log, "--out", tmp_path / "a.mp4")
 
 
+@pytest.mark.thorough
 def test_a_tour_s_page_opens_with_the_film_or_says_why_there_is_none(toured, tmp_path, monkeypatch):
     width, height = films.SIZES[".mp4"]
     black = np.zeros((height, width, 3), np.uint8)

@@ -87,6 +87,7 @@ def distances(name: str, seconds: float = 12.0) -> np.ndarray:
     return np.asarray(runs.distance[:, round(SETTLING / PERIOD) :])
 
 
+@pytest.mark.thorough
 def test_it_follows_the_figure_eight_by_the_clock_and_the_policy_that_reaches_does_not():
     """Mean 0.07 m; with its four velocities at 0 it was 0.17 m. The reaching policy is the naive
     baseline: it overshoots the target and loops back."""

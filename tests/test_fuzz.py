@@ -21,6 +21,7 @@ from fuzz import (
 from fuzz_files import KINDS, ODD_CONTENTS, WAYS, Damage, damaged
 
 VERBS = verbs()
+SECONDS = ("posterior", "picture", "survey")  # what takes seconds to read
 # Of these, the ones that any run reads or writes first.
 FIRST = {"json", "out", "log", "key", "camera", "socket", "pictures", "replay"}
 
@@ -94,7 +95,9 @@ damages = st.builds(
 )
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.thorough) if n in SECONDS else n for n in KINDS]
+)
 @runs(4, 3000)
 def test_damaged_files(tmp_path: Path, name: str, count: int):
     kind, whole = KINDS[name], tmp_path / "whole"

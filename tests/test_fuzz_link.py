@@ -109,6 +109,7 @@ received = st.tuples(
 )
 
 
+@pytest.mark.thorough
 @runs(500, 50_000)
 def test_a_station_that_is_sent_odd_statuses_and_questions_goes_on(count):
     with link.bind("127.0.0.1", 0) as station, link.bind("127.0.0.1", 0) as fish:

@@ -11,6 +11,7 @@ P = "pulley-fish-pool-generator"
 SECONDS = 120.0  # far above what each takes, for a busy machine
 
 
+@pytest.mark.thorough
 @pytest.mark.realtime
 @pytest.mark.parametrize(
     "words",

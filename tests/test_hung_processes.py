@@ -92,6 +92,7 @@ def serving(page: OperatorClient) -> Iterator[list[str]]:
         page.close()
 
 
+@pytest.mark.thorough
 def test_a_page_s_server_that_hangs_is_told_within_half_a_second_and_replaced(page):
     with serving(page) as said:
         until(lambda: time.monotonic() > page.again)
@@ -134,6 +135,7 @@ def test_a_station_that_stood_still_itself_does_not_blame_its_server(page):
     page.close()
 
 
+@pytest.mark.thorough
 def test_a_server_that_hangs_does_not_keep_the_station_from_ending(page):
     os.kill(page.process.pid, signal.SIGSTOP)
     began = time.monotonic()
@@ -142,6 +144,7 @@ def test_a_server_that_hangs_does_not_keep_the_station_from_ending(page):
     assert page.process.returncode == -signal.SIGKILL
 
 
+@pytest.mark.thorough
 def test_a_server_that_works_ends_by_itself_however_soon(capfd):
     for _ in range(4):
         made = open_client(("127.0.0.1", 0), ROOM)
@@ -150,6 +153,7 @@ def test_a_server_that_works_ends_by_itself_however_soon(capfd):
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.thorough
 def test_a_station_whose_page_hangs_ends_at_ctrl_c_without_a_traceback(tmp_path):
     link.make_key(tmp_path / "fish.key")
     robot, listen = ("{}:{}".format(*link.free_address()) for _ in range(2))
@@ -188,6 +192,7 @@ def station(tmp_path: Path) -> Iterator[tuple[Part, Pulse]]:
             yield part, beats
 
 
+@pytest.mark.thorough
 def test_a_swim_whose_station_hangs_is_ended_in_a_sentence(station):
     part, beats = station
     os.kill(part.process.pid, signal.SIGSTOP)
@@ -212,6 +217,7 @@ def test_a_swim_whose_station_hangs_is_interrupted_by_ctrl_c(station, monkeypatc
     assert part.process.returncode == -signal.SIGKILL
 
 
+@pytest.mark.thorough
 def test_a_station_that_is_asked_to_end_does_not_hang_however_long_that_takes(station):
     part, beats = station
     part.process.send_signal(signal.SIGINT)
@@ -222,6 +228,7 @@ def test_a_station_that_is_asked_to_end_does_not_hang_however_long_that_takes(st
 # ---- the tracker --------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_tracker_that_hangs_is_noticed_within_half_a_second_and_replaced(pair):
     _, tracker = pair
     first, began = tracker.pid, time.monotonic()
@@ -279,6 +286,7 @@ def test_the_station_says_that_its_tracker_hangs_and_that_frames_arrive_again(pa
 STUCK = "import os, sys, time; os.write(int(sys.argv[1]), b'\\0\\1\\0\\0x'); time.sleep(600)"
 
 
+@pytest.mark.thorough
 def test_a_tracker_that_hangs_within_a_message_does_not_keep_the_station_from_ending(monkeypatch):
     """The message says that it has 65536 bytes, and one comes."""
     monkeypatch.setattr(tracking, "RUN", STUCK)

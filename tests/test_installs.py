@@ -43,6 +43,7 @@ def test_every_package_is_in_the_extra_that_the_sentence_names():
         assert package in named(PROJECT["optional-dependencies"][extra]), module
 
 
+@pytest.mark.thorough
 def test_every_import_is_of_the_core_or_of_an_extra():
     core = named(PROJECT["dependencies"])
     found = set()
@@ -70,6 +71,7 @@ def test_what_the_robot_runs_imports_nothing_of_the_laboratory():
     assert not LABORATORY & set(done.stdout.split())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("package", "extra", "words"),
     [

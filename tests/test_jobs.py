@@ -80,6 +80,7 @@ def slow(job: int) -> None:
     time.sleep(5.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.realtime
 def test_ctrl_c_ends_all_processes_at_once():
     """As a terminal sends it: to the whole group."""

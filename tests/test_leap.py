@@ -66,6 +66,7 @@ def deciding(
     return asked
 
 
+@pytest.mark.thorough
 def test_the_last_stage_follows_the_first_and_counts_for_all(tmp_path, monkeypatch):
     asked = deciding(monkeypatch, lambda stage, updates: True)
     done = train(leaping(tmp_path / "run"), False, print)
@@ -95,6 +96,7 @@ def test_a_leap_that_does_not_pass_goes_back_to_the_stages_between(tmp_path, mon
     assert [row.stage for row in done.promotions] == [1, 2, 3, 4]
 
 
+@pytest.mark.thorough
 def test_without_a_leap_every_stage_comes_in_turn(tmp_path, monkeypatch):
     asked = deciding(monkeypatch, lambda stage, updates: True)
     train(leaping(tmp_path / "run", leap=0), False, print)

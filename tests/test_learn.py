@@ -321,6 +321,7 @@ def test_sb3_sees_last_sights_and_timeouts():
     assert np.array_equal(np.asarray(env.reset()), first)
 
 
+@pytest.mark.thorough
 def test_sac_of_sb3_learns_on_it_without_complaint():
     from stable_baselines3 import SAC
 
@@ -330,6 +331,7 @@ def test_sac_of_sb3_learns_on_it_without_complaint():
     assert model.num_timesteps >= 160
 
 
+@pytest.mark.thorough
 def test_nothing_is_lost_in_random_swims():
     env = FishVectorEnv(FISH, 32, replace(Settings(), task=Task(walls=(5.5, 2.7))), seed=0)
     env.reset(seed=0)

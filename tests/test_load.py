@@ -160,7 +160,8 @@ def loaded(rows: np.ndarray, side: int) -> np.ndarray:
     return np.isfinite(found)
 
 
-@pytest.mark.parametrize("side", [pytest.param(0, marks=pytest.mark.thorough), 1])
+@pytest.mark.thorough
+@pytest.mark.parametrize("side", [0, 1])
 def test_one_cut_tendon_is_told_where_it_had_something_to_pull(side):
     """One that has nothing to pull, of a fish that turns to the other side, cannot be told."""
     rows = toured(cut(side == 0, side == 1), "everyday", 11)

@@ -190,6 +190,7 @@ def damaged(swum: bytes, path: Path, seed: int, hole: int) -> Path:
     return path
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("copies", "hole"), [(300, 0), (50, 4096)])
 def test_a_damaged_log_loses_the_damaged_rows_alone_and_says_so(swum, tmp_path, copies, hole):
     true = [row(k)["motor_angle_rad"] for k in range(ROWS)]

@@ -86,6 +86,7 @@ def test_a_wrong_calibration_reads_true_pixels_as_the_lab_s_errors_say(seed):
     assert np.allclose(right, places, atol=1e-4)
 
 
+@pytest.mark.thorough
 def test_a_camera_with_a_wrong_scale_sees_the_tag_at_a_wall_and_the_tracker_reads_it_wrong(
     tmp_path,
 ):

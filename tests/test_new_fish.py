@@ -79,6 +79,7 @@ def test_what_was_given_is_in_the_compiled_fish(written):
     assert fish.servos[fish.servo].force_limit == profile(given.servo).stall_nm
 
 
+@pytest.mark.thorough
 def test_every_size_floats_swims_and_holds_its_step(written):
     _, chosen, fish = written
     found = check.check(fish, length_of(fish))
@@ -224,6 +225,7 @@ def _nose_heavy(fish):
     return fish.model_copy(update={"head": head})
 
 
+@pytest.mark.thorough
 def test_the_shipped_fish_needs_no_warning_of_the_check():
     fish = load_fish("pulley-fish-pool")
     assert check.check(fish, length_of(fish)).warnings == ()
@@ -307,6 +309,7 @@ def test_a_quantity_that_is_none_is_one_sentence(tmp_path, words, complaint):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.thorough
 def test_the_step_that_diverges_is_never_chosen():
     fish = first_draft.described(sketch(SIZES["tiny"]))
     coarse, fine = (Simulation(step=step, integrator="Euler") for step in (0.02, 0.001))

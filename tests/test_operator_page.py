@@ -223,6 +223,7 @@ def test_stop_takes_the_torque_off_even_from_a_page_that_may_only_watch(lab, chr
     assert chromium.get_log("browser") == []
 
 
+@pytest.mark.thorough
 def test_a_fish_that_is_armed_again_after_a_stop_is_not_stopped_again(chromium):
     """The test is the station: the fish follows STOP, and is armed again within three seconds."""
     client, heard = open_client(("127.0.0.1", 0), ROOM), link.bind("127.0.0.1", 0)
@@ -340,6 +341,7 @@ def test_the_camera_s_newest_picture_is_shown_and_nothing_comes_from_elsewhere(l
     until(lambda: not page.find_element(By.ID, "camera").is_displayed())  # an old one goes
 
 
+@pytest.mark.thorough
 def test_a_server_that_dies_is_started_again_and_the_page_comes_back(lab, page):
     until(lambda: time.monotonic() > lab.client.again)
     process = lab.client.process
@@ -369,6 +371,7 @@ def test_commands_that_cannot_be_are_refused_with_the_reason(lab):
             assert complaint in ask(page, **words), words
 
 
+@pytest.mark.thorough
 def test_a_browser_that_does_not_draw_gets_the_newest_when_it_does(lab):
     """It holds up neither the sender nor itself with old news."""
     lab.order(do="tag")

@@ -108,6 +108,7 @@ def many_files() -> Iterator[None]:
 # ---- crowds -------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("origin", [HERE, THERE])
 def test_stop_is_served_within_a_second_beside_2000_idle_connections(page, many_files, origin):
     with crowd(page, origin) as made:
@@ -131,6 +132,7 @@ def open_files(page: OperatorClient) -> int:
     return len(os.listdir(f"/proc/{page.process.pid}/fd"))
 
 
+@pytest.mark.thorough
 def test_strangers_of_another_address_do_not_close_the_operator_s_page(page, many_files):
     with ws.connect(live(page)) as browser:
         page.show({}, b"")
@@ -141,6 +143,7 @@ def test_strangers_of_another_address_do_not_close_the_operator_s_page(page, man
             assert "now" in browser.recv(10)
 
 
+@pytest.mark.thorough
 def test_stop_is_served_while_strangers_connect_without_end(page):
     """A stranger that opens connections as fast as it can, from its own address."""
     over, opened = threading.Event(), [0]

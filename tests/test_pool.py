@@ -340,6 +340,7 @@ def test_a_fish_that_diverges_is_lost_and_leaves_the_others_alone(speed):
     assert np.array_equal(swum.q[0], step_plant(alone, at_rest(alone), commands[:1]).q[0])
 
 
+@pytest.mark.thorough
 @pytest.mark.long
 def test_no_fish_is_lost_in_24_random_swims():
     assert not random_year(24, seed=0).any()

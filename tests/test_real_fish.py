@@ -25,6 +25,7 @@ def amplitudes_agree(predictions: Sequence[Prediction]) -> bool:
     return found == pytest.approx([one.run.gait.tail_amplitude for one in predictions], rel=0.2)
 
 
+@pytest.mark.thorough
 def test_starting_values_already_swim_as_the_beats_rank(data):
     """Nothing is fitted: the middle of the search swims up to 60 mm/s too fast, but in order."""
     found = predict(load_fish("crank-fish"), swims(data, *HELD_OUT))

@@ -122,6 +122,7 @@ def logs(made, tmp_path):
     return write_logs(made[1], tmp_path, policy_sha256=sha, fish_digest=digest)
 
 
+@pytest.mark.thorough
 def test_a_refined_file_has_the_same_network_and_signals_and_names_its_parent(logs, tmp_path):
     out = tmp_path / "refined"
     done = tailbeat("refine", NAME, "--log", *logs, "--out", out, "--json", tmp_path / "r.json")

@@ -213,6 +213,7 @@ def test_only_searches_of_an_identification_are_unpickled():
     assert loaded == {"identify/search.py", "identify/polish.py"}
 
 
+@pytest.mark.thorough
 def test_weights_and_arrays_are_read_without_code():
     found = [(name, {word.arg: ast.unparse(word.value) for word in call.keywords})
              for path in SOURCES for name, call in calls(path)

@@ -131,6 +131,7 @@ def test_friction_holds_a_shaft_and_delay_is_of_the_command():
         assert moved[1] - moved[0] == pytest.approx(late, abs=2e-4)
 
 
+@pytest.mark.thorough
 def test_candidates_in_a_batch_equal_candidates_alone(recordings):
     pair = benches(recordings, "chirp", "steps")
     many = {name: np.repeat(value, 3) for name, value in described_servo(TRUTH).items()}

@@ -21,6 +21,7 @@ def fitted(benches: list[Bench], scratch) -> ServoFit:
     return identify_servo(FISH, benches, [], config, scratch)
 
 
+@pytest.mark.thorough
 def test_honest_recordings_agree(tmp_path):
     for seed in range(2):
         benches = own_runs(seed)

@@ -8,6 +8,7 @@ from tailbeat.fish.store import load_fish
 TWIN = load_fish("pulley-fish-pool")
 
 
+@pytest.mark.thorough
 def test_a_pool_s_fish_swims_with_its_own_servo_where_the_twin_s_name_is_not_known(monkeypatch):
     """A lab names its servo as it likes; the identified fish calls it `identified`."""
     monkeypatch.setattr(speed_map, "FREQUENCIES", (2.0,))

@@ -97,7 +97,8 @@ def _cell(fish: Fish) -> float:
     return round(suited.torque_count / CELL_COUNT, 6)
 
 
-@pytest.mark.parametrize("name", ["small", pytest.param("large", marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["small", "large"])
 def test_the_numbers_of_a_tail_come_back_from_the_bench(name):
     """With the noise of the cell that suits it. Inertia with the air that it carries along; air
     damps the large tail (7 % measured)."""

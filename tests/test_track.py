@@ -63,6 +63,7 @@ def pages(tmp_path_factory) -> list[Path]:
 # ---- sheets -------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_printed_tags_are_true_to_size_and_their_arrow_is_the_x_axis(pages: list[Path]):
     names = [path.name for path in pages]
     assert names == ["sheet-fish.png", "sheet-target.png", "sheet-board.png"]
@@ -128,6 +129,7 @@ def test_every_tag_is_the_library_s_own_and_differs_from_opencv_s():
 SHEET = Measured(0.026, FISH, TARGET, (6.0, 3.0))
 
 
+@pytest.mark.thorough
 def test_a_lab_s_pictures_make_a_calibration(lab: Path, tmp_path: Path):
     out = tmp_path / "camera.json"
     done = calibrate(str(lab / "views"), lab / "survey.csv", str(lab / "pool.png"),
@@ -140,6 +142,7 @@ def test_a_lab_s_pictures_make_a_calibration(lab: Path, tmp_path: Path):
     assert made.provenance["points"][0] == "tag 10"
 
 
+@pytest.mark.thorough
 def test_views_are_taken_from_a_film_when_the_board_has_moved(lab: Path, tmp_path: Path):
     film, out = tmp_path / "board.avi", tmp_path / "camera.json"
     writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (1280, 720))
@@ -190,6 +193,7 @@ def test_a_film_is_tracked_to_its_end(tmp_path: Path):
     assert any("fish" in line and "deg" in line for line in heard)
 
 
+@pytest.mark.thorough
 def test_the_verbs_print_write_and_refuse(tmp_path: Path):
     done = tailbeat_process("tags", "--out", tmp_path / "s.pdf", "--json", tmp_path / "s.json")
     assert done.returncode == 0, done.stderr

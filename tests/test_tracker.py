@@ -246,6 +246,7 @@ def pair(tmp_path: Path) -> Iterator[tuple[CameraProcess, TrackerProcess]]:
     camera.close()
 
 
+@pytest.mark.thorough
 def test_a_crash_in_the_native_code_is_told_and_the_process_started_anew(pair):
     """Then the camera goes away, and that is told too."""
     camera, tracker = pair
@@ -262,6 +263,7 @@ def test_a_crash_in_the_native_code_is_told_and_the_process_started_anew(pair):
     until(lambda: "is the camera plugged in" in tracker.fault or "start the" in tracker.fault)
 
 
+@pytest.mark.thorough
 def test_a_process_that_hangs_is_replaced(pair):
     _, tracker = pair
     until(lambda: tracker.newest() is not None)
@@ -284,6 +286,7 @@ def pinned(shift: float, renderer: Renderer, tracker: Tracker) -> Sighting:
     return film(tracker, renderer, [scene] * 120)[-1]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("shift", "told"), [(0.0, False), (0.005, False), (0.03, True)])
 def test_fixed_tags_tell_a_camera_that_moved_from_one_that_did_not(renderer, shift, told):
     places = {ident: (x, y, FISH.height) for ident, (x, y) in EDGE.items()}
@@ -312,6 +315,7 @@ def told_after(rate: float, course: float) -> float:
     return math.inf
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rate", [60.0, 15.0])
 @pytest.mark.parametrize("course", [0.3, 2.2, 4.4])
 def test_a_camera_that_drifts_slowly_is_told_within_three_seconds_at_any_frame_rate(rate, course):

@@ -143,6 +143,7 @@ def test_a_run_leaves_policy_curve_and_one_checkpoint(run):
     assert curve["history"] and list((run / "tensorboard").iterdir())
 
 
+@pytest.mark.thorough
 def test_a_resumed_run_goes_on_where_it_was(run):
     before = checkpoint.read_state(run / "checkpoint")
     progress = train(planned_for(run, hours=0.001), True, print)
@@ -213,6 +214,7 @@ def test_a_checkpoint_is_whole(run):
     assert entropies[0] == entropies[1] != float(np.log(0.02))
 
 
+@pytest.mark.thorough
 def test_other_settings_are_named_and_full_folders_refused(run):
     with pytest.raises(BadInput, match="contains another run"):
         train(planned_for(run), False, print)

@@ -133,6 +133,7 @@ def pace(poses: np.ndarray) -> list[tuple[float, float]]:
     return list(zip(surge.tolist(), rate.tolist(), strict=True))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("where", ["twin", "pool"])
 def test_it_steers_to_both_sides_in_the_twin_and_in_water_that_is_not_the_twin_s(where, turned):
     even, left, right = (turned[where, phase] for phase in (-1.0, LEFT, RIGHT))

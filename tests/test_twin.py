@@ -314,6 +314,7 @@ def test_without_added_inertia_the_crank_fish_starts_backwards():
     assert way(0.0) < 0.0
 
 
+@pytest.mark.thorough
 def test_show_warns_of_what_a_user_should_know():
     fish = load_fish("pulley-fish")
     assert any("added inertia" in row["warning"] for row in tables(fish)["warnings"])

@@ -78,6 +78,7 @@ def test_optimisers_of_a_gpu_s_checkpoint_go_on_here(learner):
     assert all(isinstance(one.param_groups[0]["lr"], float) for one in optimizers)
 
 
+@pytest.mark.thorough
 def test_updates_are_measured_against_sb3_s_of_the_same_size(monkeypatch):
     for name, few in (("STEPS", 20), ("UPDATES", 10), ("TURNS", 1)):
         monkeypatch.setattr(update_bench, name, few)

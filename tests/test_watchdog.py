@@ -140,6 +140,7 @@ def test_a_watchdog_that_is_gone_is_noticed(bench):
         assert not watcher.beat(False)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("which", ["the first", "the spare"])
 def test_a_watchdog_that_hangs_is_noticed_within_half_a_second_and_the_drive_still_ends(
     bench, which

@@ -210,6 +210,7 @@ def likeness(one: LoopBench, until: float = 4.0) -> float:
     return float(np.corrcoef(ours, plants)[0, 1])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "real", "told", "sign"),
     [
@@ -246,6 +247,7 @@ def test_a_bno085_that_freezes_or_falls_silent_holds_the_swim_and_comes_back():
         assert "no yaw rate for" in one.loop.safety_status.text
 
 
+@pytest.mark.thorough
 def test_without_an_imu_the_loop_swims_nearer_on_the_camera_s_rate():
     with looped(load_fish("pulley-fish"), "bno055", None) as one:
         one.swim()
@@ -345,6 +347,7 @@ def test_a_unit_names_the_fish_and_the_missing_imu(tmp_path: Path):
     assert "--fish pulley-fish --force-camera-yaw-rate" in out.read_text()
 
 
+@pytest.mark.thorough
 def test_the_sign_test_tells_a_rotated_imu_that_is_upside_down():
     """It is tilted by 30 degrees, and turned about its own axis; then the same and turned over."""
     with looped(fish_with(turned(210, 0, 70)), "bno055", turned(30, 0, 70)) as one:
