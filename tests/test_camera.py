@@ -280,6 +280,7 @@ time.sleep(600)
 """
 
 
+@pytest.mark.thorough
 def test_a_camera_that_hangs_holds_nobody_up_and_goes_on_with_the_newest_scene(tmp_path):
     made = start_camera(tmp_path / "c", Filming(fish=FISH))
     os.kill(made.process.pid, signal.SIGSTOP)

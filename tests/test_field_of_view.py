@@ -30,6 +30,7 @@ def test_the_emulated_camera_sees_the_whole_pool():
     assert seen(Optics(), (0.5, POOL[1] / 2 - 0.04)) and not seen(LOW, (0.5, POOL[1] / 2 - 0.04))
 
 
+@pytest.mark.thorough
 def test_a_strip_that_is_not_seen_is_named_and_ends_where_rendered_tags_do():
     made = true_calibration(LOW)
     strip = unseen(made)

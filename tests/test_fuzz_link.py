@@ -79,6 +79,7 @@ def believable(frame: Frame, room: tuple[float, float]) -> bool:
     return all(inside) and (frame.fish is None or abs(frame.fish[2]) <= YAW)
 
 
+@pytest.mark.thorough
 @runs(500, 200_000)
 def test_signed_datagrams_with_odd_content_never_raise_and_no_wrong_pose_is_believed(count):
     @fuzzed(count)

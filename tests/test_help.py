@@ -46,6 +46,7 @@ def test_the_list_of_verbs_imports_no_verb_and_no_terminal_library():
     assert not {f"tailbeat.cli.{verb.place.split(':')[0]}" for verb in VERBS} & loaded
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("module", sorted({verb.place.split(":")[0] for verb in VERBS}))
 def test_the_help_of_a_verb_loads_no_engine(module):
     name = next(verb.name for verb in VERBS if verb.place.startswith(module))

@@ -195,6 +195,7 @@ def test_the_sign_test_names_what_only_the_current_shows(break_it, words, least)
     assert sum(not one for one in before) >= 12
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_a_sound_fish_of_an_everyday_lab_passes_the_sign_test(friction):
     """Gears that hold the tail by themselves need no current, and look like tendons that are cut;

@@ -130,6 +130,7 @@ def written(tmp_path_factory):
     return path, export(untrained(space), run, sights(64), {"stage": "exact"}, path)
 
 
+@pytest.mark.thorough
 def test_the_contract_carries_the_measure_and_the_robot_observes_in_it(written):
     policy = load_policy(written[0])
     assert policy.contract.measure == HALF

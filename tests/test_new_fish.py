@@ -194,6 +194,7 @@ def test_flooded_parts_are_no_matter_to_the_twin():
     assert lighter == pytest.approx(part.mass - 1000 * math.pi / 6 * math.prod(part.size), rel=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [

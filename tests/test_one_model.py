@@ -48,7 +48,13 @@ def alone(fish: Fish, space: ActionSpace, actions: np.ndarray, yaw: float = 0.0)
     return swim([twin], [start], [np.repeat(setpoints, substeps)], substeps)[0]
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize(
+    "name",
+    [
+        n if n == "pulley-fish-pool" else pytest.param(n, marks=pytest.mark.thorough)
+        for n in shipped()
+    ],
+)
 def test_a_world_with_nothing_drawn_swims_the_compiled_twin_bit_for_bit(name: str) -> None:
     fish = load_fish(name)
     settings = Settings(task=Task(seconds=SECONDS), physics=randomize.none())

@@ -141,6 +141,7 @@ def test_a_refined_file_has_the_same_network_and_signals_and_names_its_parent(lo
     assert "exists" in complaint("refine", NAME, "--log", *logs, "--out", out)
 
 
+@pytest.mark.thorough
 def test_what_is_found_replaces_an_earlier_correction(made):
     """A log has the readings as they came, whatever corrected them."""
     found = offsets(made[1])

@@ -80,6 +80,7 @@ def test_printed_tags_are_true_to_size_and_their_arrow_is_the_x_axis(pages: list
     assert heads[1] > 1.5 * heads[0]  # the head lies at the tag's right
 
 
+@pytest.mark.thorough
 def test_the_printed_board_is_the_one_that_is_looked_for(pages: list[Path]):
     found = board_corners(printed(pages[2]), Board())
     assert found is not None
