@@ -28,6 +28,13 @@ from tailbeat.train.recipes import Recipe, quick
 
 Array = NDArray[np.float64]
 ACTIONS = ("generator", "direct", "filtered", "turning")
+# Options of `train` by the entry of `run.json` that they set, or by its first part.
+OPTIONS = {
+    "actions.kind": "--actions", "actions.binds": "--binds", "actions.floor": "--floor",
+    "actions.offset": "--centre", "recipe": "--recipe", "seed": "--seed", "physics": "--physics",
+    "yaw_rate": "--imu", "errors": "--mess", "velocities": "--velocities",
+    "averages": "--averages", "build": "--build",
+}  # fmt: skip
 WORKING_SET = 1.5e9  # bytes for torch, engine and 64 fish without the buffer (measured: 1.1e9)
 
 
@@ -245,8 +252,17 @@ def _check_same(run: RunConfig) -> None:
     ]
     if wrong:
         raise BadInput(
-            f"{run.out}: another run: {'; '.join(wrong)}. Give the options it was started with."
+            f"{run.out}: another run: {'; '.join(wrong)}. Give the options it was started with"
+            f"{_options(wrong)}."
         )
+
+
+def _options(wrong: list[str]) -> str:
+    """Which options differ, in brackets, of sentences that begin with an entry's name."""
+    names = [one.split()[0] for one in wrong]
+    found = {OPTIONS.get(one) or OPTIONS.get(one.split(".")[0]) for one in names}
+    told = sorted(one for one in found if one)
+    return f" ({', '.join(told)})" if told else ""
 
 
 def begin(run: RunConfig) -> None:
