@@ -169,7 +169,7 @@ def test_a_network_that_is_not_the_contract_s_is_refused(
 
 def test_two_policies_are_shipped_and_others_are_kept_as_evidence():
     assert list(shipped()) == ["pulley-fish-pool-follow", "pulley-fish-pool-generator"]
-    assert len(POLICIES) == 18
+    assert len(POLICIES) == 20
 
 
 def test_a_contract_from_before_the_floor_still_loads(tmp_path):
