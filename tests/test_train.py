@@ -220,7 +220,8 @@ def test_other_settings_are_named_and_full_folders_refused(run):
         train(planned_for(run), False, print)
     low, high = FISH.motor.range or (-1.0, 1.0)
     other = planned_for(run, seed=3, actions=Direct(low, high))
-    with pytest.raises(BadInput, match=r"ceiling was 4.0, now None.*seed was 0, now 3.*--seed\)"):
+    told = r"actions.ceiling was 4.0, now None.*seed was 0, now 3.*\(--actions, --seed\)\.$"
+    with pytest.raises(BadInput, match=told):
         train(other, True, print)
     with pytest.raises(BadInput, match="no run to resume"):
         train(planned_for(run.parent / "nothing"), True, print)
@@ -232,7 +233,7 @@ def test_a_run_begun_before_the_floor_is_the_same_run_without_one(tmp_path):
     write_json(tmp_path / "run.json", held)
     check(planned_for(tmp_path), resume=True)
     floored = planned_for(tmp_path, actions=action_space("generator", FISH, floor=1.0))
-    with pytest.raises(BadInput, match=r"floor was 0.0, now 1.0.*with \(--floor\)\.$"):
+    with pytest.raises(BadInput, match=r"actions.floor was 0.0, now 1.0.*with \(--floor\)\.$"):
         check(floored, resume=True)
 
 

@@ -258,8 +258,11 @@ def _check_same(run: RunConfig) -> None:
 
 
 def _options(wrong: list[str]) -> str:
-    """Which options differ, in brackets, of sentences that begin with an entry's name."""
-    names = [one.split()[0] for one in wrong]
+    """Which options differ, in brackets, of sentences that begin with an entry's name. Two kinds of
+    actions differ in all their entries."""
+    names = {one.split()[0] for one in wrong}
+    if "actions.kind" in names:
+        names = {one for one in names if not one.startswith("actions.")} | {"actions.kind"}
     found = {OPTIONS.get(one) or OPTIONS.get(one.split(".")[0]) for one in names}
     told = sorted(one for one in found if one)
     return f" ({', '.join(told)})" if told else ""
