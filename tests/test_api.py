@@ -115,6 +115,7 @@ def test_a_vector_of_fish_is_one_batch_and_each_swims_as_alone():
     assert np.array_equal(*seen)
 
 
+@pytest.mark.thorough
 def test_ppo_of_sb3_learns_on_it():
     env = make_vec_env("tailbeat/Reach-v0", n_envs=2, seed=0, env_kwargs={"fish": FISH})
     model = PPO("MlpPolicy", env, n_steps=16, batch_size=16, n_epochs=1, device="cpu")

@@ -50,6 +50,7 @@ def test_the_lens_is_found_from_views_of_a_board(lens):
     assert lens.distortion[0] == pytest.approx(OPTICS.radial[0], abs=0.01)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("height", [0.1, 0.0, -0.05, -0.2])
 def test_the_camera_s_place_is_found_from_points_in_and_above_the_water(lens, height):
     points, pixels = surveyed(height)

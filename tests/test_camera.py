@@ -76,6 +76,7 @@ def test_a_seed_s_pictures_repeat_and_another_s_do_not():
     assert np.array_equal(first, again) and not np.array_equal(first, other)
 
 
+@pytest.mark.thorough
 def test_brightness_comes_in_as_many_levels_as_there_are_bits():
     coarse = Renderer(conditions=Conditions(bits=4)).draw(SCENE, 0.0)
     assert set(np.unique(coarse) % 16) == {0}

@@ -78,6 +78,7 @@ def test_the_readme_s_python_runs_and_prints_what_it_says(capsys):
     assert f"# {float(rate):.1f} (all 20 targets), median {float(seconds):.1f} s" in code
 
 
+@pytest.mark.thorough
 def test_the_python_of_the_first_lines_runs(capsys):
     text = (EXAMPLES.parent / "docs/start/python.md").read_text()
     first, *others = re.findall(r"```python\n(.*?)```", text, re.DOTALL)

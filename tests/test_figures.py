@@ -158,6 +158,7 @@ def colours(figure: Figure) -> set[str]:
     return {to_hex(one) for one in [*marks, *bars]}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", DRAWN)
 def test_every_axis_has_a_unit_and_every_colour_is_of_the_style(name):
     figure = DRAWN[name]()

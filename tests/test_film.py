@@ -156,6 +156,7 @@ def project(camera: mujoco.MjvCamera, place: np.ndarray, view: View, fovy: float
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("side", ["follow", "side"])
 def test_the_fish_s_pixels_are_where_its_pose_projects_to(side):
     here, away = turning(), turning()

@@ -123,6 +123,7 @@ def test_a_supply_that_the_servo_does_not_take_is_refused(tmp_path):
     assert "hardware.supply is 24 V; the servo takes 9.5 to 16 V" in said
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["xl330", "sts3215"])
 def test_a_sketch_carries_its_servo(tmp_path, name):
     new_fish(tmp_path / "a.toml", Given(length=0.28, mass=0.35, hinges=4, servo=name))

@@ -100,6 +100,7 @@ def test_mirrored_commands_give_mirrored_circles_and_a_straight_beat_none():
     assert both.rate[0] == pytest.approx(np.abs(found.rate).min(), rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_a_larger_beat_of_the_same_frequency_is_not_slower():
     speeds = swum(*(Command(1.5, size, 0.0) for size in (0.05, 0.1, 0.2, 0.4, 0.8))).speed
     assert speeds[0] > 0 and (np.diff(speeds) > 0).all()
@@ -123,6 +124,7 @@ def test_a_stop_is_that_of_a_drag_that_grows_with_the_square_of_the_speed():
     assert seconds * start == pytest.approx(distance * 9 / np.log(10), rel=0.1)
 
 
+@pytest.mark.thorough
 def test_a_bent_tail_stops_the_fish_sooner():
     assert (stopped(SPACE.offset)[1] < stopped(0.0)[1]).all()
 

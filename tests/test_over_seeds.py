@@ -37,6 +37,7 @@ def test_an_interval_over_seeds_holds_the_rate_where_one_over_targets_does_not(l
     assert share([low <= truth <= high for low, high in plain]) < 0.75
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("spreads", [(0.6, 0.6), (0.2, 0.9), (0.0, 0.0)])
 def test_kinds_that_are_alike_are_seldom_told_apart(spreads):
     rng = np.random.default_rng(1)
@@ -51,6 +52,7 @@ def test_kinds_that_are_alike_are_seldom_told_apart(spreads):
     assert share([low <= 0 <= high for low, high in found]) >= 0.94
 
 
+@pytest.mark.thorough
 def test_without_a_difference_between_seeds_the_interval_is_not_useless():
     """Three seeds are few: the interval is wider than one over all swims, but not by much."""
     rng = np.random.default_rng(2)

@@ -168,6 +168,7 @@ def test_stop_is_served_while_strangers_connect_without_end(page):
 # ---- slow requests ------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("drip", [False, True])
 def test_a_request_that_does_not_end_is_closed_after_five_seconds(page, drip):
     with connect(page, first=HALF) as slow:

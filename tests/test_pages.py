@@ -60,6 +60,7 @@ def test_a_block_says_whether_it_needs_hardware(page):
         assert bool(HARDWARE.search(block)) == block.startswith(MARK), block
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("page", [p for p in PAGES if told(p, QUICK)], ids=lambda page: page.stem)
 def test_quick_commands_work_as_written(page, tmp_path):
     for line in told(page, QUICK):

@@ -179,6 +179,7 @@ def speed(plant: Plant, commands: np.ndarray, every: int) -> float:
     return float(way @ [np.cos(heading), np.sin(heading)]) / 4
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("frequency", "stroke"), [(1.0, 0.9), (2.0, 0.6), (4.0, 0.35)])
 def test_two_milliseconds_are_short_enough(frequency, stroke):
     speeds = []

@@ -32,6 +32,7 @@ def test_honest_recordings_agree(tmp_path):
         assert [one.best for one in said] == pytest.approx([1, 1], rel=0.06)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("stated", [1.5, 2.0, 4.5, 6.0])
 def test_a_wrong_gain_is_the_first_thing_said(tmp_path, stated):
     """The second recording was made at gain 3."""

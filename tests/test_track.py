@@ -158,6 +158,7 @@ def test_views_are_taken_from_a_film_when_the_board_has_moved(lab: Path, tmp_pat
     assert done.focal_px == pytest.approx(Optics().focal, rel=0.01)
 
 
+@pytest.mark.thorough
 def test_what_is_missing_from_a_calibration_is_said(lab: Path, tmp_path: Path):
     views, pool, survey = str(lab / "views"), str(lab / "pool.png"), lab / "survey.csv"
     out = tmp_path / "camera.json"

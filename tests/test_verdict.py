@@ -56,6 +56,7 @@ def ending(will: np.ndarray, order: np.ndarray, settled: Settled) -> tuple[Swims
     return swims(reached), int(going.sum())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("share", [0.85, 0.93, 0.97, 0.99])
 def test_swims_that_are_cut_short_give_the_verdict_of_whole_ones(share):
     """Arrivals end first, misses last."""
