@@ -31,7 +31,7 @@ ACTIONS = ("generator", "direct", "filtered", "turning")
 # Options of `train` by the entry of `run.json` that they set, or by its first part.
 OPTIONS = {
     "actions.kind": "--actions", "actions.binds": "--binds", "actions.floor": "--floor",
-    "actions.offset": "--centre", "recipe": "--recipe", "seed": "--seed", "physics": "--physics",
+    "actions.offset": "--centre", "recipe": "--recipe or --task", "seed": "--seed", "physics": "--physics",
     "yaw_rate": "--imu", "errors": "--mess", "velocities": "--velocities",
     "averages": "--averages", "build": "--build",
 }  # fmt: skip
