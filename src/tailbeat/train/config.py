@@ -31,9 +31,9 @@ ACTIONS = ("generator", "direct", "filtered", "turning")
 # Options of `train` by the entry of `run.json` that they set, or by its first part.
 OPTIONS = {
     "actions.kind": "--actions", "actions.binds": "--binds", "actions.floor": "--floor",
-    "actions.offset": "--centre", "recipe": "--recipe or --task", "seed": "--seed", "physics": "--physics",
-    "yaw_rate": "--imu", "errors": "--mess", "velocities": "--velocities",
-    "averages": "--averages", "build": "--build",
+    "actions.offset": "--centre", "recipe": "--recipe or --task", "seed": "--seed",
+    "physics": "--physics", "yaw_rate": "--imu", "errors": "--mess", "build": "--build",
+    "velocities": "--velocities", "averages": "--averages",
 }  # fmt: skip
 WORKING_SET = 1.5e9  # bytes for torch, engine and 64 fish without the buffer (measured: 1.1e9)
 
