@@ -85,7 +85,7 @@ def fault(path: str, log: Found) -> str:
     return "" if values and not isinstance(values[0], list) else "no value in any row"
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.realtime
 def test_every_path_of_the_layout_has_values_in_a_log(log):
     used = {path for panel in PANELS.values() for path in paths(panel)}

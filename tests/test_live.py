@@ -48,7 +48,7 @@ def swum(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, page.TourRepor
     return out, done, said
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_a_fish_seen_by_the_camera_alone_swims_towards_its_target(swum):
     out, done, said = swum
     target = draw_targets(1, 0)[0]

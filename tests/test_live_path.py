@@ -50,7 +50,7 @@ def not_rendered(shot: Shot, path: Path, _: object) -> None:
     path.touch()
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_the_targets_in_the_fish_s_log_are_those_of_the_clock(swum):
     path = target_path(PathAsked("circle", speed=0.1, seconds=SECONDS))
     began = json.loads((swum / "path.json").read_text())["began"]

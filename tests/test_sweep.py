@@ -202,7 +202,7 @@ def working(out: Path) -> list[int]:
     return [int(word) for word in done.stdout.split()]
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.realtime
 def test_a_sweep_that_is_killed_goes_on_and_loses_nothing(tmp_path):
     """Killed with -9 after a checkpoint, continued by --resume: both trainings go on from there,
