@@ -245,22 +245,18 @@ def _check_same(run: RunConfig) -> None:
     for name, ratio in vars(PAPER).items():
         held.setdefault(f"measure.{name}", ratio)  # and the paper's measure
     asked = leaves("", json.loads(json.dumps(asdict(run.record()))))
-    wrong = [
-        f"{name} was {held.get(name)}, now {asked.get(name)}"
-        for name in sorted(set(held) | set(asked))
-        if held.get(name) != asked.get(name)
-    ]
-    if wrong:
+    names = {name for name in set(held) | set(asked) if held.get(name) != asked.get(name)}
+    if names:
+        wrong = [f"{name} was {held.get(name)}, now {asked.get(name)}" for name in sorted(names)]
         raise BadInput(
             f"{run.out}: another run: {'; '.join(wrong)}. Give the options it was started with"
-            f"{_options(wrong)}."
+            f"{_options(names)}."
         )
 
 
-def _options(wrong: list[str]) -> str:
-    """Which options differ, in brackets, of sentences that begin with an entry's name. Two kinds of
-    actions differ in all their entries."""
-    names = {one.split()[0] for one in wrong}
+def _options(names: set[str]) -> str:
+    """The options that set these entries of `run.json`, in brackets. Two kinds of actions differ in
+    all their entries."""
     if "actions.kind" in names:
         names = {one for one in names if not one.startswith("actions.")} | {"actions.kind"}
     found = {OPTIONS.get(one) or OPTIONS.get(one.split(".")[0]) for one in names}
