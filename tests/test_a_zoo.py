@@ -61,10 +61,14 @@ def pairs(lab, wrong):
 def test_the_verbs_of_a_step_have_only_defaults(tmp_path):
     animal, config = animals(0)[0], ZooConfig(tmp_path)
     typed = [commands(animal, name, config, tmp_path) for name in STEPS]
-    assert [words[0][0] for words in typed] == list(STEPS)
+    assert [words[0][0] for words in typed] == [*STEPS[:5], "policy", "swim"]
     guessed, data, out = (str(tmp_path / name) for name in ("guess.toml", "data", "mine.toml"))
     assert typed[2][0][2:] == ["--fish", guessed, "--from", data, "--out", out]
     assert "--twin" not in typed[4][0]
+    rule = str(tmp_path / "rule.onnx")  # chosen in what was identified; the same targets and pool
+    assert typed[5][0][1:] == ["rule", "--fish", out, "--out", rule]
+    same = slice(2, typed[4][0].index("--out"))
+    assert typed[5][1][1] == rule and typed[5][1][same] == typed[4][0][same]
     assert sum(len(words) for words in typed[:3]) + 1 <= 10  # commands until the training starts
 
 
@@ -127,6 +131,7 @@ def test_a_small_fish_goes_the_whole_way(tmp_path):
     codes = {name: step["code"] for name, step in held["steps"].items()}
     assert set(codes) == set(STEPS) and done.returncode in (0, 1), done.stdout
     assert codes["new-fish"] == codes["record"] == codes["evaluate"] == 0, codes
+    assert codes["rule"] == 0 and held["ruled"] is not None
     assert codes["swim"] in (0, 1) and held["toured"] is not None  # 1: a target was missed
     assert held["decided"] >= 5 and held["held"] >= held["decided"] - 1
     assert held["reached"] is not None and held["arrival_m"] == pytest.approx(0.025, rel=0.05)

@@ -29,8 +29,9 @@ def zoo(
 ) -> None:
     """Take eight fish of all sizes from a wrong first guess to targets in the pool.
 
-    Each is recorded, identified, trained and evaluated, and swims through emulated devices. The
-    same command resumes. Exit code 1 if a fish missed."""
+    Each is recorded, identified, trained and evaluated, and swims through emulated devices. A
+    hand-made steering rule swims to the same targets. The same command resumes. Exit code 1 if a
+    fish missed."""
     if json is not None:
         refuse_existing(json)
     need_training()
@@ -63,6 +64,7 @@ def _row(one: "Outcome") -> dict[str, Any]:
         "stages": one.stages,
         "updates": one.updates,
         "reached [%]": None if one.reached is None else 100 * one.reached,
+        "by the rule [%]": None if one.ruled is None else 100 * one.ruled,
         "through camera and servo": None if one.toured is None else f"{one.toured} of {TOUR}",
         "within [cm]": None if one.arrival_m is None else 100 * one.arrival_m,
         "said": "" if last.code == 0 else last.said,

@@ -1,8 +1,9 @@
 """The way of every fish of a zoo, from a wrong first guess to targets in the pool, unattended.
 
 A fish stands in the virtual pool. It is recorded, identified, trained, evaluated, and swims in real
-time through emulated devices, by the verbs that a user types, each with its defaults. What a verb
-refuses stays in the table with its sentence.
+time through emulated devices, by the verbs that a user types, each with its defaults. A hand-made
+steering rule swims to the same targets as its policy. What a verb refuses stays in the table with
+its sentence.
 """
 
 import json
@@ -24,7 +25,7 @@ from tailbeat.fish.store import load_fish
 from tailbeat.processes import end, start_verb
 
 Say = Callable[[str], None]
-STEPS = ("new-fish", "record", "identify", "train", "evaluate", "swim")
+STEPS = ("new-fish", "record", "identify", "train", "evaluate", "rule", "swim")
 CRANK_STEPS = ("train", "evaluate")  # described already; no driver turns a motor without end
 TOUR = 4  # targets of the swim in real time, through camera, network, servo and IMU
 # To see in minutes that all steps fit together: few recordings, a short search, and a training too
@@ -38,6 +39,7 @@ QUICK_IDENTIFY, QUICK_TRAIN = (
     ("--recipe", "smoke", "--hours", "0.001"),
 )
 CRANK = "crank-fish"  # shipped; no test bench for a motor that turns on, so not identified
+RULE = "rule.onnx"
 UNDECIDED = "not decided"  # in the source of an identified number
 
 
@@ -69,7 +71,8 @@ class Outcome:
     The steps by name; its length [m], mass [kg], hinges and servo; how many numbers of tail and
     servo were called decided, and how many of these intervals hold the fish's own number; stages
     passed, updates; of the targets in the pool the fraction reached (None: not swum) within
-    `arrival_m`; of the targets of the tour in real time how many.
+    `arrival_m`, by its policy and by the hand-made `ruled`; of the targets of the tour in real time
+    how many.
     """
 
     name: str
@@ -84,6 +87,7 @@ class Outcome:
     updates: int = 0
     reached: float | None = None
     interval: tuple[float, float] | None = None
+    ruled: float | None = None
     arrival_m: float | None = None
     toured: int | None = None
 
@@ -146,6 +150,8 @@ def _clear(name: str, folder: Path) -> None:
             shutil.rmtree(folder / left, ignore_errors=True)
     if name == "swim":
         (folder / "tour.json").unlink(missing_ok=True)
+    if name == "rule":
+        (folder / RULE).unlink(missing_ok=True)
 
 
 def commands(animal: Animal, name: str, config: ZooConfig, folder: Path) -> list[list[str]]:
@@ -163,11 +169,17 @@ def commands(animal: Animal, name: str, config: ZooConfig, folder: Path) -> list
                       *(QUICK_IDENTIFY if config.quick else ())]],
         "train": [["train", "--fish", mine, "--out", str(run),
                    *again, *(QUICK_TRAIN if config.quick else ())]],
-        "evaluate": [["evaluate", policy, "--fish", lab, "--tasks", "reach", "--episodes",
-                      str(config.targets), "--out", str(folder / "evaluation")]],
+        "evaluate": [_evaluate(policy, lab, config.targets, folder / "evaluation")],
+        "rule": [["policy", "rule", "--fish", mine, "--out", str(folder / RULE)],
+                 _evaluate(str(folder / RULE), lab, config.targets, folder / "ruled")],
         "swim": [["swim", "--headless", "--policy", policy, "--pool-fish", lab, "--targets",
                   str(TOUR), "--out", str(folder / "swim"), "--json", str(folder / "tour.json")]],
     }[name]  # fmt: skip
+
+
+def _evaluate(policy: str, lab: str, targets: int, out: Path) -> list[str]:
+    words = ["evaluate", policy, "--fish", lab, "--tasks", "reach"]
+    return [*words, "--episodes", str(targets), "--out", str(out)]
 
 
 def _record(lab: str, data: str, commands: Path | None) -> list[list[str]]:
@@ -220,6 +232,8 @@ def outcome(animal: Animal, folder: Path, steps: dict[str, Step]) -> Outcome:
     if steps.get("evaluate") and steps["evaluate"].code == 0:
         rates = read(folder / "evaluation").reach[OPEN]
         found = replace(found, reached=rates.arrived, interval=rates.arrived_interval)
+    if steps.get("rule") and steps["rule"].code == 0:
+        found = replace(found, ruled=read(folder / "ruled").reach[OPEN].arrived)
     if (folder / "tour.json").is_file():
         toured = json.loads((folder / "tour.json").read_text(encoding="utf-8"))["arrived"]
         found = replace(found, toured=toured)
