@@ -21,16 +21,19 @@ from numpy.typing import NDArray
 from onnx import helper, numpy_helper
 
 from tailbeat.control.actions import Generator
+from tailbeat.control.observation import REMEMBERING
 from tailbeat.env.assess import Decide, Swims, assess
 from tailbeat.env.world import World
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.train.config import RunConfig, measured_run
 from tailbeat.train.export import GOLDEN, contract_of, linear, model_of, save
+from tailbeat.train.features import COURSE, NEWEST
 
 Single = NDArray[np.float32]
 Progress = Callable[[str, int, int], None]
-DISTANCE, AHEAD, LEFT = 12, 13, 14  # of the target in the newest frame, in the observation
-ONWARD, ASIDE = 31, 32  # own velocity ahead and left, fast average
+NAMES = [one.name for one in REMEMBERING]  # of what is observed
+DISTANCE, AHEAD, LEFT = (NAMES.index(NEWEST + one) for one in ("distance", "ahead", "left"))
+ONWARD, ASIDE = (NAMES.index(COURSE.format(one)) for one in ("ahead", "left"))
 SLOWLY = 0.05  # added to the velocity ahead: a fish at rest, or going backward, keeps its heading
 BEHIND = (
     1.05  # times the distance, for 1 in tan(beta / 2) = sin / (1 + cos): finite straight behind
