@@ -80,7 +80,7 @@ def test_the_file_of_a_rule_with_a_course_is_its_formula(tmp_path):
     drawn = rng.uniform([0.02, -3, -0.3, -3], [3, 3, 0.5, 3], (200, 4))
     many = np.concatenate([swimming(*one) for one in drawn])
     contract = contract_of(run, many[:16], rule_of(COURSE)(many[:16]), {})
-    policy = save(model_of(*rules._layers(COURSE, 42), 6, contract), tmp_path / "rule.onnx")
+    policy = save(model_of(*rules.layers(COURSE, 42), 6, contract), tmp_path / "rule.onnx")
     np.testing.assert_allclose(decide(policy, many), rule_of(COURSE)(many), atol=1e-5)
     assert policy.contract.version == 3
 

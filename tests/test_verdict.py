@@ -15,7 +15,7 @@ BATCH = 64  # swims of one evaluation
 def swims(reached: np.ndarray) -> Swims:
     """Swims of which only the arrivals are of interest."""
     nothing = np.full(len(reached), np.nan)
-    return Swims(reached, *(nothing,) * 5, seen=np.zeros((1, 24), np.float32))
+    return Swims(reached, *(nothing,) * 6, seen=np.zeros((1, 24), np.float32))
 
 
 def verdict(share: float, rng: np.random.Generator) -> bool:

@@ -9,7 +9,7 @@ import typer
 from tailbeat.cli import output, progress
 from tailbeat.cli.extras import need_training
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import BadInput, refuse_existing, write_json
 
 
 def rule(
@@ -18,24 +18,34 @@ def rule(
     course: Annotated[
         bool, typer.Option(help="Steer the direction in which it swims, not the one it looks in.")
     ] = False,
+    task: Annotated[
+        str, typer.Option(help="reach: targets that stay; follow: those that move, too.")
+    ] = "reach",
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
     """Write the policy of a hand-made steering rule, to compare learned ones with. Its tail beats
-    steadily, and its centre turns towards the target. The best frequency, stroke and gain of twelve
-    are chosen in the twin. It is a policy like any other: evaluate it, swim it, refine it."""
+    steadily, and its centre turns towards the target. The best of twelve rules is chosen in the
+    twin. It is a policy like any other: evaluate it, swim it, refine it."""
     if json is not None:
         refuse_existing(json)
+    if course and task == "follow":
+        raise BadInput("--course: of the rule that reaches targets; omit it with --task follow.")
     need_training()
     from tailbeat.fish.store import load_fish
     from tailbeat.train.config import RunConfig
+    from tailbeat.train.recipes import recipe_of
     from tailbeat.train.rule import make
 
     with progress.counting() as count:
-        run = RunConfig(load_fish(fish), out.parent, seed=seed, averages=course)
+        chosen = recipe_of("quick", task)
+        run = RunConfig(load_fish(fish), out.parent, chosen, seed=seed, averages=course)
         done = make(run, out, count)
     output.tables({"best rule, as actions": [asdict(done.rule)]})
+    how = f"median {done.median_seconds:.1f} s"
+    if task == "follow":
+        how = f"mean distance {100 * done.mean_distance:.0f} cm"
     share = f"{100 * done.reached:.0f} % of {done.targets} targets in the twin"
-    output.say(f"{share}, median {done.median_seconds:.1f} s; policy: {done.policy}")
+    output.say(f"{share}, {how}; policy: {done.policy}")
     if json is not None:
         write_json(json, done)

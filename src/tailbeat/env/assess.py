@@ -34,8 +34,8 @@ class Swims:
     """Results of n swims (n,).
 
     `reached`; time to the end `seconds` [s]; path length `way` [m]; `distance` to the target at the
-    start [m]; `bearing` of the target at the start [rad]; closest approach `nearest` [m]. `seen`
-    (k, 24) are some of the observations.
+    start [m]; `bearing` of the target at the start [rad]; closest approach `nearest` [m]; mean
+    distance `apart` [m]. `seen` (k, 24) are some of the observations.
     """
 
     reached: NDArray[np.bool_]
@@ -44,6 +44,7 @@ class Swims:
     distance: Array
     bearing: Array
     nearest: Array
+    apart: Array
     seen: NDArray[np.float32]
 
     def summary(self) -> Summary:
@@ -88,6 +89,7 @@ def _together(decide: Decide, world: World, settled: Settled) -> Swims:
     distance = np.hypot(*(target - start[:, :2]).T)
     going, reached = np.ones(world.count, bool), np.zeros(world.count, bool)
     way, nearest, steps = np.zeros(world.count), distance.copy(), np.zeros(world.count, int)
+    total = np.zeros(world.count)
     shown: list[NDArray[np.float32]] = []
     while going.any() and not (shown and settled(reached, going)):  # one step at least
         before = world.pose[:, :2]
@@ -96,11 +98,12 @@ def _together(decide: Decide, world: World, settled: Settled) -> Swims:
         way += going * np.hypot(*(world.pose[:, :2] - before).T)
         apart = np.hypot(*(world.target - world.pose[:, :2]).T)
         nearest = np.where(going, np.minimum(nearest, apart), nearest)
+        total += going * apart
         steps += going
         reached |= going & done.reached
         going &= ~(done.terminated | done.truncated)
         seen = done.observation
     return Swims(
         reached, PERIOD * steps, way, distance, bearing(start, target), nearest,
-        np.concatenate(shown),
+        total / steps, np.concatenate(shown),
     )  # fmt: skip

@@ -1,4 +1,5 @@
-"""A hand-made steering rule as a policy: the naive baseline beside every learned one.
+"""A hand-made steering rule as a policy: the naive baseline beside every learned one. That of
+targets that move is in `follow_rule`.
 
 The tail beats at one frequency with one stroke, and its centre follows the tangent of half the
 target's bearing: centre = gain tan(beta / 2), bounded. Frequency, stroke and gain are the best of a
@@ -9,7 +10,7 @@ direction of its own velocity, averaged over a second. A tag glued askew turns b
 alike, and a current is in the course.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -28,6 +29,7 @@ from tailbeat.files import BadInput, refuse_existing
 from tailbeat.train.config import RunConfig, measured_run
 from tailbeat.train.export import GOLDEN, contract_of, linear, model_of, save
 from tailbeat.train.features import COURSE, NEWEST
+from tailbeat.train.follow_rule import FollowRule, candidates, follow_layers, follow_rule_of
 
 Single = NDArray[np.float32]
 Progress = Callable[[str, int, int], None]
@@ -56,14 +58,16 @@ class Rule:
 
 @dataclass(frozen=True)
 class RuleResult:
-    """The best rule, and what it reaches of other targets in the twin, with all noise, within
-    +-180 deg: a fraction, and the median time of arrivals [s]."""
+    """The best rule, and what it reaches, or follows, of other targets in the twin, with all noise,
+    within +-180 deg: a fraction, the median time of arrivals [s], and the mean distance to the
+    target [m]."""
 
     policy: str
-    rule: Rule
+    rule: Rule | FollowRule
     targets: int
     reached: float
     median_seconds: float
+    mean_distance: float
 
 
 def make(run: RunConfig, path: Path, progress: Progress) -> RuleResult:
@@ -73,10 +77,9 @@ def make(run: RunConfig, path: Path, progress: Progress) -> RuleResult:
     run = measured_run(run)
     if not isinstance(run.space(), Generator):
         raise BadInput(f"{run.fish.name}: the steering rule needs a generator, so a pulley.")
-    rules = [Rule(*one, run.averages) for one in product(FREQUENCIES, STROKES, GAINS)]
-    scored = []
+    rules, scored = _candidates(run), []
     for number, rule in enumerate(rules, 1):
-        scored.append(_score(_swum(rule, run, TUNED, run.seed)))
+        scored.append(_score(_swum(rule, run, TUNED, run.seed), run.recipe.task.follow))
         progress("rules", number, len(rules))
     best = rules[max(range(len(rules)), key=scored.__getitem__)]
     swims = _swum(best, run, TRIED, run.seed + 1)
@@ -84,14 +87,27 @@ def make(run: RunConfig, path: Path, progress: Progress) -> RuleResult:
     done = swims.summary()
     facts: dict[str, str | int | float] = {"recipe": "steering rule", "seed": run.seed}
     facts |= {"stage": "rule", "reached": done.reached, **asdict(best)}
+    facts |= {"target_speed": run.settings(0).task.target_speed}
     contract = contract_of(run, seen, rule_of(best)(seen), facts)
-    layers = _layers(best, len(contract.observation))
-    save(model_of(*layers, 6, contract), path)
-    return RuleResult(str(path), best, done.targets, done.reached, done.median_seconds)
+    save(model_of(*layers(best, len(contract.observation)), 6, contract), path)
+    apart = float(swims.apart.mean())
+    return RuleResult(str(path), best, done.targets, done.reached, done.median_seconds, apart)
 
 
-def rule_of(rule: Rule) -> Decide:
-    """The rule as a function of observations (n, 24), with a course (n, 42)."""
+def _candidates(run: RunConfig) -> Sequence[Rule | FollowRule]:
+    """The rules to choose from, for the run's task."""
+    if run.recipe.task.follow:
+        return candidates()
+    return [Rule(*one, run.averages) for one in product(FREQUENCIES, STROKES, GAINS)]
+
+
+def rule_of(rule: Rule | FollowRule) -> Decide:
+    """The rule as a function of observations (n, 24), with a course (n, 42), and (n, 28) of one
+    that follows."""
+    return follow_rule_of(rule) if isinstance(rule, FollowRule) else _steering(rule)
+
+
+def _steering(rule: Rule) -> Decide:
 
     def decide(seen: Single) -> Single:
         action = np.zeros((len(seen), 6), np.float32)
@@ -107,21 +123,26 @@ def rule_of(rule: Rule) -> Decide:
     return decide
 
 
-def _swum(rule: Rule, run: RunConfig, targets: int, seed: int) -> Swims:
+def _swum(rule: Rule | FollowRule, run: RunConfig, targets: int, seed: int) -> Swims:
     """Swims of a rule in the run's last stage: all noise, targets all around."""
     last = run.settings(len(run.recipe.stages) - 1)
     settings = replace(last, task=replace(last.task, arc=np.pi))
     return assess(rule_of(rule), lambda seeds: World(run.fish, settings, seeds), targets, seed)
 
 
-def _score(swims: Swims) -> tuple[float, float]:
-    """How good swims are: the fraction reached, then the speed of all."""
-    return float(swims.reached.mean()), -float(np.mean(swims.seconds))
+def _score(swims: Swims, follow: bool) -> tuple[float, float]:
+    """How good swims are: the fraction reached, then the speed of all; or the fraction followed,
+    then the mean distance."""
+    return float(swims.reached.mean()), -float((swims.apart if follow else swims.seconds).mean())
 
 
-def _layers(rule: Rule, inputs: int) -> tuple[list[onnx.NodeProto], list[onnx.TensorProto]]:
+def layers(
+    rule: Rule | FollowRule, inputs: int
+) -> tuple[list[onnx.NodeProto], list[onnx.TensorProto]]:
     """Nodes and weights of the rule: where the target is, seen from the heading or the course; its
     tangent; the action."""
+    if isinstance(rule, FollowRule):
+        return follow_layers(rule, inputs)
     place = np.zeros((3, inputs))
     place[[0, 1, 2], [DISTANCE, AHEAD, LEFT]] = 1.0
     centre = np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]]).T
