@@ -25,7 +25,7 @@ from tailbeat.train.callback import TrainingCallback
 from tailbeat.train.config import RunConfig, action_space, check
 from tailbeat.train.episodes import Episodes
 from tailbeat.train.progress import Progress, TrainingRow
-from tailbeat.train.recipes import following, quick
+from tailbeat.train.recipes import following, paper, quick, smoke
 from tailbeat.train.train import train
 from tailbeat.train.verdict import certain
 from test_train import FISH, planned_for
@@ -60,7 +60,7 @@ def deciding(
         asked.append(told)
         self.stop = told[0] in stop
         some, self.seen = np.ones(4), np.zeros((4, 24), np.float32)
-        return passes(*told), Swims(some > 0, some, some, some, some, some, self.seen)
+        return passes(*told), Swims(some > 0, *(some,) * 6, self.seen)
 
     monkeypatch.setattr(TrainingCallback, "_verdict", examined)
     return asked
@@ -203,10 +203,14 @@ def test_swims_that_are_settled_from_the_start_make_one_step():
     assert not swims.reached.any() and set(swims.seconds) == {PERIOD}
 
 
-def test_following_has_neither(tmp_path):
-    """Its verdict asks for half a minute beside the target: nothing arrives early."""
+def test_following_asks_greedy_fish_early_but_has_neither_leap_nor_polish():
+    """Half a minute beside the target takes as long for every fish: nothing arrives early, so a
+    share of exploring fish is no more than their success rate."""
     recipe = following(quick())
-    assert (recipe.promising, recipe.leap, recipe.polish) == (None, 0, 0)
+    assert (recipe.leap, recipe.polish) == (0, 0) and recipe.promising is not None
+    assert 0.7 < recipe.promising < 0.95 and recipe.between > quick().between
+    assert following(paper()).promising is None and not following(paper()).greedy
+    assert following(smoke()).promising is None
 
 
 @pytest.mark.slow  # some minutes

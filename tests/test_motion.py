@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tailbeat.control import motion
+from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import FOLLOWING, TABLE, Samples, observe
 from tailbeat.control.policy import load_policy
 from tailbeat.env import randomize, target_paths
@@ -18,6 +19,7 @@ from tailbeat.env.task import Scene, Settings, Task
 from tailbeat.env.vector_env import FishVecEnv
 from tailbeat.env.world import World, seeds_from
 from tailbeat.fish.store import load_fish
+from tailbeat.operator.paths import HALF_EIGHT
 from tailbeat.train.replay import Paths, RelabelBuffer, _complex
 
 FISH = load_fish("pulley-fish-pool")
@@ -201,6 +203,23 @@ def test_bends_are_no_tighter_than_the_fish_turns():
         heading = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
         bend = np.abs(np.diff(heading))[kept] / length[1:][kept]
         assert bend.max(initial=0) <= 1 / target_paths.TIGHTEST + 1e-3
+
+
+def test_drawn_figure_eights_are_smaller_than_that_of_the_trials_and_cross_themselves():
+    """No bend of theirs is tighter than the fish's circle with its widest centre, 0.15 m."""
+    rng = np.random.default_rng(6)
+    for _ in range(50):
+        way = target_paths._eight(60_000, 0.18, 1.0, rng)  # some laps
+        step = np.diff(way, axis=0)
+        length = np.hypot(*step.T)
+        assert length.max() <= 0.18 * PERIOD + 1e-9 and way[0] == pytest.approx([0, 0])
+        middle = (way.max(axis=0) + way.min(axis=0)) / 2
+        along = np.hypot(*(way - middle).T).max()
+        assert 0.8 * 0.99 < along < 1.3 * 1.01 < HALF_EIGHT[0]
+        chord = np.diff(way[:: round(0.02 / length.max())], axis=0)  # 2 cm each
+        heading = np.unwrap(np.arctan2(chord[:, 1], chord[:, 0]))
+        assert np.ptp(heading) < 2 * np.pi  # a circle would go on turning
+        assert np.abs(np.diff(heading)).max() < 0.02 / 0.15
 
 
 # ---- replay -------------------------------------------------------------------------------------

@@ -155,18 +155,22 @@ def smoke() -> Recipe:
 
 TASKS = ("reach", "follow")
 EPISODES = 120  # with moving targets that are judged at once; all of them last half a minute
+# With moving targets: the share of exploring fish beside them that asks for a verdict, and updates
+# between two, since one takes half a minute in which nothing is learnt (chosen).
+PROMISING, BETWEEN = 0.85, 1_000
 RECIPES = {"quick": quick, "paper": paper, "smoke": smoke}
 
 
 def following(recipe: Recipe) -> Recipe:
     """The recipe for following moving targets: other stages and another task. Its verdict asks that
     the fish stays beside its target."""
-    task = MOVING
+    task, promising = MOVING, PROMISING if recipe.promising else None
     recipe = replace(recipe, **BY_STAGES)
     if recipe.name == "smoke":
         task = replace(task, nearest=0.3, farthest=0.6, seconds=6.0, target_speed=0.1)
         return replace(recipe, stages=FOLLOWING[:1], task=task)
-    return replace(recipe, stages=FOLLOWING, task=task, window=EPISODES)
+    judged = replace(recipe, window=EPISODES, promising=promising, between=BETWEEN)
+    return replace(judged, stages=FOLLOWING, task=task)
 
 
 def recipe_of(name: str, task: str = "reach") -> Recipe:
