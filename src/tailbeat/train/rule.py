@@ -108,6 +108,7 @@ def rule_of(rule: Rule | FollowRule) -> Decide:
 
 
 def _steering(rule: Rule) -> Decide:
+    """The rule that reaches targets."""
 
     def decide(seen: Single) -> Single:
         action = np.zeros((len(seen), 6), np.float32)
