@@ -1,5 +1,6 @@
 """The hand-made rule that follows: its file is its formula, it is mirrored with its target, it asks
-for the target's own velocity, and it keeps a target that a rule without that velocity loses."""
+for the target's own velocity, a fish that is too fast glides, and without either of these two it is
+farther from its target."""
 
 from dataclasses import replace
 from functools import partial
@@ -28,35 +29,44 @@ from tailbeat.train.recipes import recipe_of
 from tailbeat.train.rule import make
 
 FISH = "pulley-fish-pool"
-ONE = FollowRule(0.75, 3.0, 2.0)
+ONE = FollowRule(0.75, 2.0, 0.05)
 NAMES = [one.name for one in FOLLOWING]
 
 
-def seen(place, velocity):
-    """Observations (1, 28) of a target at `place` [m] with `velocity` [m/s], ahead and left."""
+def seen(place, velocity, own=0.0):
+    """Observations (1, 28) of a target at `place` [m] with `velocity` [m/s], ahead and left, of a
+    fish that swims at `own` [m/s]."""
     found = np.zeros((1, 28), np.float32)
+    found[0, NAMES.index("own velocity ahead")] = own / 0.5
     for axis, name in enumerate(("ahead", "left")):
         found[0, NAMES.index(f"frame 0 (newest): target {name}")] = place[axis] / 2
         found[0, NAMES.index(f"target's velocity {name}")] = velocity[axis] / 0.5
     return found
 
 
-def test_the_stroke_is_the_wanted_speed_and_the_centre_the_tangent_of_half_its_bearing():
-    """In 2 s to a target 0.4 m ahead that goes away at 0.1 m/s: 0.3 m/s."""
-    action = follow_rule_of(ONE)(seen((0.4, 0.0), (0.1, 0.0)))[0]
-    assert action[2] == pytest.approx(0.3) and action[1] == 0.0 and action[0] == 0.75
+def test_the_stroke_is_the_wanted_speed_and_the_centre_the_tangent_of_half_its_bearing(monkeypatch):
+    """In 2 s to a target 0.4 m ahead that goes away at 0.1 m/s: 0.3 m/s, less 0.05."""
+    action = follow_rule_of(ONE)(seen((0.4, 0.0), (0.1, 0.0), own=0.25))[0]
+    assert action[2] == pytest.approx(0.25) and action[1] == 0.0 and action[0] == 0.75
     speed, bearing = 0.4, 0.8
     target = 2.0 * speed * np.array([np.cos(bearing), np.sin(bearing)])
-    gentle = follow_rule_of(replace(ONE, gain=0.3))(seen(target, (0, 0)))[0]
+    monkeypatch.setattr(rules, "GAIN", 0.3)
+    gentle = follow_rule_of(ONE)(seen(target, (0, 0)))[0]
     assert gentle[1] == pytest.approx(0.3 * np.tan(bearing / 2), rel=0.2)
     assert gentle[1] < 0.3 * np.tan(bearing / 2)  # softened
 
 
+def test_a_fish_that_is_slower_than_asked_beats_more_and_one_that_is_too_fast_glides():
+    slow, fit, fast = (follow_rule_of(ONE)(seen((0.4, 0.0), (0.1, 0.0), own=u))[0, 2]
+                       for u in (0.15, 0.25, 0.55))  # fmt: skip
+    assert slow == pytest.approx(0.35) and fit == pytest.approx(0.25) and fast == 0.0
+
+
 def test_beside_its_target_the_fish_goes_where_the_target_goes():
     action = follow_rule_of(ONE)(seen((0.0, 0.0), (0.0, 0.12)))[0]  # to the left
-    assert action[2] == pytest.approx(0.12) and action[1] == 1.0
-    rest = follow_rule_of(ONE)(seen((0.0, 0.0), (0.0, 0.0)))[0]
-    assert rest[2] == pytest.approx(rules.LEAST) and rest[1] == 0.0
+    assert action[2] == pytest.approx(2 * (0.12 - 0.05)) and action[1] == 1.0
+    rest = follow_rule_of(ONE)(seen((0.08, 0.0), (0.0, 0.0)))[0]  # 0.04 m/s, so it rests
+    assert rest[2] == 0.0 and rest[1] == 0.0
 
 
 @pytest.mark.parametrize("place", [(0.5, 0.2), (-0.5, 0.01), (-0.02, 0.01), (2.0, -2.0)])
@@ -82,15 +92,26 @@ def test_the_file_is_the_formula_and_its_contract_says_the_fastest_target(tmp_pa
     assert policy.contract.version == 2 and trained_speed(policy.contract) == 0.25
 
 
+def without(name):
+    """The rule with an observed number put to 0."""
+    steer, column = follow_rule_of(ONE), NAMES.index(name)
+
+    def decide(seen):
+        seen = seen.copy()
+        seen[:, column] = 0.0
+        return steer(seen)
+
+    return decide
+
+
 @pytest.mark.thorough
-def test_it_follows_and_without_the_target_s_velocity_it_lags(monkeypatch):
+def test_it_follows_and_without_the_target_s_or_its_own_velocity_it_is_farther_away():
     """All noise and physics, targets that were not chosen by."""
     build = partial(World, load_fish(FISH), settings_of(STAGES[-1], task=MOVING))
     swims = assess(follow_rule_of(ONE), build, 40, 5)
-    monkeypatch.setattr(rules, "METRES_A_SECOND", 0.0)
-    blind = assess(follow_rule_of(ONE), build, 40, 5)
     assert swims.reached.mean() >= 0.85
-    assert blind.apart.mean() > 1.1 * swims.apart.mean()
+    for name in ("target's velocity ahead", "own velocity ahead"):
+        assert assess(without(name), build, 40, 5).apart.mean() > 1.03 * swims.apart.mean()
 
 
 @pytest.mark.thorough

@@ -144,7 +144,7 @@ def train(
     courses({f"{space.kind}, seed {seed}": course.history}, out / "curve.png")
     results.trained(done := result(run, course))
     if done.finished and space.kind != "turning":
-        _expect_or_say(str(done.policy), recipe)
+        expect_or_say(str(done.policy), recipe)
     if json is not None:
         write_json(json, asdict(done) | {"folder": str(done.folder), "policy": str(done.policy)})
     if not done.finished:
@@ -267,7 +267,7 @@ def expect(file: PolicyFile, json: JsonOption = None) -> None:
         write_json(json, found)
 
 
-def _expect_or_say(file: str, recipe: str) -> None:
+def expect_or_say(file: str, recipe: str) -> None:
     """What a new policy's swims look like; or why that is not known, which fails no training."""
     from tailbeat.train.expect import FEWER
 

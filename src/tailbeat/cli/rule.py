@@ -8,6 +8,7 @@ import typer
 
 from tailbeat.cli import output, progress
 from tailbeat.cli.extras import need_training
+from tailbeat.cli.learn import expect_or_say
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
 from tailbeat.files import BadInput, refuse_existing, write_json
 
@@ -25,8 +26,8 @@ def rule(
     json: JsonOption = None,
 ) -> None:
     """Write the policy of a hand-made steering rule, to compare learned ones with. Its tail beats
-    steadily, and its centre turns towards the target. The best of twelve rules is chosen in the
-    twin. It is a policy like any other: evaluate it, swim it, refine it."""
+    at one frequency, and its centre turns towards the target. The best of twelve rules is chosen in
+    the twin. It is a policy like any other: evaluate it, swim it, refine it."""
     if json is not None:
         refuse_existing(json)
     if course and task == "follow":
@@ -47,5 +48,6 @@ def rule(
         how = f"mean distance {100 * done.mean_distance:.0f} cm"
     share = f"{100 * done.reached:.0f} % of {done.targets} targets in the twin"
     output.say(f"{share}, {how}; policy: {done.policy}")
+    expect_or_say(done.policy, chosen.name)
     if json is not None:
         write_json(json, done)

@@ -132,9 +132,11 @@ def _swum(rule: Rule | FollowRule, run: RunConfig, targets: int, seed: int) -> S
 
 
 def _score(swims: Swims, follow: bool) -> tuple[float, float]:
-    """How good swims are: the fraction reached, then the speed of all; or the fraction followed,
-    then the mean distance."""
-    return float(swims.reached.mean()), -float((swims.apart if follow else swims.seconds).mean())
+    """How good swims are: the fraction reached, then the speed of all; of those that follow, the
+    mean distance, since a target that is lost is far away."""
+    if follow:
+        return -float(swims.apart.mean()), float(swims.reached.mean())
+    return float(swims.reached.mean()), -float(swims.seconds.mean())
 
 
 def layers(
