@@ -133,8 +133,8 @@ def test_the_wheel_brings_the_robot_no_laboratory(robot):
     inside = Path(here.stdout.strip()).parent
     assert inside.is_relative_to(robot.parent) and (inside / "py.typed").is_file()
     policies = [path.stem for path in inside.rglob("*.onnx")]
-    names = ("follow", "follow-rule", "generator")
-    assert sorted(policies) == [f"pulley-fish-pool-{one}" for one in names]
+    kinds = ("follow", "follow-rule", "generator")
+    assert sorted(policies) == [f"pulley-fish-pool-{one}" for one in kinds]
 
 
 @pytest.mark.slow
