@@ -23,6 +23,7 @@ from tailbeat.evaluate.comparison import cell_path
 from tailbeat.evaluate.evaluation import Evaluation, EvaluationConfig
 from tailbeat.files import BadInput, plain, write_json
 from tailbeat.fish.store import load_fish
+from tailbeat.pool.mess import lab_at
 from tailbeat.report.page import of_folder
 
 TWIN = load_fish("pulley-fish-pool")
@@ -232,7 +233,35 @@ def test_what_does_not_fit_is_refused(evaluated, tmp_path):
             config = EvaluationConfig(pool="full", episodes=4, walls=_walls(size))
             where = evaluation.pool_of(load_policy(POLICY), config)
             evaluation.conditions_of(where, ["reach", "track"])
+    for lab, tasks, complaint in (
+        ("rough", ("reach",), "--mess rough: it is for the task track"),
+        ("dirty", ("track",), "mess 'dirty': allowed are clean"),
+    ):
+        config = EvaluationConfig(pool="full", tasks=tasks, episodes=4, lab=lab)
+        with pytest.raises(BadInput, match=complaint):
+            evaluation.evaluate(load_policy(POLICY), config, tmp_path / "a", lambda *_: None)
     with pytest.raises(BadInput, match="folder is empty or missing"):
         of_folder(tmp_path / "nothing", "pulley-fish")
     assert not (tmp_path / "a").exists()
     assert isinstance(SPACE, Generator)
+
+
+def test_behind_a_path_every_swim_has_its_own_lab_and_other_tasks_stay_clean():
+    policy, config = load_policy(POLICY), EvaluationConfig(seed=5, lab="rough")
+    pool = evaluation.pool_of(policy, config)
+    track, walled = (evaluation.conditions_of(pool, [one])[-1] for one in ("track", "reach"))
+    messy = evaluation._in_lab(track, config)
+    assert messy.wear == tuple(lab_at("rough", 5, i).wear for i in range(track.count))
+    assert len(set(messy.wrong)) == track.count
+    assert [one.walls for one in messy.around] == [pool.walls] * track.count
+    assert evaluation._in_lab(walled, config) is walled
+    assert evaluation._in_lab(track, replace(config, lab="clean")) is track
+
+
+def test_swims_of_other_labs_do_not_go_into_one_folder(tmp_path):
+    policy, config = load_policy(POLICY), EvaluationConfig(seed=5)
+    run = evaluation.describe(policy, evaluation.pool_of(policy, config))
+    store.begin(tmp_path, replace(run, lab="rough"))
+    with pytest.raises(BadInput, match="lab was rough, now clean"):
+        store.begin(tmp_path, run)
+    assert store.read_description(tmp_path).lab == "rough"

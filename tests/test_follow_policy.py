@@ -12,6 +12,7 @@ pytest.importorskip("onnx", reason="the train extra is not installed")
 
 import onnx
 
+from tailbeat.cli.options import KEEPS
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import FOLLOWING, TABLE
@@ -94,6 +95,12 @@ def test_it_follows_the_figure_eight_by_the_clock_and_the_policy_that_reaches_do
     away, baseline = distances(NAME), distances("pulley-fish-pool-generator")
     assert away.mean() < 0.12 and away.max() < KEPT
     assert baseline.mean() > 0.25 or baseline.max() > KEPT  # 0.31 m, 0.65 m
+
+
+@pytest.mark.thorough
+def test_the_shipped_rule_follows_too():
+    away = distances(KEEPS)
+    assert away.mean() < 0.14 and away.max() < KEPT
 
 
 # ---- its contract -------------------------------------------------------------------------------

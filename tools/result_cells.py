@@ -129,6 +129,16 @@ def smallest(rows: Any, name: str) -> float | None:
     return None if None in found or not found else min(found)
 
 
+def total(rows: Any, name: str) -> float:
+    """Sum of a column."""
+    return float(sum(row[name] for row in rows))
+
+
+def timed(rows: Any) -> list[Any]:
+    """The rows of targets that go by the clock, and of those that stay: none that waits."""
+    return [row for row in rows if "led" not in row["condition"]]
+
+
 def recovered(rows: Any, launch: float) -> str:
     """How many beats end forward after a launch [m/s], and their final speeds, lowest to highest.
     A speed is missing where the twin diverged."""
@@ -157,6 +167,8 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
         error,
         largest,
         smallest,
+        total,
+        timed,
         recovered,
     )
 } | {"minutes": minutes, "hits": hits, "unique": unique, "pick": pick, "len": len}

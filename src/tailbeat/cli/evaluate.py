@@ -48,6 +48,13 @@ def evaluate(
             " 5.5x2.7, in the fish's measure."
         ),
     ] = None,
+    mess: Annotated[
+        str,
+        typer.Option(
+            help="What the lab of every swim of the task track gets wrong: clean, everyday, rough"
+            " or wrecked."
+        ),
+    ] = "clean",
     address: AddressOption = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
@@ -64,7 +71,7 @@ def evaluate(
     from tailbeat.evaluate.evaluation import evaluate as swim_all
 
     tasks = tuple(task or NAMES)
-    config = EvaluationConfig(fish, twin, pool, tasks, episodes, _walls(walls), seed)
+    config = EvaluationConfig(fish, twin, pool, tasks, episodes, _walls(walls), seed, mess)
     with progress.counting() as count:
         if address is None:
             done = swim_all(load_policy(policy), config, out, count)

@@ -73,7 +73,8 @@ class EvaluationConfig:
     The pool's `fish`; the `twin` that the policy was trained in (None: the one that it names); the
     waters of the `pool` ("ensemble", or one of the ablations); the `tasks`; swims per condition
     (`episodes`); `walls` (length, width) [m] of the walled trials (None: the paper's pool in the
-    fish's measure); the seed.
+    fish's measure); the seed; what the `lab` of every swim of the task track gets wrong, a level of
+    `pool.mess`.
     """
 
     fish: str = "pulley-fish"
@@ -83,6 +84,7 @@ class EvaluationConfig:
     episodes: int = 250
     walls: tuple[float, float] | None = None
     seed: int = 0
+    lab: str = "clean"
 
 
 @dataclass(frozen=True)
@@ -139,6 +141,20 @@ def conditions_of(pool: Pool, tasks: Sequence[str]) -> list[Condition]:
     return [one for name in tasks if name in CONDITIONS for one in CONDITIONS[name](pool)]
 
 
+def _check_lab(level: str, tasks: Sequence[str]) -> None:
+    """Check the level of the labs in which the task track swims. Raises BadInput."""
+    mess.level(level)
+    if level != "clean" and tracks.TRACK not in tasks:
+        raise BadInput(f"--mess {level}: it is for the task track; give --tasks track, or omit it.")
+
+
+def _in_lab(condition: Condition, config: EvaluationConfig) -> Condition:
+    """A condition of the task track with each swim in its own lab; others stay as they are."""
+    if condition.name != tracks.TRACK or config.lab == "clean":
+        return condition
+    return messy.at_level(condition, config.lab, config.seed)
+
+
 def evaluate(
     policy: Policy,
     config: EvaluationConfig,
@@ -154,9 +170,10 @@ def evaluate(
     swim = swim or partial(swim_all, partial(decide, policy))
     pool, tasks = pool_of(policy, config), config.tasks
     check_tasks(tasks)
+    _check_lab(config.lab, tasks)
     swum = dict.fromkeys(["reach", *tasks] if "spectrum" in tasks else tasks)
-    conditions = conditions_of(pool, list(swum))
-    store.begin(out, describe(policy, pool))
+    conditions = [_in_lab(one, config) for one in conditions_of(pool, list(swum))]
+    store.begin(out, replace(describe(policy, pool), lab=config.lab))
     store.keep_fish(out, pool.twin)
     swim(chunks_of(conditions, out, pool.seed), progress)
     if "twin" in tasks:

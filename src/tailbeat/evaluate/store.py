@@ -34,7 +34,8 @@ class RunDescription:
     Digest of the `policy`, kind of its `actions`, its `band` [Hz] and `training` from its contract;
     the `twin` that it was trained in; `fish` and `water` of the pool with their digests; the seed,
     swims per condition (`episodes`), walls (length, width) [m], the number of swims of each of the
-    `conditions`, the fish's `measure`, and the fingerprint of the `mess`.
+    `conditions`, the fish's `measure`, the fingerprint of the `mess`, and its level in the `lab` of
+    every swim of the task track.
     """
 
     policy: str
@@ -52,6 +53,7 @@ class RunDescription:
     conditions: Mapping[str, int]
     measure: Measure = field(default_factory=Measure)
     mess: str = ""
+    lab: str = "clean"
 
 
 def begin(out: Path, wanted: RunDescription) -> None:
