@@ -249,14 +249,17 @@ def test_what_does_not_fit_is_refused(evaluated, tmp_path):
 def test_behind_a_path_every_swim_has_its_own_lab_and_other_tasks_stay_clean():
     policy, config = load_policy(POLICY), EvaluationConfig(seed=5, lab="rough")
     pool = evaluation.pool_of(policy, config)
-    track, walled = (evaluation.conditions_of(pool, [one])[-1] for one in ("track", "reach"))
-    messy = evaluation._in_lab(track, config)
+    clean = replace(pool, lab="clean")
+    [messy] = evaluation.conditions_of(pool, ["track"])
+    [track] = evaluation.conditions_of(clean, ["track"])
     labs = [lab_at("rough", 5, i) for i in range(track.count)]
     assert messy.wear == tuple(lab.wear for lab in labs) and len(set(messy.wrong)) > 100
     assert messy.wrong == tuple(lab.errors for lab in labs)
     assert [one.walls for one in messy.around] == [pool.walls] * track.count
-    assert evaluation._in_lab(walled, config) is walled
-    assert evaluation._in_lab(track, replace(config, lab="clean")) is track
+    assert not track.wrong and len(track.around) == len(track.wear) == 1
+    reaching = (evaluation.conditions_of(of, ["reach"]) for of in (pool, clean))
+    for one, same in zip(*reaching, strict=True):
+        assert (one.wear, one.around, one.wrong) == (same.wear, same.around, same.wrong)
 
 
 def test_swims_of_other_labs_do_not_go_into_one_folder(tmp_path):

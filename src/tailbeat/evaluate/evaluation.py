@@ -126,7 +126,7 @@ def pool_of(policy: Policy, config: EvaluationConfig) -> Pool:
     walls = config.walls or room(measure.reach)
     found = Pool(own, trained, actions, waters, config.episodes, config.seed, walls, draws, measure)
     held = policy.contract
-    return replace(as_seen(found, held), corrections=held.corrections)
+    return replace(as_seen(found, held), corrections=held.corrections, lab=config.lab)
 
 
 def _draws(fish: str) -> NDArray[np.float64] | None:
@@ -148,13 +148,6 @@ def _check_lab(level: str, tasks: Sequence[str]) -> None:
         raise BadInput(f"--mess {level}: it is for the task track; give --tasks track, or omit it.")
 
 
-def _in_lab(condition: Condition, config: EvaluationConfig) -> Condition:
-    """A condition of the task track with each swim in its own lab; others stay as they are."""
-    if condition.name != tracks.TRACK or config.lab == "clean":
-        return condition
-    return messy.at_level(condition, config.lab, config.seed)
-
-
 def evaluate(
     policy: Policy,
     config: EvaluationConfig,
@@ -172,8 +165,8 @@ def evaluate(
     check_tasks(tasks)
     _check_lab(config.lab, tasks)
     swum = dict.fromkeys(["reach", *tasks] if "spectrum" in tasks else tasks)
-    conditions = [_in_lab(one, config) for one in conditions_of(pool, list(swum))]
-    store.begin(out, replace(describe(policy, pool), lab=config.lab))
+    conditions = conditions_of(pool, list(swum))
+    store.begin(out, describe(policy, pool))
     store.keep_fish(out, pool.twin)
     swim(chunks_of(conditions, out, pool.seed), progress)
     if "twin" in tasks:
@@ -207,6 +200,7 @@ def describe(policy: Policy, pool: Pool) -> RunDescription:
         conditions=counts(pool),
         measure=pool.measure,
         mess=mess.fingerprint(),
+        lab=pool.lab,
     )
 
 

@@ -11,6 +11,7 @@ from tailbeat.control.actions import PERIOD
 from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.observation import wrapped
 from tailbeat.env.task import Scene
+from tailbeat.evaluate.messy import at_level
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.scenes import follow, stays
 from tailbeat.evaluate.trial import Condition, Pool
@@ -84,8 +85,8 @@ TRACK = "track"
 
 
 def conditions(pool: Pool) -> list[Condition]:
-    """Ten swims of 73 s per path, each with its own noise; one condition. The waters come one after
-    the other over all paths."""
+    """Ten swims of 73 s per path, each with its own noise, and in its own lab unless the pool's is
+    clean; one condition. The waters come one after the other over all paths."""
     parts = [
         follow(pool.fish, SHAPES[one.path], one.lap, SECONDS, SWIMS, one.lead, pool.measure)
         for one in TARGET_PATHS
@@ -93,7 +94,8 @@ def conditions(pool: Pool) -> list[Condition]:
     whole = Scene(*(np.concatenate([getattr(one, n) for one in parts]) for n in vars(parts[0])))
     around = (Surroundings(walls=pool.walls),)
     _check_room(pool.walls, pool.measure.reach)
-    return [pool.condition(TRACK, whole, around=around, seconds=SECONDS, stop=False)]
+    own = pool.condition(TRACK, whole, around=around, seconds=SECONDS, stop=False)
+    return [own if pool.lab == "clean" else at_level(own, pool.lab, pool.seed)]
 
 
 def _check_room(walls: tuple[float, float], reach: float) -> None:

@@ -96,7 +96,8 @@ class Pool:
     without;
     `count` swims per condition, drawn from `seed`;
     `walls` (length, width) [m] of the walled trials, the paper's pool by default; `draws` of the
-    twin's posterior as in `Settings` (None: it has none).
+    twin's posterior as in `Settings` (None: it has none); the level of the `lab` in which each swim
+    after a moving target has its own errors.
     """
 
     fish: Fish
@@ -112,6 +113,7 @@ class Pool:
     motion: MotionFilter | None = None
     averages: Averages | None = None
     corrections: Corrections | None = None
+    lab: str = "clean"
 
     def condition(self, name: str, scene: Scene, **changed: Any) -> Condition:
         """A condition in the pool's waters, used in turn."""
