@@ -2,6 +2,7 @@
 targets that it was not chosen by. It is what a learned policy has to beat."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from support import complaint
 pytest.importorskip("torch", reason="the train extra is not installed")
 pytest.importorskip("onnx", reason="the train extra is not installed")
 
+from tailbeat.cluster.jobs import map_jobs
 from tailbeat.control.observation import REMEMBERING
 from tailbeat.control.policy import decide, load_policy
 from tailbeat.evaluate.reach import TrialConfig, try_policy
@@ -123,3 +125,11 @@ def test_a_crank_and_a_file_that_exists_are_refused(made, tmp_path):
     assert "exists" in complaint("policy", "rule", "--fish", FISH, "--out", path)
     said = complaint("policy", "rule", "--fish", "crank-fish", "--out", tmp_path / "r.onnx")
     assert "needs a generator" in said and not list(tmp_path.iterdir())
+
+
+@pytest.mark.thorough
+def test_in_other_processes_a_rule_swims_to_the_bit_as_in_this_one():
+    score = partial(rules._scored, RunConfig(load_fish(FISH), Path("unused")), 8)
+    two = [ONE, replace(ONE, gain=1.0)]
+    here, elsewhere = (each(score, two, lambda *_: None) for each in (rules.in_turn, map_jobs))
+    assert here == elsewhere and here[0] != here[1]

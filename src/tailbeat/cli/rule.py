@@ -1,6 +1,7 @@
 """Write the policy of a hand-made steering rule."""
 
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -33,6 +34,7 @@ def rule(
     if course and task == "follow":
         raise BadInput("--course: of the rule that reaches targets; omit it with --task follow.")
     need_training()
+    from tailbeat.cluster.jobs import map_jobs
     from tailbeat.fish.store import load_fish
     from tailbeat.train.config import RunConfig
     from tailbeat.train.recipes import recipe_of
@@ -41,7 +43,7 @@ def rule(
     with progress.counting() as count:
         chosen = recipe_of("quick", task)
         run = RunConfig(load_fish(fish), out.parent, chosen, seed=seed, averages=course)
-        done = make(run, out, count)
+        done = make(run, out, count, partial(map_jobs, preload=("tailbeat.train.rule",)))
     output.tables({"best rule, as actions": [asdict(done.rule)]})
     how = f"median {done.median_seconds:.1f} s"
     if task == "follow":

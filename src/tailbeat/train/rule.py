@@ -12,6 +12,7 @@ alike, and a current is in the course.
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from tailbeat.train.follow_rule import FollowRule, candidates, follow_layers, fo
 
 Single = NDArray[np.float32]
 Progress = Callable[[str, int, int], None]
+Each = Callable[..., list[Any]]  # `cluster.jobs.map_jobs`, or like it
 NAMES = [one.name for one in REMEMBERING]  # of what is observed
 DISTANCE, AHEAD, LEFT = (NAMES.index(NEWEST + one) for one in ("distance", "ahead", "left"))
 ONWARD, ASIDE = (NAMES.index(COURSE.format(one)) for one in ("ahead", "left"))
@@ -70,17 +72,26 @@ class RuleResult:
     mean_distance: float
 
 
-def make(run: RunConfig, path: Path, progress: Progress) -> RuleResult:
-    """Choose the best rule for a run's fish, and write it as a policy. Raises BadInput for actions
-    that are no generator, or a file that exists."""
+def in_turn(
+    function: Callable[[Any], Any], jobs: Sequence[Any], report: Callable[[int, int], None]
+) -> list[Any]:
+    """The results of `function` for every job, one after the other."""
+    found = []
+    for number, one in enumerate(jobs, 1):
+        found.append(function(one))
+        report(number, len(jobs))
+    return found
+
+
+def make(run: RunConfig, path: Path, progress: Progress, each: Each = in_turn) -> RuleResult:
+    """Choose the best rule for a run's fish, and write it as a policy; `each` lets every candidate
+    swim. Raises BadInput for actions that are no generator, or a file that exists."""
     refuse_existing(path)
     run = measured_run(run)
     if not isinstance(run.space(), Generator):
         raise BadInput(f"{run.fish.name}: the steering rule needs a generator, so a pulley.")
-    rules, scored = _candidates(run), []
-    for number, rule in enumerate(rules, 1):
-        scored.append(_score(_swum(rule, run, TUNED, run.seed), run.recipe.task.follow))
-        progress("rules", number, len(rules))
+    rules = _candidates(run)
+    scored = each(partial(_scored, run, TUNED), rules, partial(progress, "rules"))
     best = rules[max(range(len(rules)), key=scored.__getitem__)]
     swims = _swum(best, run, TRIED, run.seed + 1)
     seen = swims.seen[np.linspace(0, len(swims.seen) - 1, GOLDEN).astype(int)]
@@ -129,6 +140,11 @@ def _swum(rule: Rule | FollowRule, run: RunConfig, targets: int, seed: int) -> S
     last = run.settings(len(run.recipe.stages) - 1)
     settings = replace(last, task=replace(last.task, arc=np.pi))
     return assess(rule_of(rule), lambda seeds: World(run.fish, settings, seeds), targets, seed)
+
+
+def _scored(run: RunConfig, targets: int, rule: Rule | FollowRule) -> tuple[float, float]:
+    """How good a candidate is."""
+    return _score(_swum(rule, run, targets, run.seed), run.recipe.task.follow)
 
 
 def _score(swims: Swims, follow: bool) -> tuple[float, float]:
