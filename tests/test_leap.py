@@ -25,8 +25,8 @@ from tailbeat.train.callback import TrainingCallback
 from tailbeat.train.config import RunConfig, action_space, check
 from tailbeat.train.episodes import Episodes
 from tailbeat.train.progress import Progress, TrainingRow
-from tailbeat.train.recipes import following, paper, quick, smoke
-from tailbeat.train.train import train
+from tailbeat.train.recipes import following, paper, quick, recipe_of, smoke
+from tailbeat.train.train import environment, learner, train
 from tailbeat.train.verdict import certain
 from test_train import FISH, planned_for
 
@@ -156,6 +156,25 @@ def test_a_checkpoint_of_before_leaps_is_read(tmp_path):
     (tmp_path / "state.json").write_text(json.dumps(held))
     saved = checkpoint.read_state(tmp_path)
     assert (saved.progress.stage, saved.progress.leapt, saved.updates) == (2, None, 7)
+
+
+@pytest.mark.parametrize("task", ["reach", "follow"])
+def test_a_checkpoint_without_velocities_is_of_use_only_where_targets_stay(tmp_path, task):
+    """Older buffers do not say how tag and target moved, which the reward of following needs."""
+    recipe = recipe_of("smoke", task)
+    run = RunConfig(FISH, tmp_path, recipe, action_space("generator", FISH))
+    env = environment(run)
+    model = learner(run, env)
+    checkpoint.save(tmp_path, model, env.world, Progress(stage=0))
+    place = tmp_path / "checkpoint"
+    with np.load(place / "buffer.npz") as arrays:
+        held = {name: arrays[name] for name in arrays if name != "went"}
+    np.savez(place / "buffer.npz", **held)
+    if task == "reach":
+        assert checkpoint.load(place, model, env.world).progress.stage == 0
+        return
+    with pytest.raises(BadInput, match="lacks went; it was written before"):
+        checkpoint.load(place, model, env.world)
 
 
 def test_a_polish_says_how_far_it_is():

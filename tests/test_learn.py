@@ -133,8 +133,8 @@ def test_a_target_that_goes_on_ends_nothing_and_counts_when_it_was_kept(away, ke
     world.paths[:] = world.target[:, None]
     done = [world.step(np.zeros((2, 6))) for _ in range(500)]
     assert not any(one.terminated.any() for one in done) and done[-1].truncated.all()
-    near = 8.0 * (1 - away)
-    assert done[50].terms.bonus == pytest.approx([near, near], abs=0.05)
+    lost = 2.0 * away + 12.0 * away / 1.5  # at rest, though it should be there in 1.5 s
+    assert done[50].terms.bonus == pytest.approx([-lost, -lost], abs=0.05)
     assert not done[-2].reached.any() and (done[-1].reached == kept).all()
 
 

@@ -142,13 +142,14 @@ class FishEnv(gymnasium.Env):
 @dataclass(frozen=True, eq=False)
 class Behind:
     """What one step of n fish was computed from: frames before and after (n, 3, 6), see
-    `observation.Samples`; the true positions of tag and target after it (n, 2); the effort's reward
-    term (n,)."""
+    `observation.Samples`; the true positions of tag and target after it (n, 2), and how both moved
+    in it (n, 2, 2); the effort's reward term (n,)."""
 
     frames: Array
     next_frames: Array
     place: Array
     target: Array
+    went: Array
     effort: Array
 
 
@@ -194,7 +195,7 @@ class FishVecEnv(VecEnv):
         self._count(done)
         ended = done.terminated | done.truncated
         place, target = self.world.pose[:, :2].copy(), self.world.target.copy()
-        self.last = Behind(before, done.frames, place, target, done.terms.effort)
+        self.last = Behind(before, done.frames, place, target, self.world.went, done.terms.effort)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         seen = done.observation
         for fish in np.flatnonzero(ended):

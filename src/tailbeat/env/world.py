@@ -83,6 +83,7 @@ class World:
         self.here = np.zeros(self.count)  # steps since the target appeared
         self.counted, self.near = np.zeros(self.count), np.zeros(self.count)  # steps; beside it
         self.pose = np.zeros((self.count, 3))
+        self.went = np.zeros((self.count, 2, 2))  # how tag and target moved in the last step [m]
         self.state = act.reset(self.space, self.count)
         self.commands = np.zeros((self.count, COMMANDS, 2))
         self.every = np.arange(self.count)
@@ -208,6 +209,7 @@ class World:
         lost = simulator.advance(wanted, self.pushes[self.every, age])
         self.pose = tracked_pose(self.fish, simulator.qpos[:, :3])
         was = self._move_targets()
+        self.went = np.stack([(self.pose - before)[:, :2], self.target - was], axis=1)
         self.commands[:, 1:] = self.commands[:, :-1]
         self.commands[:, 0] = act.command(self.space, self.state)
         moved = self._moved(before, was)
@@ -270,7 +272,7 @@ class World:
         away = np.where(lost, task.limit, np.hypot(*(self.target - self.pose[:, :2]).T))
         arrived = (away < task.arrival) & ~lost & (not task.follow)
         apart = away / self.settings.measure.reach
-        distance, bonus = reward.of_target(weights, apart, arrived, task.follow)
+        distance, bonus = reward.of_target(weights, apart, arrived, task.follow, self._missed())
         terms = Terms(distance, reward.of_action(weights, action), bonus)
         if lost.any():
             seen = np.where(lost[:, None], np.float32(0), seen)
@@ -278,6 +280,12 @@ class World:
         truncated = (over | self._out_of_range()) & ~ended
         reached = arrived | self._followed(apart < BESIDE) & over
         return Outcome(seen, self.frames, terms.total(), terms, ended, truncated, reached)
+
+    def _missed(self) -> Array:
+        """How far every fish is from the wanted velocity (n,); a diverged one by the most."""
+        apart, went = (self.target - self.pose[:, :2]) @ reward.PLANE, self.went @ reward.PLANE
+        missed = reward.missed(went[:, 0], went[:, 1], apart, self.settings.measure)
+        return np.nan_to_num(missed, nan=reward.WRONG)
 
     def _out_of_range(self) -> Flags:
         place = self.pose[:, :2]

@@ -22,6 +22,7 @@ from tailbeat.train.progress import Progress, TrainingRow
 from tailbeat.train.replay import EXTRA, RelabelBuffer
 
 ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+LATER = ("went",)  # not in older checkpoints; where targets stay it counts for nothing
 SPARE = 200e6  # bytes that are left free on the disk
 
 
@@ -110,6 +111,8 @@ def load(place: Path, model: SAC, world: World) -> Saved:
     state = read_state(place)
     try:
         _load(place, model, world, state)
+    except BadInput:
+        raise
     except Exception as error:  # damaged bytes make torch, numpy and zipfile raise a dozen kinds
         raise BadInput(
             f"{place}: cannot be read ({type(error).__name__}); the checkpoint is damaged. Train"
@@ -123,6 +126,9 @@ def _load(place: Path, model: SAC, world: World, state: Saved) -> None:
     assert buffer is not None
     with np.load(place / "buffer.npz") as arrays:
         for name in _arrays(buffer):
+            if name in LATER and name not in arrays:
+                _check_stays(place, name, world)
+                continue
             getattr(buffer, name)[: len(arrays[name])] = arrays[name]
     if isinstance(buffer, RelabelBuffer):
         buffer.begin_after(int(buffer.episode.max()))
@@ -135,6 +141,15 @@ def _load(place: Path, model: SAC, world: World, state: Saved) -> None:
         model.log_ent_coef.data = learned["log_ent_coef"].to(model.device)
     torch.set_rng_state(learned["torch"])
     _restore(json.loads((place / "random.json").read_text(encoding="utf-8")), world)
+
+
+def _check_stays(place: Path, name: str, world: World) -> None:
+    """Check that targets stay, so that rewards need no `name`. Raises BadInput."""
+    if world.task.follow:
+        raise BadInput(
+            f"{place}/buffer.npz: lacks {name}; it was written before the reward of following"
+            f" counted velocities. Train again in another folder."
+        )
 
 
 def _optimizers(model: SAC) -> dict[str, Any]:

@@ -163,14 +163,15 @@ RECIPES = {"quick": quick, "paper": paper, "smoke": smoke}
 
 def following(recipe: Recipe) -> Recipe:
     """The recipe for following moving targets: other stages and another task. Its verdict asks that
-    the fish stays beside its target."""
+    the fish stays beside its target. Its updates are not rounded, as in the trials of its reward.
+    """
     task, promising = MOVING, PROMISING if recipe.promising else None
     recipe = replace(recipe, **BY_STAGES)
     if recipe.name == "smoke":
         task = replace(task, nearest=0.3, farthest=0.6, seconds=6.0, target_speed=0.1)
         return replace(recipe, stages=FOLLOWING[:1], task=task)
     judged = replace(recipe, window=EPISODES, promising=promising, between=BETWEEN)
-    return replace(judged, stages=FOLLOWING, task=task)
+    return replace(judged, stages=FOLLOWING, task=task, rounded=False)
 
 
 def recipe_of(name: str, task: str = "reach") -> Recipe:

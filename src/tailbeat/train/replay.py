@@ -27,7 +27,7 @@ Turns = NDArray[np.complex128]
 FIRST, LAST = 12, 24  # observed numbers of the frames; the target's velocity follows
 AHEAD = 300  # steps of the paper's fish: a position so much later may become the target (chosen)
 STAY = 0.25  # share of the new targets of a task with moving targets that stay (chosen)
-EXTRA = ("frames", "next_frames", "place", "target", "effort", "episode")
+EXTRA = ("frames", "next_frames", "place", "target", "went", "effort", "episode")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,8 @@ class Transitions:
     First observation `seen` (n, observed) and action (n, size), discounted reward (n,), last
     observation `next`, whether the last step ended the episode (n,). For relabelling: the effort's
     term of every step (n, k), the positions of the tag `way` and of the `target` after every step
-    (n, k, 2) [m], NaN after the last, and the frames of both observations (n, 3, 6).
+    (n, k, 2) [m], NaN after the last, how both `went` in it (n, k, 2, 2) [m], and the frames of
+    both observations (n, 3, 6).
     """
 
     seen: Single
@@ -48,6 +49,7 @@ class Transitions:
     ended: Single
     way: Single
     target: Single
+    went: Single
     frames: Single
     next_frames: Single
 
@@ -87,6 +89,7 @@ class RelabelBuffer(ReplayBuffer):
         self.frames = np.zeros((*shape, 3, 6), np.float32)
         self.next_frames = np.zeros((*shape, 3, 6), np.float32)
         self.place, self.target = (np.zeros((*shape, 2), np.float32) for _ in range(2))
+        self.went = np.zeros((*shape, 2, 2), np.float32)
         self.effort = np.zeros(shape, np.float32)
         self.episode = np.full(shape, -1, np.int32)
         self.begin_after(-1)
@@ -100,6 +103,7 @@ class RelabelBuffer(ReplayBuffer):
         behind, row = self.source.last, self.pos
         self.frames[row], self.next_frames[row] = behind.frames, behind.next_frames
         self.place[row], self.target[row] = behind.place, behind.target
+        self.went[row] = behind.went
         self.effort[row] = behind.effort
         self.episode[row] = self.begun
         self.begun = self.begun + self.n_envs * np.asarray(done, np.int32)
@@ -135,6 +139,7 @@ class RelabelBuffer(ReplayBuffer):
             ended=self.dones[last] * (1 - self.timeouts[last]),
             way=np.where(valid[..., None], self.place[rows, fish], np.nan),
             target=self.target[rows, fish],
+            went=self.went[rows, fish],
             frames=self.frames[at],
             next_frames=self.next_frames[last],
         )
@@ -163,10 +168,20 @@ class RelabelBuffer(ReplayBuffer):
         hit = (away < world.task.arrival) & (not follows)  # NaN after an end is not a hit
         before: Any = np.cumsum(hit, axis=1) - hit == 0
         apart = away / np.float32(world.settings.measure.reach)
-        distance, bonus = reward.of_target(world.settings.reward, apart, hit, follows)
+        missed = self._missed(found.went[chosen], turn, target - _complex(found.way[chosen]))
+        distance, bonus = reward.of_target(world.settings.reward, apart, hit, follows, missed)
         earned = (distance + found.effort[chosen] + bonus) * before * self.powers
         found.reward[chosen] = self.source.reward_scale * np.nansum(earned, axis=1)
         found.ended[chosen] = hit.any(axis=1)
+
+    def _missed(self, went: Single, turn: Turns, apart: Turns) -> Single:
+        """How far fish are from the wanted velocity (n, k), behind targets `apart` (n, k) whose
+        ways are turned; 0 where targets end the episode."""
+        if not self.source.world.task.follow:
+            return np.zeros(apart.shape, np.float32)
+        tag, target = _complex(went[..., 0, :]), turn[:, None] * _complex(went[..., 1, :])
+        found = reward.missed(tag, target, apart, self.source.world.settings.measure)
+        return np.asarray(found, np.float32)
 
     def _later(self, at: Any) -> Paths:
         """Paths through the position of each fish some time later in the same episode, else at this
