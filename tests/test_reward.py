@@ -45,7 +45,7 @@ def test_at_a_target_that_goes_on_nothing_is_lost_and_from_a_metre_on_no_more_th
 
 def test_a_wrong_velocity_costs_twelve_per_metre_a_second_up_to_half_of_one_behind_such_a_target():
     assert WRONG == 0.5
-    for wrong, lost in ((0.1, 1.2), (0.5, 6.0), (9.0, 6.0)):
+    for wrong, lost in ((0.1, 1.2), (0.5, 6.0), (9.0, 6.0), (np.nan, 6.0)):
         both = (terms(AWAY, goes_on=True, wrong=one)[1] for one in (0.0, wrong))
         assert np.subtract(*both) == pytest.approx([lost] * 4)
         assert terms(AWAY, wrong=wrong)[1].tolist() == [0.0] * 4

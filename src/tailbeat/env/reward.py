@@ -64,9 +64,10 @@ def of_target(
 
     The arrays broadcast: `distance` and `missed` (…,), whether the fish `arrived`, and whether the
     target `goes_on` moving. The terms have the dtype of `distance`; where it is NaN they are NaN.
+    A NaN of `missed` counts as the most.
     """
     nearness = weights.nearness * np.minimum(distance / NEAR, 1.0)
-    lost = nearness + weights.pace * np.minimum(missed, WRONG)
+    lost = nearness + weights.pace * np.fmin(missed, WRONG)  # NaN is as wrong as can be
     bonus = (weights.bonus * arrived - lost * goes_on).astype(distance.dtype)
     return -weights.distance * distance, bonus
 

@@ -282,10 +282,9 @@ class World:
         return Outcome(seen, self.frames, terms.total(), terms, ended, truncated, reached)
 
     def _missed(self) -> Array:
-        """How far every fish is from the wanted velocity (n,); a diverged one by the most."""
+        """How far every fish is from the wanted velocity (n,); NaN of one that diverged."""
         apart, went = (self.target - self.pose[:, :2]) @ reward.PLANE, self.went @ reward.PLANE
-        missed = reward.missed(went[:, 0], went[:, 1], apart, self.settings.measure)
-        return np.nan_to_num(missed, nan=reward.WRONG)
+        return np.asarray(reward.missed(went[:, 0], went[:, 1], apart, self.settings.measure))
 
     def _out_of_range(self) -> Flags:
         place = self.pose[:, :2]
