@@ -7,4 +7,6 @@ from tailbeat.control.policy import shipped
 EXAMPLES = Path(__file__).parents[1] / "examples"
 KEPT = EXAMPLES / "policies"
 MESSY = sorted((EXAMPLES / "policies-messy").glob("*.onnx"))
-POLICIES = {path.stem: path for path in (*shipped().values(), *sorted(KEPT.glob("*.onnx")), *MESSY)}
+PACE = sorted((EXAMPLES / "policies-follow").glob("*.onnx"))
+ALL = (*shipped().values(), *sorted(KEPT.glob("*.onnx")), *MESSY, *PACE)
+POLICIES = {path.stem: path for path in ALL}
