@@ -142,7 +142,7 @@ def measure(nuisance, folder, targets):
     return out, words, done.stdout
 
 
-@pytest.mark.thorough
+@pytest.mark.slow  # five minutes where others run beside it
 def test_a_tag_glued_sideways_stands_what_geometry_allows(tmp_path):
     """A fish that puts its seen tag on the target misses with its true place by the offset: more
     than 5 cm cannot be stood much, and the wider circle stands about its own 20 cm."""
