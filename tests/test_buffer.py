@@ -14,6 +14,7 @@ from stable_baselines3.common.buffers import NStepReplayBuffer
 from tailbeat.control.measure import Measure
 from tailbeat.control.observation import TABLE
 from tailbeat.env import randomize
+from tailbeat.env.reward import in_plane
 from tailbeat.env.sensors import motion_filter, quiet
 from tailbeat.env.task import Settings, Task
 from tailbeat.env.vector_env import FishVecEnv
@@ -21,7 +22,7 @@ from tailbeat.env.world import World
 from tailbeat.fish.store import load_fish
 from tailbeat.train import checkpoint
 from tailbeat.train import config as config
-from tailbeat.train.replay import FIRST, Paths, RelabelBuffer, Transitions, _complex, _seen
+from tailbeat.train.replay import FIRST, Paths, RelabelBuffer, Transitions, _seen
 
 FISH = load_fish("pulley-fish-pool")
 STILL = Settings(sensors=quiet(), physics=randomize.none())
@@ -89,7 +90,7 @@ def test_steps_in_a_row_make_one_transition_as_in_sb3_s_own_buffer(filled, monke
 def moved(found: Transitions, targets: Any) -> Paths:
     """Paths on which still targets stand at `targets`, and moving ones stay what they were."""
     turn = np.full(len(targets), 1.0 if found.seen.shape[1] > 24 else 0.0, complex)
-    return Paths(turn, (1 - turn) * _complex(targets))
+    return Paths(turn, (1 - turn) * in_plane(targets))
 
 
 def check_the_same_target_changes_nothing(buffer: RelabelBuffer, targets: Any) -> Transitions:

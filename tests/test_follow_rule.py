@@ -14,6 +14,7 @@ from support import complaint
 pytest.importorskip("torch", reason="the train extra is not installed")
 pytest.importorskip("onnx", reason="the train extra is not installed")
 
+from tailbeat.cluster.jobs import map_jobs
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import FOLLOWING
 from tailbeat.control.policy import decide
@@ -147,7 +148,7 @@ def test_the_better_of_two_is_chosen_and_written(tmp_path, monkeypatch):
     monkeypatch.setattr("tailbeat.train.rule.TUNED", 16)
     monkeypatch.setattr("tailbeat.train.rule.TRIED", 16)
     run = RunConfig(load_fish(FISH), Path("unused"), recipe_of("quick", "follow"))
-    done = make(run, tmp_path / "rule.onnx", lambda *_: None)
+    done = make(run, tmp_path / "rule.onnx", lambda *_: None, map_jobs)
     assert done.rule == ONE and done.mean_distance < 0.6
 
 

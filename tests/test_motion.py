@@ -14,13 +14,14 @@ from tailbeat.env import randomize, target_paths
 from tailbeat.env.curriculum import FOLLOWING as FOLLOWING_STAGES
 from tailbeat.env.curriculum import MOVING as MOVING_TASK
 from tailbeat.env.curriculum import settings_of
+from tailbeat.env.reward import in_plane
 from tailbeat.env.sensors import SensorModel, motion_filter
 from tailbeat.env.task import Scene, Settings, Task
 from tailbeat.env.vector_env import FishVecEnv
 from tailbeat.env.world import World, seeds_from
 from tailbeat.fish.store import load_fish
 from tailbeat.operator.paths import HALF_EIGHT
-from tailbeat.train.replay import Paths, RelabelBuffer, _complex
+from tailbeat.train.replay import Paths, RelabelBuffer
 
 FISH = load_fish("pulley-fish-pool")
 CONSTANTS = motion_filter()
@@ -169,9 +170,9 @@ def test_a_world_s_velocities_are_true_but_for_the_noise():
     for _ in range(150):
         before = world.target.copy()
         done = world.step(np.zeros((40, 6)))
-    true = _complex(world.target - before) / 0.02
+    true = in_plane(world.target - before) / 0.02
     yaw = world.frames[:, 0, 2]
-    seen = _complex(0.5 * done.observation[:, 24:26]) * np.exp(1j * yaw)
+    seen = in_plane(0.5 * done.observation[:, 24:26]) * np.exp(1j * yaw)
     error = np.abs(seen - true)
     assert (np.abs(true) > 0.02).sum() > 15 and np.median(error) < 0.01
 
@@ -251,7 +252,7 @@ def test_a_relabelled_swim_is_the_swim_with_that_target():
     turn = np.exp(1j * np.linspace(0, 5, 6)).astype(np.complex128)
     move = np.asarray(np.linspace(-0.5, 1, 6) * (1 + 0.3j), np.complex128)
     turn[:2] = 0.0  # two targets stay
-    other = turn * _complex(paths) + move
+    other = turn * in_plane(paths) + move
     start = np.zeros((6, 3))
     way = np.stack([other.real, other.imag], axis=-1).transpose(1, 0, 2)
     scene = Scene(start, np.zeros((6, 3)), way, np.full(6, np.inf))
@@ -273,7 +274,7 @@ def test_new_paths_pass_where_the_fish_went():
     assert ((size < 1e-12) | (np.abs(size - 1) < 1e-12)).all()
     assert 0.15 < (size < 0.5).mean() < 0.35
     new = (
-        paths.turn[:, None] * _complex(buffer.target[:, at[1]].swapaxes(0, 1)) + paths.move[:, None]
+        paths.turn[:, None] * in_plane(buffer.target[:, at[1]].swapaxes(0, 1)) + paths.move[:, None]
     )
-    apart = np.abs(new - _complex(buffer.place[:, at[1]].swapaxes(0, 1)))
+    apart = np.abs(new - in_plane(buffer.place[:, at[1]].swapaxes(0, 1)))
     assert apart.min(axis=1).max() < 1e-5

@@ -96,7 +96,9 @@ def made(tmp_path_factory):
         patch.setattr(rules, "TUNED", 24)
         patch.setattr(rules, "TRIED", 40)
         path = tmp_path_factory.mktemp("rule") / "rule.onnx"
-        return path, make(RunConfig(load_fish(FISH), Path("unused")), path, lambda *_: None)
+        return path, make(
+            RunConfig(load_fish(FISH), Path("unused")), path, lambda *_: None, map_jobs
+        )
 
 
 @pytest.mark.thorough
@@ -131,5 +133,5 @@ def test_a_crank_and_a_file_that_exists_are_refused(made, tmp_path):
 def test_in_other_processes_a_rule_swims_to_the_bit_as_in_this_one():
     score = partial(rules._scored, RunConfig(load_fish(FISH), Path("unused")), 8)
     two = [ONE, replace(ONE, gain=1.0)]
-    here, elsewhere = (each(score, two, lambda *_: None) for each in (rules.in_turn, map_jobs))
+    here, elsewhere = [score(one) for one in two], map_jobs(score, two, lambda *_: None)
     assert here == elsewhere and here[0] != here[1]

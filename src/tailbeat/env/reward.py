@@ -15,7 +15,6 @@ NEAR = 1.0  # of the fish's reach: `nearness` acts within it; larger than its tu
 # Of the paper's fish: the time in which a fish should be at its target, its largest wanted speed,
 # and how wrong a velocity may be at most [s, m/s, m/s] (chosen).
 SECONDS, FASTEST, WRONG = 1.5, 0.35, 0.5
-PLANE = np.array([1, 1j])  # (…, 2) @ PLANE: positions as complex numbers
 
 
 @dataclass(frozen=True)
@@ -67,16 +66,21 @@ def of_target(
     A NaN of `missed` counts as the most.
     """
     nearness = weights.nearness * np.minimum(distance / NEAR, 1.0)
-    lost = nearness + weights.pace * np.fmin(missed, WRONG)  # NaN is as wrong as can be
+    lost = nearness + weights.pace * np.fmin(missed, WRONG)
     bonus = (weights.bonus * arrived - lost * goes_on).astype(distance.dtype)
     return -weights.distance * distance, bonus
+
+
+def in_plane(place: Any) -> NDArray[np.complex128]:
+    """Positions (…, 2) in the pool as complex numbers (…), x + iy."""
+    return np.asarray(place[..., 0] + 1j * place[..., 1], dtype=np.complex128)
 
 
 def missed(tag: Any, target: Any, apart: Any, measure: Measure) -> Any:
     """How far the velocity of the tag is from the wanted one, in m/s for the paper's fish (…,).
 
     In one control step `tag` and `target` moved so far (…,) [m]; after it the target is at `apart`
-    (…,) [m], seen from the tag. All are complex numbers, x + iy in the pool. Wanted is the target's
+    (…,) [m], seen from the tag. All are complex numbers, see `in_plane`. Wanted is the target's
     velocity and what would bring the fish to it within `SECONDS`, but no more than `FASTEST`.
     """
     per_second = 1 / PERIOD / measure.speed

@@ -283,7 +283,7 @@ class World:
 
     def _missed(self) -> Array:
         """How far every fish is from the wanted velocity (n,); NaN of one that diverged."""
-        apart, went = (self.target - self.pose[:, :2]) @ reward.PLANE, self.went @ reward.PLANE
+        apart, went = (reward.in_plane(x) for x in (self.target - self.pose[:, :2], self.went))
         return np.asarray(reward.missed(went[:, 0], went[:, 1], apart, self.settings.measure))
 
     def _out_of_range(self) -> Flags:

@@ -20,6 +20,7 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from tailbeat.control.measure import Measure
 from tailbeat.control.observation import relative, scales
 from tailbeat.env import reward
+from tailbeat.env.reward import in_plane
 from tailbeat.env.vector_env import FishVecEnv
 
 Single = NDArray[np.float32]
@@ -160,28 +161,21 @@ class RelabelBuffer(ReplayBuffer):
         lost = (found.ended > 0) & (found.reward < 0)
         chosen = np.isfinite(paths.move) & ~lost
         turn, move, world = paths.turn[chosen], paths.move[chosen], self.source.world
-        follows = world.task.follow
+        follows, measure = world.task.follow, world.settings.measure
         for seen, frames in ((found.seen, found.frames), (found.next, found.next_frames)):
-            seen[chosen] = _seen(seen[chosen], frames[chosen], turn, move, world.settings.measure)
-        target = turn[:, None] * _complex(found.target[chosen]) + move[:, None]
-        away = np.abs(_complex(found.way[chosen]) - target).astype(np.float32)
+            seen[chosen] = _seen(seen[chosen], frames[chosen], turn, move, measure)
+        target = turn[:, None] * in_plane(found.target[chosen]) + move[:, None]
+        apart = target - in_plane(found.way[chosen])
+        away = np.abs(apart).astype(np.float32)
         hit = (away < world.task.arrival) & (not follows)  # NaN after an end is not a hit
         before: Any = np.cumsum(hit, axis=1) - hit == 0
-        apart = away / np.float32(world.settings.measure.reach)
-        missed = self._missed(found.went[chosen], turn, target - _complex(found.way[chosen]))
-        distance, bonus = reward.of_target(world.settings.reward, apart, hit, follows, missed)
+        went = in_plane(found.went[chosen])
+        missed = reward.missed(went[..., 0], turn[:, None] * went[..., 1], apart, measure)
+        far, weights = away / np.float32(measure.reach), world.settings.reward
+        distance, bonus = reward.of_target(weights, far, hit, follows, missed.astype(np.float32))
         earned = (distance + found.effort[chosen] + bonus) * before * self.powers
         found.reward[chosen] = self.source.reward_scale * np.nansum(earned, axis=1)
         found.ended[chosen] = hit.any(axis=1)
-
-    def _missed(self, went: Single, turn: Turns, apart: Turns) -> Single:
-        """How far fish are from the wanted velocity (n, k), behind targets `apart` (n, k) whose
-        ways are turned; 0 where targets end the episode."""
-        if not self.source.world.task.follow:
-            return np.zeros(apart.shape, np.float32)
-        tag, target = _complex(went[..., 0, :]), turn[:, None] * _complex(went[..., 1, :])
-        found = reward.missed(tag, target, apart, self.source.world.settings.measure)
-        return np.asarray(found, np.float32)
 
     def _later(self, at: Any) -> Paths:
         """Paths through the position of each fish some time later in the same episode, else at this
@@ -190,10 +184,10 @@ class RelabelBuffer(ReplayBuffer):
         ahead = np.random.randint(0, longest, size=len(at[0]))  # noqa: NPY002
         then = (at[0] + ahead) % self.buffer_size
         then = np.where(self.episode[then, at[1]] == self.episode[at], then, at[0]), at[1]
-        went = _complex(self.place[then] - self.place[at])
-        moved = _complex(self.target[then] - self.target[at])
+        went = in_plane(self.place[then] - self.place[at])
+        moved = in_plane(self.target[then] - self.target[at])
         turn = self._staying(_unit(went * moved.conj()))
-        return Paths(turn, self._beside(self.place[then]) - turn * _complex(self.target[then]))
+        return Paths(turn, self._beside(self.place[then]) - turn * in_plane(self.target[then]))
 
     def _staying(self, turn: Turns) -> Turns:
         """The turns of new paths; 0 for targets that stay: all of them, unless the task's move."""
@@ -204,25 +198,20 @@ class RelabelBuffer(ReplayBuffer):
     def _beside(self, place: Single) -> Turns:
         """Move half of the positions by a normal draw of `misses` along both axes."""
         if not self.misses:
-            return _complex(place)
+            return in_plane(place)
         moved = np.random.random_sample(len(place)) < 0.5  # noqa: NPY002
         misses = self.misses * self.source.world.settings.measure.size
         offset = misses * np.random.standard_normal(place.shape)  # noqa: NPY002
-        return _complex(place + offset * moved[:, None])
+        return in_plane(place + offset * moved[:, None])
 
     def _anywhere(self, at: Any) -> Paths:
         """Paths that pass around the fish, by distance and bearing, in any direction."""
         task, count = self.source.world.task, len(at[0])
         distance = task.farthest * np.random.random_sample(count)  # noqa: NPY002
         bearing, turned = 2 * np.pi * np.random.random_sample((2, count))  # noqa: NPY002
-        place = _complex(self.place[at]) + distance * np.exp(1j * bearing)
+        place = in_plane(self.place[at]) + distance * np.exp(1j * bearing)
         turn = self._staying(np.exp(1j * turned))
-        return Paths(turn, place - turn * _complex(self.target[at]))
-
-
-def _complex(place: Any) -> Turns:
-    """Positions (..., 2) as complex numbers."""
-    return np.asarray(place[..., 0] + 1j * place[..., 1], dtype=np.complex128)
+        return Paths(turn, place - turn * in_plane(self.target[at]))
 
 
 def _unit(turn: Turns) -> Turns:
@@ -234,10 +223,10 @@ def _unit(turn: Turns) -> Turns:
 def _seen(seen: Single, frames: Single, turn: Turns, move: Turns, measure: Measure) -> Single:
     """The observations (n, observed) of frames (n, 3, 6) whose targets moved to turn p + move."""
     full, after = np.array(frames, dtype=np.float64), seen.copy()
-    target = turn[:, None] * _complex(full[..., 3:5]) + move[:, None]
+    target = turn[:, None] * in_plane(full[..., 3:5]) + move[:, None]
     full[..., 3], full[..., 4] = target.real, target.imag
     after[:, FIRST:LAST] = relative(full).reshape(len(full), LAST - FIRST) / scales(measure)[FIRST:]
     if seen.shape[1] > LAST:
-        speed = turn * _complex(seen[:, LAST : LAST + 2])
+        speed = turn * in_plane(seen[:, LAST : LAST + 2])
         after[:, LAST], after[:, LAST + 1] = speed.real, speed.imag
     return after

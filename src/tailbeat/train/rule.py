@@ -34,7 +34,7 @@ from tailbeat.train.follow_rule import FollowRule, candidates, follow_layers, fo
 
 Single = NDArray[np.float32]
 Progress = Callable[[str, int, int], None]
-Each = Callable[..., list[Any]]  # `cluster.jobs.map_jobs`, or like it
+Each = Callable[..., list[Any]]  # `cluster.jobs.map_jobs`
 NAMES = [one.name for one in REMEMBERING]  # of what is observed
 DISTANCE, AHEAD, LEFT = (NAMES.index(NEWEST + one) for one in ("distance", "ahead", "left"))
 ONWARD, ASIDE = (NAMES.index(COURSE.format(one)) for one in ("ahead", "left"))
@@ -72,18 +72,7 @@ class RuleResult:
     mean_distance: float
 
 
-def in_turn(
-    function: Callable[[Any], Any], jobs: Sequence[Any], report: Callable[[int, int], None]
-) -> list[Any]:
-    """The results of `function` for every job, one after the other."""
-    found = []
-    for number, one in enumerate(jobs, 1):
-        found.append(function(one))
-        report(number, len(jobs))
-    return found
-
-
-def make(run: RunConfig, path: Path, progress: Progress, each: Each = in_turn) -> RuleResult:
+def make(run: RunConfig, path: Path, progress: Progress, each: Each) -> RuleResult:
     """Choose the best rule for a run's fish, and write it as a policy; `each` lets every candidate
     swim. Raises BadInput for actions that are no generator, or a file that exists."""
     refuse_existing(path)
