@@ -310,8 +310,9 @@ def test_a_target_faster_than_those_of_the_training_is_said_and_one_faster_than_
         said("pulley-fish-pool-follow", 0.5)
 
 
-def test_the_contract_s_own_speed_counts_before_that_of_the_task():
+@pytest.mark.parametrize(("told", "speed"), [({}, 0.25), ({"target_speed": 0.1}, 0.1)])
+def test_the_contract_s_own_speed_counts_before_that_of_the_task(told, speed):
+    """A policy of an earlier version was exported without the number."""
     contract = load_policy("pulley-fish-pool-follow").contract
-    assert trained_speed(contract) == MOVING.target_speed  # it was exported without the number
-    told = replace(contract, training={**contract.training, "target_speed": 0.1})
-    assert trained_speed(told) == 0.1
+    assert trained_speed(contract) == MOVING.target_speed == 0.25
+    assert trained_speed(replace(contract, training=told)) == speed
