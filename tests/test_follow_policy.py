@@ -12,7 +12,6 @@ pytest.importorskip("onnx", reason="the train extra is not installed")
 
 import onnx
 
-from tailbeat.cli.options import KEEPS
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import FOLLOWING, TABLE
@@ -99,7 +98,7 @@ def test_it_follows_the_figure_eight_by_the_clock_and_the_policy_that_reaches_do
 
 @pytest.mark.thorough
 def test_the_shipped_rule_follows_too():
-    away = distances(KEEPS)
+    away = distances("pulley-fish-pool-follow-rule")
     assert away.mean() < 0.14 and away.max() < KEPT
 
 

@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     from tailbeat.operator.target_path import PathAsked
 
 SHIPPED = "pulley-fish-pool-generator"  # the policy that is taken by default
-FOLLOWS = "pulley-fish-pool-follow"  # where the target is dragged
-KEEPS = "pulley-fish-pool-follow-rule"  # where it goes along a path
+FOLLOWS = "pulley-fish-pool-follow"  # where the target moves
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]
 FishOption = Annotated[str, typer.Option("--fish", help="A TOML file or a shipped fish's name.")]

@@ -10,7 +10,6 @@ from tailbeat.cli import output, progress, results
 from tailbeat.cli.extras import need_camera, need_robot
 from tailbeat.cli.options import (
     FOLLOWS,
-    KEEPS,
     SHIPPED,
     JsonOption,
     MessOption,
@@ -38,8 +37,8 @@ SwimPolicy = Annotated[
     str | None,
     typer.Option(
         "--policy",
-        help=f"A policy, .onnx, or a shipped name. Default: {KEEPS} on a --path, {FOLLOWS} where"
-        f" the target is dragged, {SHIPPED} for a tour.",
+        help=f"A policy, .onnx, or a shipped name. Default: {FOLLOWS} where the target moves, on a"
+        f" --path or by hand, {SHIPPED} for a tour.",
     ),
 ]
 
@@ -94,7 +93,7 @@ def swim(
     elif asked is not None:
         from tailbeat.evaluate.following import FollowConfig
 
-        _follow(FollowConfig(policy or KEEPS, asked, pool_fish, twin, seed), direct, out, json)
+        _follow(FollowConfig(policy or FOLLOWS, asked, pool_fish, twin, seed), direct, out, json)
     elif headless or direct or not sys.stdout.isatty():
         swum = (_direct if direct else _live)(
             (policy or SHIPPED, pool_fish, twin, targets, seed, mess), out
