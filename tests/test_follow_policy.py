@@ -74,12 +74,16 @@ def test_the_robot_sees_and_does_what_the_training_s_world_does():
 # ---- in the pool --------------------------------------------------------------------------------
 
 
-def distances(name: str, seconds: float = 12.0) -> np.ndarray:
+def distances(name: str, seconds: float = 12.0, stops: float = 0.0) -> np.ndarray:
     """Distances (2, k) [m] from a target on the paper's figure-eight by the clock, after the first
-    5 s, of two fish in the pool's plant with walls and all noise."""
+    5 s, of two fish in the pool's plant with walls and all noise. With `stops` [s] the target rests
+    so long after each such time on its way."""
     policy = load_policy(name)
     pool = pool_of(policy, EvaluationConfig("pulley-fish", None, "full", episodes=2))
     scene = scenes.follow(pool.fish, eight, LAP, seconds, 2)
+    if stops:
+        moves = np.arange(scene.target.shape[1]) // round(stops / PERIOD) % 2 == 0
+        scene = replace(scene, target=scene.target[:, np.cumsum(moves) - 1])
     around = (Surroundings(walls=pool.walls),)
     asked = pool.condition("eight", scene, around=around, seconds=seconds, stop=False)
     runs = swim(lambda seen: decide(policy, seen), asked, seeds_from(5, 2))
@@ -100,6 +104,13 @@ def test_it_follows_the_figure_eight_by_the_clock_and_the_policy_that_reaches_do
 def test_the_shipped_rule_follows_too():
     away = distances("pulley-fish-pool-follow-rule")
     assert away.mean() < 0.14 and away.max() < KEPT
+
+
+@pytest.mark.thorough
+def test_behind_a_target_that_stops_and_goes_the_learned_policy_is_nearer_than_the_rule():
+    """0.20 and 0.27 m; some targets are lost by both, when the fish looks the wrong way."""
+    away, rule = (distances(one, 45.0, 4.0) for one in (NAME, "pulley-fish-pool-follow-rule"))
+    assert away.mean() < 0.25 and away.mean() < 0.9 * rule.mean()
 
 
 # ---- its contract -------------------------------------------------------------------------------
