@@ -37,8 +37,8 @@ SwimPolicy = Annotated[
     str | None,
     typer.Option(
         "--policy",
-        help=f"A policy, .onnx, or a shipped name. Default: {FOLLOWS} where the target moves, on a"
-        f" --path or by hand, {SHIPPED} for a tour.",
+        help=f"A policy, .onnx, or a shipped name. Default: {FOLLOWS} on a --path and"
+        f" on the operator page, {SHIPPED} for a tour.",
     ),
 ]
 
