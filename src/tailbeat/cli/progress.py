@@ -152,6 +152,11 @@ def _polish(row: "TrainingRow") -> str:
     return "" if row.polished is None else f", {100 * row.polished:.0f} % polished"
 
 
+def _gain(row: "TrainingRow") -> str:
+    """The third term: a bonus, or beside a target that keeps moving a loss (`env/reward.py`)."""
+    return f"{'bonus' if row.bonus >= 0 else 'nearness and pace'} {row.bonus:.0f}"
+
+
 def _cells(row: "TrainingRow") -> dict[str, str]:
     eta, awaited = row.promotion_in, "ready in" if row.polished is not None else "promotion in"
     return {
@@ -160,7 +165,7 @@ def _cells(row: "TrainingRow") -> dict[str, str]:
         "success": f"{100 * row.success:.0f} %",
         awaited: "-" if eta is None else f"{eta / 60:.1f} min",
         "episode": f"{row.episode_seconds:.1f} s",
-        "reward": f"distance {row.distance:.0f} effort {row.effort:.0f} bonus {row.bonus:.0f}",
+        "reward": f"distance {row.distance:.0f} effort {row.effort:.0f} {_gain(row)}",
         "control steps": f"{row.control_steps:,} ({row.steps_per_s:.0f}/s)",
         "updates": f"{row.updates:,} ({row.updates_per_s:.0f}/s)",
         "fish lost": str(row.lost),

@@ -82,6 +82,7 @@ def _rates(row: "ReachResult | ConditionResult", m: Measure) -> dict[str, Any]:
         "swims": row.swims,
         f"within {centimetres(m.arrival)} [%]": percent(row.arrived, row.arrived_interval),
         f"within {centimetres(m.near)} [%]": percent(row.near, row.near_interval),
+        "lost": row.lost,
     }
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from tailbeat.emulators.broken import Broken
 from tailbeat.emulators.mistakes import Mistakes
 from tailbeat.emulators.servo import Shaft
+from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.identify.runs import tracked_pose
 from tailbeat.link.places import POOL
@@ -41,7 +42,8 @@ class PlantShaft(Shaft):
         )
 
     def advance(self, goal: float | None, dt: float) -> None:
-        """Step the plant by `dt` [s]; without torque (`goal` None) the servo's gain is 0."""
+        """Step the plant by `dt` [s]; without torque (`goal` None) the servo's gain is 0. Raises
+        BadInput if the plant diverges."""
         broken, wrong = self.broken, self.mistakes.lab.errors
         self.plant.servo["kp"][0] = 0.0 if goal is None else self.gain
         share = (-1 if broken.reversed else 1) * broken.slipping
@@ -51,6 +53,11 @@ class PlantShaft(Shaft):
             self.owed -= steps * self.plant.dt
             turned = share * broken.stroke * (goal or 0.0) + wrong.horn
             swum = step_plant(self.plant, self.state, np.full((1, steps), turned), steps)
+            if swum.lost.any():
+                raise BadInput(
+                    f"{self.fish.name}: diverges in the virtual pool; look at its warnings with"
+                    f" `tailbeat show`."
+                )
             # Of a motor without torque the circuit is open; else its back EMF, which a description
             # counts as damping of the shaft, takes from its current.
             lost = float(self.plant.servo["damping"][0]) * float(self.state.v[0, 3])

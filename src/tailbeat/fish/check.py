@@ -13,9 +13,10 @@ import numpy as np
 from tailbeat.fish.buoyancy import Buoyancy, buoyancy, float_warnings, water_warnings
 from tailbeat.fish.convergence import ALLOWED, Deviation, deviation
 from tailbeat.fish.description import Fish
-from tailbeat.fish.linkage import at_shaft
+from tailbeat.fish.linkage import at_shaft, free_bends
 from tailbeat.fish.quick_swims import Quick, quick_swims, swim_warnings
 
+NEARLY = 0.95  # of the angle at which a hinge's guides meet, chosen; the pulley fish has 0.86
 LEAST_BEND = math.radians(10)  # at the shaft, in the band's lower half
 
 
@@ -75,6 +76,7 @@ def check(fish: Fish, length: float) -> Check:
     said = (
         *float_warnings(found, length),
         *_servo_warnings(fish, reach),
+        *_hinge_warnings(fish, servo),
         *water_warnings(fish, found.mass),
         *swim_warnings(swims, length),
         *_step_warnings(step),
@@ -150,11 +152,27 @@ def _servo_warnings(fish: Fish, reach: tuple[Reach, ...]) -> list[str]:
     ]
 
 
+def _hinge_warnings(fish: Fish, servo: Strength | None) -> list[str]:
+    """A hinge that bends until its guides meet swims jerkily, or not at all."""
+    if servo is None:
+        return []
+    bent, free = at_shaft(fish).bend * servo.bend, free_bends(fish)
+    worst = int(np.argmax(bent / free))
+    if bent[worst] < NEARLY * free[worst]:
+        return []
+    bend, meet = math.degrees(bent[worst]), math.degrees(free[worst])
+    return [
+        f"hinge {worst + 1} of {len(free)} bends by {bend:.0f} deg at full stroke, and its tendon's"
+        f" guides meet at {meet:.0f} deg; set the guides beside it further apart, or narrow the"
+        f" motor's range"
+    ]
+
+
 def _step_warnings(step: Deviation) -> list[str]:
     if step.error < ALLOWED:
         return []
     size = "diverges" if math.isinf(step.error) else f"errs by {100 * step.error:.0f} % of the way"
     return [
         f"the step of {1e3 * step.simulation.step:g} ms with {step.simulation.integrator} {size} at"
-        f" full stroke; allowed are {100 * ALLOWED:.0f} %: take a shorter one"
+        f" full stroke; allowed are {100 * ALLOWED:.0f} %: take a shorter one, if it errs less"
     ]

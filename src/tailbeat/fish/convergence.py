@@ -21,6 +21,7 @@ SECONDS = 4.0
 SAMPLE = 0.02  # s
 SHARES = (0.0, 0.5, 1.0)  # of the band
 ALLOWED = 0.05  # of the way swum, chosen: what a twin errs anyway; shorter steps train longer
+WORTH = 2.0  # a shorter step that errs above `ALLOWED` must err so many times less (chosen)
 # From the cheapest on. Every step divides the robot's period of 20 ms.
 CHOICES = tuple(
     Simulation(step=step, integrator=integrator)
@@ -47,13 +48,19 @@ def deviation(fish: Fish, simulation: Simulation | None = None) -> Deviation:
 
 
 def choose(fish: Fish, choices: Sequence[Simulation] = CHOICES) -> Deviation:
-    """The cheapest of `choices` that errs by less than `ALLOWED`; if none does, the best."""
+    """The cheapest of `choices` that errs by less than `ALLOWED`; if none does, the cheapest that
+    errs at most `WORTH` times as much as the best.
+
+    A light fish at full stroke may turn about itself for the smallest of reasons, at any step. A
+    shorter one then costs much and gains little.
+    """
     fine, found = swims(fish, FINE), []
     for simulation in choices:
         found.append(Deviation(simulation, _error(swims(fish, simulation), fine)))
         if found[-1].error < ALLOWED:
             return found[-1]
-    return min(found, key=lambda one: one.error)
+    best = min(found, key=lambda one: one.error)
+    return next(one for one in found if one.error <= WORTH * best.error)
 
 
 def swims(fish: Fish, simulation: Simulation) -> list[Array | None]:

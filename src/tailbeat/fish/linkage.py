@@ -16,12 +16,14 @@ from tailbeat.fish.twin import Options, Twin, compile_twin
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class AtShaft:
-    """A tail seen from the shaft, head held: its `stiffness` [N m/rad] by the formula above and its
-    `inertia` [kg m^2] for that bend; `rotor` is the motor's own inertia without the armature."""
+    """A tail seen from the shaft, head held: its `stiffness` [N m/rad] by the formula above, the
+    `bend` of its hinges (n,) per rad of the shaft, and its `inertia` [kg m^2] for that bend;
+    `rotor` is the motor's own inertia without the armature."""
 
     stiffness: float
+    bend: Array
     inertia: float
     rotor: float
 
@@ -75,6 +77,23 @@ def at_shaft(fish: Fish, added_inertia: float = 0.0) -> AtShaft:
     bend, full = stiffness / radius * arms / hinges, mass_matrix(twin, data)
     return AtShaft(
         stiffness,
+        bend,
         float(bend @ full[motor + 1 :, motor + 1 :] @ bend),
         float(full[motor, motor] - twin.model.dof_armature[motor]),
     )
+
+
+def free_bends(fish: Fish) -> Array:
+    """How far each hinge (n,) [rad] may bend until the guides on both sides of it are in line with
+    it. There the tendon has no arm left, and beyond it pulls the other way. Infinite for a hinge
+    without guides on both sides, and where the tendon crosses the middle."""
+    before, found = list(fish.tendons.head_guides), []
+    for link in fish.tail.links:
+        side = -1.0 if link.crossed else 1.0
+        guides = [(x - link.hinge, side * y) for x, y in link.guides]
+        near = [(x - link.hinge, y) for x, y in before[-1:]] + guides[:1]
+        angles = [float(np.arctan2(y, x)) for x, y in near]
+        one_side = len(near) == 2 and near[0][1] * near[1][1] > 0
+        found.append(abs(angles[1] - angles[0]) if one_side else np.inf)
+        before = [(x + link.hinge, y) for x, y in guides]
+    return np.array(found)

@@ -33,6 +33,9 @@ LEAST_STROKE = 0.15  # rad that the servo still makes at the band's top
 HIGHEST = 5.0  # Hz: ten of the robot's commands per beat
 SOFTEST = 0.01  # of the usual stiffness at its length; below, a unit is wrong (chosen)
 LARGEST_TAG = 150.0  # mm of the black square, with its white border on a sheet of A4
+# Of a link's length, from a hinge to the guides on both sides. Wider fish have longer arms, and the
+# guides would meet in their full stroke: there the gap grows with the width.
+GAP = 0.2
 SLENDER = (0.5, 2.0)  # allowed ratio of width over length to the pulley fish's
 # Added mass of a rectangular plate broadside on, over that of the strip pi/4 chord^2 span, by span
 # over chord (DNV-RP-C205, appendix D).
@@ -65,11 +68,12 @@ class Box:
 
 @dataclass(frozen=True)
 class Segment:
-    """A tail link: `hinge` x, `arm` of the tendon, next `guide` (x, y) or None, flexible strip's
-    height and length [m], `stiffness` [N m/rad], and its part."""
+    """A tail link: `hinge` x, `arm` of the tendon, `gap` from the hinge to its guides, next `guide`
+    (x, y) or None, flexible strip's height and length [m], `stiffness` [N m/rad], and its part."""
 
     hinge: float
     arm: float
+    gap: float
     guide: tuple[float, float] | None
     strip: tuple[float, float]
     stiffness: float
@@ -224,15 +228,15 @@ def _tail(
     """Links of equal pitch from the mid-body to the fin; the last is half as long."""
     first, front = -215e-3 * scale, fin.x + fin.size[0] / 2
     pitch = (first - front) / (given.hinges - 0.5)
-    volumes = _sections(given.hinges, wide)
+    volumes, gap = _sections(given.hinges, wide), GAP * max(wide / scale, 1.0) * pitch
     found = []
     for i, (height, width) in enumerate(volumes):
         last = i == given.hinges - 1
         hinge, long = first - i * pitch, pitch / 2 if last else pitch
         box = _box(hinge - long / 2, (long, width, height), _tail_mass(given, volumes, i))
         strip = (float(np.interp(i, [0, given.hinges - 1], [61.5e-3, 27.1e-3])) * scale, pitch)
-        guide = None if last else (hinge - 0.8 * pitch, float(arms[i + 1]))
-        found.append(Segment(hinge, float(arms[i]), guide, strip, float(stiffness[i]), box))
+        guide = None if last else (hinge - pitch + gap, float(arms[i + 1]))
+        found.append(Segment(hinge, float(arms[i]), gap, guide, strip, float(stiffness[i]), box))
     return tuple(found)
 
 

@@ -189,7 +189,6 @@ def _given(sketch: Sketch) -> str:
 
 def _machine(sketch: Sketch) -> str:
     servo, profile, first = sketch.profile.servo(), sketch.profile, sketch.tail[0]
-    pitch = first.strip[1]
     return MACHINE.format(
         motor=_number(-60 * sketch.scale),
         radius=_mm(sketch.radius),
@@ -205,7 +204,7 @@ def _machine(sketch: Sketch) -> str:
         damping=_number(servo.damping),
         tau=_number(1e3 * servo.armature / servo.damping),
         delay=_number(1e3 * servo.delay),
-        guide=f"{_mm(first.hinge + 0.2 * pitch)} {_mm(first.arm)}",
+        guide=f"{_mm(first.hinge + first.gap)} {_mm(first.arm)}",
         hardware=_hardware(profile),
     )
 
@@ -249,7 +248,7 @@ def _link(sketch: Sketch, i: int, link: Segment) -> str:
     boxes = [BOX.format(name=f"tail{i}", zone="tail", **_box(link.box))]
     if i == len(sketch.tail) - 1:
         boxes.append(BOX.format(name="fin", zone="fin", **_box(sketch.fin)))
-    places = [(link.hinge - 0.2 * link.strip[1], link.arm)]
+    places = [(link.hinge - link.gap, link.arm)]
     places += [link.guide] if link.guide is not None else []
     return LINK.format(
         hinge=_mm(link.hinge),

@@ -23,10 +23,15 @@ class Held:
 
     @property
     def warnings(self) -> list[str]:
-        """What was changed, in a sentence."""
+        """What was changed, or could not be mended, in a sentence."""
+        how = "diverged" if self.before == float("inf") else f"erred by {100 * self.before:.0f} %"
+        if not self.changed and self.before >= convergence.ALLOWED:
+            return [
+                f"the described step {how} of the way at full stroke with the identified numbers,"
+                f" and shorter ones hardly less: such swims hang on the smallest things"
+            ]
         if not self.changed:
             return []
-        how = "diverged" if self.before == float("inf") else f"erred by {100 * self.before:.0f} %"
         now = self.step.simulation
         return [
             f"the described step {how} at full stroke with the identified numbers; the fish was"
@@ -40,7 +45,7 @@ def held(fish: Fish) -> Held:
     own = convergence.deviation(fish)
     if own.error < convergence.ALLOWED:
         return Held(own, False, own.error)
-    best = convergence.choose(fish)
+    best = convergence.choose(fish, (fish.simulation, *convergence.CHOICES))
     if best.error == float("inf"):
         raise BadInput(
             f"{fish.name}: with the identified numbers it diverges at every step down to"

@@ -143,6 +143,7 @@ def _reach_row(row: ReachResult, m: Measure) -> dict[str, Any]:
         f"{span}: {wide} [%]": near(trained),
         "median time [s]": row.median_seconds,
         "path length over distance": row.median_path_ratio,
+        "lost": row.lost,
     }
 
 
