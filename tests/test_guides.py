@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tailbeat.emulators.plant_shaft import PlantShaft
+from tailbeat.evaluate.zoo import animals
 from tailbeat.files import BadInput
 from tailbeat.fish import check, convergence, first_draft
 from tailbeat.fish.description import Fish, Simulation, length_of
@@ -62,6 +63,14 @@ def test_where_guides_meet_a_tendon_of_the_compiled_twin_turns_its_pull(fish):
 def test_no_sketch_bends_a_hinge_until_its_guides_meet(hinges, mass):
     fish = sketched(Given(0.18, mass, hinges, "xl330"))
     assert (full_bends(fish) < 0.9 * free_bends(fish)).all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_fish_of_a_zoo_bends_a_hinge_until_its_guides_meet(seed):
+    for one in animals(seed):
+        if one.given is not None:
+            fish = sketched(one.given)
+            assert (full_bends(fish) < 0.95 * free_bends(fish)).all(), one.name
 
 
 @pytest.mark.thorough

@@ -64,6 +64,7 @@ def _row(one: "Outcome") -> dict[str, Any]:
         "stages": one.stages,
         "updates": one.updates,
         "reached [%]": None if one.reached is None else 100 * one.reached,
+        "lost": one.lost,
         "by the rule [%]": None if one.ruled is None else 100 * one.ruled,
         "through camera and servo": None if one.toured is None else f"{one.toured} of {TOUR}",
         "within [cm]": None if one.arrival_m is None else 100 * one.arrival_m,

@@ -71,8 +71,8 @@ class Outcome:
     The steps by name; its length [m], mass [kg], hinges and servo; how many numbers of tail and
     servo were called decided, and how many of these intervals hold the fish's own number; stages
     passed, updates; of the targets in the pool the fraction reached (None: not swum) within
-    `arrival_m`, by its policy and by the hand-made `ruled`; of the targets of the tour in real time
-    how many.
+    `arrival_m`, by its policy and by the hand-made `ruled`, and how many of its policy's swims were
+    `lost`: diverged, or out of range; of the targets of the tour in real time how many.
     """
 
     name: str
@@ -87,6 +87,7 @@ class Outcome:
     updates: int = 0
     reached: float | None = None
     interval: tuple[float, float] | None = None
+    lost: int | None = None
     ruled: float | None = None
     arrival_m: float | None = None
     toured: int | None = None
@@ -231,7 +232,8 @@ def outcome(animal: Animal, folder: Path, steps: dict[str, Step]) -> Outcome:
         found = replace(found, stages=passed, updates=updates, arrival_m=contract.measure.arrival)
     if steps.get("evaluate") and steps["evaluate"].code == 0:
         rates = read(folder / "evaluation").reach[OPEN]
-        found = replace(found, reached=rates.arrived, interval=rates.arrived_interval)
+        reached, interval = rates.arrived, rates.arrived_interval
+        found = replace(found, reached=reached, interval=interval, lost=rates.lost)
     if steps.get("rule") and steps["rule"].code == 0:
         found = replace(found, ruled=read(folder / "ruled").reach[OPEN].arrived)
     if (folder / "tour.json").is_file():
