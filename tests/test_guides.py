@@ -17,6 +17,7 @@ from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.identify import step_check
 from tailbeat.pool.plant import at_rest, build_plant, step_plant
+from tailbeat.pool.water import Water
 
 STOUT = Given(0.175, 0.1, 3, "xl330", k_eff=0.0277)  # heavier than the pulley fish's shape would be
 TURNING = Given(0.164, 0.1, 4, "xl330", k_eff=0.0232)
@@ -101,6 +102,29 @@ def test_in_the_virtual_pool_a_stout_fish_swims_alike_at_any_step():
     way = np.hypot(*np.diff(fine[:, :2], axis=0).T).sum()
     assert np.hypot(*(usual - fine)[:, :2].T).max() < 0.01 * way
     assert not np.isfinite(full_stroke(sketched(STOUT, narrow=True), 2e-3)).all()
+
+
+def any_commands(fish: Fish, swims: int, seconds: int, step: float) -> np.ndarray:
+    """Setpoints of beats, strokes and centres that change every two seconds."""
+    assert fish.motor.range is not None
+    rng, most = np.random.default_rng(1), fish.motor.range[1]
+    time, each = np.arange(round(2 / step)) * step, (swims, seconds // 2, 1)
+    beat = rng.uniform(fish.band[0] / 4, fish.band[1], each)
+    stroke, centre = rng.uniform(0, most, each), rng.uniform(-0.7 * most, 0.7 * most, each)
+    held = centre + stroke * np.sin(2 * np.pi * beat * (np.floor(time / 0.02 + 1e-9) * 0.02))
+    return np.asarray(np.clip(held, -most, most).reshape(swims, -1))
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_no_swim_of_a_zoo_s_smallest_fish_is_lost_in_the_virtual_pool(seed):
+    given = animals(seed)[0].given
+    assert given is not None
+    for narrow in (True, False):
+        fish = sketched(given, narrow)
+        plant = build_plant(fish, [Water()] * 8)
+        commands = any_commands(fish, 8, 10, plant.dt)
+        lost = step_plant(plant, at_rest(plant), commands, 10).lost.sum()
+        assert lost >= 4 if narrow else lost == 0
 
 
 def test_an_emulated_fish_that_diverges_is_named():

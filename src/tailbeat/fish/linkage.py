@@ -90,10 +90,10 @@ def free_bends(fish: Fish) -> Array:
     before, found = list(fish.tendons.head_guides), []
     for link in fish.tail.links:
         side = -1.0 if link.crossed else 1.0
-        guides = [(x - link.hinge, side * y) for x, y in link.guides]
-        near = [(x - link.hinge, y) for x, y in before[-1:]] + guides[:1]
+        guides = [(x, side * y) for x, y in link.guides]
+        near = [(x - link.hinge, y) for x, y in (*before[-1:], *guides[:1])]
         angles = [float(np.arctan2(y, x)) for x, y in near]
         one_side = len(near) == 2 and near[0][1] * near[1][1] > 0
         found.append(abs(angles[1] - angles[0]) if one_side else np.inf)
-        before = [(x + link.hinge, y) for x, y in guides]
+        before = guides
     return np.array(found)
