@@ -1,18 +1,17 @@
 """Guides of a tendon that meet when a hinge bends: there the tendon has no arm left."""
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 import pytest
 
+from near_guides import sketched
 from tailbeat.emulators.plant_shaft import PlantShaft
 from tailbeat.evaluate.zoo import animals
 from tailbeat.files import BadInput
-from tailbeat.fish import check, convergence, first_draft
+from tailbeat.fish import check, convergence
 from tailbeat.fish.description import Fish, Simulation, length_of
 from tailbeat.fish.linkage import at_shaft, free_bends, moment_arms
-from tailbeat.fish.proportions import GAP, Given, sketch
+from tailbeat.fish.proportions import Given
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.identify import step_check
@@ -21,21 +20,6 @@ from tailbeat.pool.water import Water
 
 STOUT = Given(0.175, 0.1, 3, "xl330", k_eff=0.0277)  # heavier than the pulley fish's shape would be
 TURNING = Given(0.164, 0.1, 4, "xl330", k_eff=0.0232)
-
-
-def sketched(given: Given, narrow: bool = False) -> Fish:
-    """A sketch; `narrow`: with guides as near to the hinges as a slender fish has them."""
-    drawn = sketch(given)
-    if narrow:
-        near = [GAP * link.strip[1] for link in drawn.tail]
-        tail = [
-            replace(
-                link, gap=gap, guide=link.guide and (link.guide[0] + gap - link.gap, link.guide[1])
-            )
-            for link, gap in zip(drawn.tail, near, strict=True)
-        ]
-        drawn = replace(drawn, tail=tuple(tail))
-    return first_draft.described(drawn)
 
 
 def full_bends(fish: Fish) -> np.ndarray:
