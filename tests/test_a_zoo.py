@@ -122,6 +122,14 @@ def test_a_crank_is_trained_and_tried_as_it_is_described(tmp_path):
     assert list(found.steps) == ["train"] and found.reached is None
 
 
+@pytest.mark.parametrize(("code", "kept"), [(2, True), (130, False), (-9, False)])
+def test_an_interrupted_step_ends_its_fish_and_is_taken_up_again(tmp_path, monkeypatch, code, kept):
+    monkeypatch.setattr(zoo_run, "_typed", lambda words, log: (code, "ended"))
+    (found,) = zoo(ZooConfig(tmp_path, only=(7,)), lambda said: None)
+    assert list(found.steps) == ["train"] and found.steps["train"].code == code
+    assert (tmp_path / animals()[7].name / "train.json").is_file() == kept
+
+
 @pytest.mark.slow
 def test_a_small_fish_goes_the_whole_way(tmp_path):
     """From new-fish to targets with four swims, short searches and a few seconds of
