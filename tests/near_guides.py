@@ -11,12 +11,11 @@ def sketched(given: Given, narrow: bool = False) -> Fish:
     """A sketch; `narrow`: with guides as near to the hinges as a slender fish has them."""
     drawn = sketch(given)
     if narrow:
-        near = [GAP * link.strip[1] for link in drawn.tail]
+        near = GAP * drawn.tail[0].strip[1]
+        moved = near - drawn.tail[0].gap
         tail = [
-            replace(
-                link, gap=gap, guide=link.guide and (link.guide[0] + gap - link.gap, link.guide[1])
-            )
-            for link, gap in zip(drawn.tail, near, strict=True)
+            replace(link, gap=near, guide=link.guide and (link.guide[0] + moved, link.guide[1]))
+            for link in drawn.tail
         ]
         drawn = replace(drawn, tail=tuple(tail))
     return first_draft.described(drawn)

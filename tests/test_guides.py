@@ -69,12 +69,17 @@ def test_the_check_names_the_hinge_whose_guides_meet():
         assert not [one for one in check.check(fish, length_of(fish)).warnings if "guides" in one]
 
 
+def held_time(seconds: int, step: float) -> np.ndarray:
+    """The time of each step [s], held for 20 ms as the robot's loop holds its setpoints."""
+    return np.floor(np.arange(round(seconds / step)) * step / 0.02 + 1e-9) * 0.02
+
+
 def full_stroke(fish: Fish, step: float) -> np.ndarray:
     """Poses of the head at each 20 ms of four seconds at full stroke and the lowest beat, in the
     virtual pool."""
     assert fish.motor.range is not None
     plant = build_plant(fish, dt=step)
-    time = np.floor(np.arange(round(4 / step)) * step / 0.02 + 1e-9) * 0.02
+    time = held_time(4, step)
     command = fish.motor.range[1] * np.sin(2 * np.pi * fish.band[0] * time)
     swum = step_plant(plant, at_rest(plant), command[None], round(0.02 / step))
     return np.asarray(swum.q[0, :, :3])
@@ -92,10 +97,10 @@ def any_commands(fish: Fish, swims: int, seconds: int, step: float) -> np.ndarra
     """Setpoints of beats, strokes and centres that change every two seconds."""
     assert fish.motor.range is not None
     rng, most = np.random.default_rng(1), fish.motor.range[1]
-    time, each = np.arange(round(2 / step)) * step, (swims, seconds // 2, 1)
+    each = swims, seconds // 2, 1
     beat = rng.uniform(fish.band[0] / 4, fish.band[1], each)
     stroke, centre = rng.uniform(0, most, each), rng.uniform(-0.7 * most, 0.7 * most, each)
-    held = centre + stroke * np.sin(2 * np.pi * beat * (np.floor(time / 0.02 + 1e-9) * 0.02))
+    held = centre + stroke * np.sin(2 * np.pi * beat * held_time(2, step))
     return np.asarray(np.clip(held, -most, most).reshape(swims, -1))
 
 
@@ -123,7 +128,7 @@ def test_an_emulated_fish_that_diverges_is_named():
 
 @pytest.mark.thorough
 def test_a_shorter_step_that_hardly_errs_less_is_not_taken():
-    """Guides that meet throw this fish about, to another place at every step."""
+    """Its guides meet, and it ends at another place with every step."""
     fish = sketched(TURNING, narrow=True)
     coarse, fine = (Simulation(step=step, integrator="Euler") for step in (0.004, 0.0005))
     errors = [convergence.deviation(fish, one).error for one in (coarse, fine)]

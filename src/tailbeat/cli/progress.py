@@ -154,7 +154,7 @@ def _polish(row: "TrainingRow") -> str:
 
 def _gain(row: "TrainingRow") -> str:
     """The third term: a bonus, or beside a target that keeps moving a loss (`env/reward.py`)."""
-    return f"{'bonus' if row.bonus >= 0 else 'nearness and velocity'} {row.bonus:.0f}"
+    return f"{'nearness and velocity' if row.bonus < 0 else 'bonus'} {row.bonus:.0f}"
 
 
 def _cells(row: "TrainingRow") -> dict[str, str]:

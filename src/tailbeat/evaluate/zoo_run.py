@@ -40,7 +40,7 @@ QUICK_IDENTIFY, QUICK_TRAIN = (
 )
 CRANK = "crank-fish"  # shipped; no test bench for a motor that turns on, so not identified
 RULE = "rule.onnx"
-WENT_ON, REFUSED = (0, 1), 2  # exit codes: done, done with misses; another one: interrupted
+DONE, REFUSED = (0, 1), 2  # exit codes; 1: done, but not all met. Others: interrupted
 UNDECIDED = "not decided"  # in the source of an identified number
 
 
@@ -120,7 +120,7 @@ def _taken(animal: Animal, config: ZooConfig, number: int, say: Say) -> Outcome:
     for name in STEPS if animal.given else CRANK_STEPS:
         steps[name] = _step(animal, name, config, number, folder)
         say(f"{animal.name} {name}: {steps[name].seconds:.0f} s, exit code {steps[name].code}")
-        if steps[name].code not in WENT_ON:
+        if steps[name].code not in DONE:
             break
     return outcome(animal, folder, steps)
 
@@ -139,7 +139,7 @@ def _step(animal: Animal, name: str, config: ZooConfig, number: int, folder: Pat
             break
     if name == "new-fish" and not last.code:
         guess(folder / "lab.toml", folder / "guess.toml", 100 * config.seed + number)
-    if last.code in (*WENT_ON, REFUSED):  # an interrupted one is taken up again
+    if last.code in (*DONE, REFUSED):  # an interrupted one is taken up again
         write_json(kept, last, overwrite=True)
     return last
 

@@ -153,7 +153,7 @@ def _servo_warnings(fish: Fish, reach: tuple[Reach, ...]) -> list[str]:
 
 
 def _hinge_warnings(fish: Fish, servo: Strength | None) -> list[str]:
-    """A hinge that bends until its guides meet swims jerkily, or not at all."""
+    """A fish whose hinge bends until its guides meet swims jerkily, or diverges."""
     if servo is None:
         return []
     bent, free = at_shaft(fish).bend * servo.bend, free_bends(fish)

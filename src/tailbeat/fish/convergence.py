@@ -51,8 +51,8 @@ def choose(fish: Fish, choices: Sequence[Simulation] = CHOICES) -> Deviation:
     """The cheapest of `choices` that errs by less than `ALLOWED`; if none does, the cheapest that
     errs at most `WORTH` times as much as the best.
 
-    A fish whose guides meet (`linkage.free_bends`) is thrown about at any step. A shorter one then
-    costs much and gains little.
+    A fish whose guides meet (`linkage.free_bends`) errs at any step. A shorter one then costs much
+    and gains little.
     """
     fine, found = swims(fish, FINE), []
     for simulation in choices:

@@ -24,14 +24,14 @@ class Held:
     @property
     def warnings(self) -> list[str]:
         """What was changed, or could not be mended, in a sentence."""
+        if not self.changed and self.before < convergence.ALLOWED:
+            return []
         how = "diverged" if self.before == float("inf") else f"erred by {100 * self.before:.0f} %"
-        if not self.changed and self.before >= convergence.ALLOWED:
+        if not self.changed:
             return [
                 f"the described step {how} of the way at full stroke with the identified numbers,"
-                f" and shorter ones hardly less: such swims hang on the smallest things"
+                f" and shorter ones hardly less: such swims depend on the smallest disturbance"
             ]
-        if not self.changed:
-            return []
         now = self.step.simulation
         return [
             f"the described step {how} at full stroke with the identified numbers; the fish was"
@@ -42,9 +42,6 @@ class Held:
 def held(fish: Fish) -> Held:
     """The step that holds for an identified fish at the largest stroke and rate that its motor can
     be commanded. Raises BadInput if it diverges at every step."""
-    own = convergence.deviation(fish)
-    if own.error < convergence.ALLOWED:
-        return Held(own, False, own.error)
     best = convergence.choose(fish, (fish.simulation, *convergence.CHOICES))
     if best.error == float("inf"):
         raise BadInput(
@@ -52,7 +49,8 @@ def held(fish: Fish) -> Held:
             f" {1e3 * convergence.CHOICES[-1].step:g} ms; check masses and stiffnesses of the links"
             f" and the recordings' units."
         )
-    return Held(best, best.simulation != fish.simulation, own.error)
+    changed = best.simulation != fish.simulation
+    return Held(best, changed, convergence.deviation(fish).error if changed else best.error)
 
 
 def toml_values(found: Held) -> dict[str, Entry | str]:
