@@ -130,6 +130,24 @@ def test_an_interrupted_step_ends_its_fish_and_is_taken_up_again(tmp_path, monke
     assert (tmp_path / animals()[7].name / "train.json").is_file() == kept
 
 
+@pytest.mark.parametrize(
+    ("left", "kept"), [("run.json", False), ("checkpoint", True), ("checkpoint.old", True)]
+)
+def test_a_training_that_was_killed_goes_on_or_begins_anew(tmp_path, monkeypatch, left, kept):
+    """`train` refuses a folder that exists, and to resume one without a checkpoint."""
+    run = tmp_path / animals()[7].name / "train"
+    (run / left).mkdir(parents=True)
+    typed = []
+
+    def note(words, log):
+        typed.append([*words, run.exists()])
+        return 130, "ended"
+
+    monkeypatch.setattr(zoo_run, "_typed", note)
+    zoo(ZooConfig(tmp_path, only=(7,)), lambda said: None)
+    assert ("--resume" in typed[0], typed[0][-1]) == (kept, kept)
+
+
 @pytest.mark.slow
 def test_a_small_fish_goes_the_whole_way(tmp_path):
     """From new-fish to targets with four swims, short searches and a few seconds of
