@@ -35,7 +35,7 @@ class Swims:
 
     `reached`; time to the end `seconds` [s]; path length `way` [m]; `distance` to the target at the
     start [m]; `bearing` of the target at the start [rad]; closest approach `nearest` [m]; mean
-    distance `apart` [m]. `seen` (k, 24) are some of the observations.
+    distance `apart` [m]. `seen` (k, 24) are observations of the first four.
     """
 
     reached: NDArray[np.bool_]
@@ -93,7 +93,7 @@ def _together(decide: Decide, world: World, settled: Settled) -> Swims:
     shown: list[NDArray[np.float32]] = []
     while going.any() and not (shown and settled(reached, going)):  # one step at least
         before = world.pose[:, :2]
-        shown.append(seen[:4])
+        shown.append(seen[:4][going[:4]])
         done = world.step(np.asarray(decide(seen), dtype=np.float64))
         way += going * np.hypot(*(world.pose[:, :2] - before).T)
         apart = np.hypot(*(world.target - world.pose[:, :2]).T)
@@ -101,8 +101,11 @@ def _together(decide: Decide, world: World, settled: Settled) -> Swims:
         total += going * apart
         steps += going
         reached |= going & done.reached
-        going &= ~(done.terminated | done.truncated)
+        over = going & (done.terminated | done.truncated)
         seen = done.observation
+        if over.any():
+            going &= ~over
+            world.simulator.keep(going)
     return Swims(
         reached, PERIOD * steps, way, distance, bearing(start, target), nearest,
         total / steps, np.concatenate(shown),

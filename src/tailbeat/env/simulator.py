@@ -1,4 +1,4 @@
-"""The simulator of a `World`: the twin's batch. The pool's plant has the same four methods.
+"""The simulator of a `World`: the twin's batch. The pool's plant has the same five methods.
 
 A simulator has n fish. `qpos` and `qvel` are live (n, …) arrays: they begin with x, y, yaw of the
 head, and have the motor at index `motor`.
@@ -41,6 +41,9 @@ class Simulator(Protocol):
     def ready(self, chosen: NDArray[np.int64]) -> None:
         """Compute what follows from the drawn physics."""
 
+    def keep(self, going: Flags) -> None:
+        """Step only these fish from now on; the others do not change and take no time."""
+
     def advance(self, setpoint: Array, push: Array) -> Flags:
         """Step one control period with setpoints (n,) [rad] and pushes (n, 2) [N] on the head.
         Returns which fish diverged (n,)."""
@@ -65,6 +68,7 @@ class TwinSimulator:
         self.head = int(twin.model.body("head").id)
         self.water = water([twin.model] * count, self.batch, self.physics.fields["opt.wind"])
         self.warned = np.zeros(count)
+        self.only: Flags | None = None
 
     def rest(self, chosen: NDArray[np.int64]) -> None:
         """Put fish at rest and remove their pushes."""
@@ -85,6 +89,10 @@ class TwinSimulator:
         if self.water is not None and self.water.relief is not None:
             surge.begin(self.water.relief, chosen)
 
+    def keep(self, going: Flags) -> None:
+        """Step only these fish from now on; the others do not change and take no time."""
+        self.only = going.copy()
+
     def advance(self, setpoint: Array, push: Array) -> Flags:
         """Step one control period. If a fish diverges, the engine warns and resets it, and it
         counts as lost."""
@@ -93,7 +101,7 @@ class TwinSimulator:
         with quiet_engine():
             for first in range(0, self.substeps, block):
                 self._push(first, push)
-                self.batch.step(nstep=block)
+                self.batch.step(self.only, nstep=block)
         return self._lost()
 
     def _push(self, step: int, push: Array) -> None:

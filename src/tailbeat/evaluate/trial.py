@@ -202,7 +202,7 @@ def swim(decide: Decide, condition: Condition, seeds: list[int]) -> Runs:
         still = going & ~out & ~(done.reached & condition.stop)
         if not still.any():
             break
-        if condition.water is not None and still.sum() < going.sum():
+        if still.sum() < going.sum():
             world.simulator.keep(still)
         going = still
     return log.runs(world, condition)
