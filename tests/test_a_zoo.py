@@ -10,7 +10,7 @@ pytest.importorskip("stable_baselines3", reason="the train extra is not installe
 from support import tailbeat
 from tailbeat.evaluate import zoo_run
 from tailbeat.evaluate.zoo import COUNT, SERVOS, WRONG, animals, guess
-from tailbeat.evaluate.zoo_run import STEPS, Step, ZooConfig, commands, counted, zoo
+from tailbeat.evaluate.zoo_run import STEPS, Step, ZooConfig, commands, intervals_hold, zoo
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish import first_draft
 from tailbeat.fish.proportions import sketch
@@ -86,7 +86,8 @@ def test_a_decided_number_counts_as_held_only_inside_its_interval(tmp_path):
         f'kp = {{value = 1.0, interval = [{1.1 * true}, {1.2 * true}], source = "identified"}}\n'
         f'delay = {{value = 1.0, interval = [0.0, 1.0], source = "x; not decided by the data"}}\n'
     )
-    assert counted(tmp_path) == (2, 1)
+    found = intervals_hold(tmp_path / "lab.toml", tmp_path / "mine.toml")
+    assert found == {"k_eff": True, "kp": False}
 
 
 @pytest.mark.thorough

@@ -233,8 +233,8 @@ def outcome(animal: Animal, folder: Path, steps: dict[str, Step]) -> Outcome:
     if (one := animal.given) is not None:
         found = Outcome(animal.name, steps, one.length, one.mass, one.hinges, one.servo)
     if (folder / "mine.toml").is_file():
-        decided, held = counted(folder)
-        found = replace(found, decided=decided, held=held)
+        held = intervals_hold(folder / "lab.toml", folder / "mine.toml")
+        found = replace(found, decided=len(held), held=sum(held.values()))
     if (folder / "train" / "policy.onnx").is_file():
         contract = load_policy(folder / "train" / "policy.onnx").contract
         passed, updates = (int(contract.training[name]) for name in ("stages_passed", "updates"))
@@ -251,17 +251,15 @@ def outcome(animal: Animal, folder: Path, steps: dict[str, Step]) -> Outcome:
     return found
 
 
-def counted(folder: Path) -> tuple[int, int]:
-    """How many numbers of tail and servo are called decided, and how many of their 95 % intervals
-    hold the number of the fish in the pool."""
-    lab = load_fish(folder / "lab.toml")
-    mine = tomllib.loads((folder / "mine.toml").read_text(encoding="utf-8"))
-    servo = mine["servos"][mine["servo"]]
-    pairs = [(servo.get(name), getattr(lab.servos[lab.servo], name)) for name in SERVO]
-    pairs.append((mine["tail"].get("k_eff"), lab.tail.k_eff))
-    spans = [
-        (one["interval"], true)
-        for one, true in pairs
+def intervals_hold(lab: Path, mine: Path) -> dict[str, bool]:
+    """Of each number of servo and tail that is called decided in the fish file `mine`, whether its
+    95 % interval holds the number of the fish in the pool, `lab`."""
+    fish, found = load_fish(lab), tomllib.loads(mine.read_text(encoding="utf-8"))
+    servo = found["servos"][found["servo"]]
+    pairs = {name: (servo.get(name), getattr(fish.servos[fish.servo], name)) for name in SERVO}
+    pairs["k_eff"] = found["tail"].get("k_eff"), fish.tail.k_eff
+    return {
+        name: one["interval"][0] <= true <= one["interval"][1]
+        for name, (one, true) in pairs.items()
         if isinstance(one, dict) and "interval" in one and UNDECIDED not in one["source"]
-    ]
-    return len(spans), sum(low <= true <= high for (low, high), true in spans)
+    }
