@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from synthetic_recordings import Noise, TailTruth, release, slow_pull, tail_sweep
+from tailbeat.evaluate.zoo import animals
 from tailbeat.files import BadInput
 from tailbeat.fish.check import tail_of
 from tailbeat.fish.first_draft import described
 from tailbeat.fish.linkage import spread
 from tailbeat.fish.proportions import Given, sketch
 from tailbeat.fish.show import shaft_stiffness
-from tailbeat.fish.store import load_fish
+from tailbeat.fish.store import load_fish, with_values
 from tailbeat.identify.decay import ring_down, static_loop
 from tailbeat.identify.hinges import hinges_for, tail_inertia, with_stiffness
 from tailbeat.identify.response import measure, project
@@ -95,6 +96,18 @@ def test_an_identified_tail_has_its_stiffness_in_the_compiled_twin():
     assert shaft_stiffness(changed) == pytest.approx(0.7, rel=0.01)
     assert changed.tail.damping_time == pytest.approx(0.02 / 0.7)
     assert 1e-4 < tail_inertia(changed) < 1e-2
+
+
+@pytest.mark.parametrize("seed", [1, 14])
+def test_a_stiff_tail_of_many_hinges_comes_to_rest(seed):
+    """The servo that turns the shaft is stiff in proportion to the softest hinge. For these two of
+    fifteen zoos its own damping was too strong for the step."""
+    given = animals(seed)[4].given
+    assert given is not None
+    fish = described(sketch(given))
+    stiff = [1.4 * link.stiffness for link in fish.tail.links]
+    stiffer = with_values(fish, {f"tail.links.{i}.stiffness": k for i, k in enumerate(stiff)})
+    assert shaft_stiffness(stiffer) == pytest.approx(1.4 * shaft_stiffness(fish), rel=1e-4)
 
 
 def test_a_release_rings_at_the_natural_frequency():

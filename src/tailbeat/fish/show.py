@@ -105,6 +105,7 @@ def _settle(model: mujoco.MjModel, angle: float) -> float:
     """Torque over angle [N m/rad] when the tail has come to rest on a stiff, undelayed servo."""
     soft = float(model.jnt_stiffness[1:].min())  # a servo that is stiff for this tail
     model.opt.timestep = 5e-4
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # for the servo's own damping
     model.dof_damping[1:] += 0.02 * model.jnt_stiffness[1:]
     model.dof_armature[0] = max(model.dof_armature[0], 1e-3 * soft)
     model.dof_frictionloss[:] = 0.0
