@@ -60,7 +60,7 @@ def truths(lab, bias):
     return dict(zip(KINDS, values, strict=True))
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_intervals_hold_what_the_labs_really_had(many):
     """Of labs that were not used to set the factors; 95 % are said, so of 96 fewer than 86 would be
     a chance of 1 %. The naive guess that nothing is wrong is far outside."""
@@ -75,7 +75,7 @@ def test_intervals_hold_what_the_labs_really_had(many):
     assert sum(naive) < 0.7 * len(naive)
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_the_tag_is_found_within_a_degree_and_millimetres(many):
     labs, found, _, _ = many
     """Asked were 5 mm: the median of these labs scatters about it, by how the swims go."""

@@ -241,7 +241,7 @@ def test_a_training_that_was_over_when_its_trial_was_killed_is_not_continued(tmp
     assert [path.name for path in run.out.iterdir()] == ["curve.json"]
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.realtime
 def test_a_training_that_stalled_gets_no_second_budget_when_its_trial_is_killed(tmp_path):
     """Killed after the checkpoint that says so, before its curve was written."""
