@@ -141,6 +141,19 @@ def test_candidates_in_a_batch_equal_candidates_alone(recordings):
     assert np.array_equal(together[1][1], alone[0][0])
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("effort", "searches"), [(SHORT, 1), (Effort(generations=1, population=4, polish=1), 3)]
+)
+def test_a_servo_is_searched_again_while_no_search_agrees(recordings, tmp_path, effort, searches):
+    """The second effort is too small to find anything."""
+    fit = benches(recordings, "chirp", "steps")
+    config = ServoConfig(seeds=1, effort=effort, gears=False, more=2)
+    found = identify_servo(FISH, fit, [], config, tmp_path)
+    assert len(found.fits) == searches
+    assert found.fits[0].cost == min(one.cost for one in found.fits)
+
+
 # ---- real logs ----------------------------------------------------------------------------------
 
 

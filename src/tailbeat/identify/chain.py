@@ -19,6 +19,7 @@ from tailbeat.identify.stages import DrawFluid, DrawServo, DrawTail, Paths, Prog
 
 Report = Callable[[int, int], None]  # searches done, all searches
 Ahead = Callable[[Paths, job.FluidConfig, Report], None]  # searches before the fluid's stage
+SERVO_MORE = 2  # further searches for the servo, while none agrees with the recordings
 SERVO_GENERATIONS = 10  # of the servo's search for each of the fluid's; 150 by default
 
 
@@ -204,10 +205,11 @@ def _run_tail_and_servo(
 
 
 def _servo_config(config: job.FluidConfig) -> ServoConfig:
-    """The servo is searched with the fluid's seeds, and as thoroughly."""
+    """The servo is searched with the fluid's seeds, as thoroughly, and again if none agrees."""
     effort = ServoConfig().effort
     generations = SERVO_GENERATIONS * config.effort.generations
-    return ServoConfig(config.seeds, config.first_seed, replace(effort, generations=generations))
+    effort = replace(effort, generations=generations)
+    return ServoConfig(config.seeds, config.first_seed, effort, more=SERVO_MORE)
 
 
 def _done(fish: Path) -> bool:

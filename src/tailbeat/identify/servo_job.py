@@ -18,6 +18,7 @@ from tailbeat.identify.naive_servo import Naive, naive_servos
 from tailbeat.identify.response import drive_frequency
 from tailbeat.identify.search import Effort, Fit, search_once
 from tailbeat.identify.servo import (
+    COUNTED,
     GEARS,
     IDEALISED,
     as_servos,
@@ -41,9 +42,10 @@ AT_LEAST = 0.002  # a smaller friction of the gears counts as none
 
 @dataclass(frozen=True)
 class ServoConfig:
-    """Number of `seeds` from `first_seed` on; effort; whether to fit the `gears`' friction too; the
-    `gain` register that the fish will run with (None: the recordings' middle); the `load` on the
-    shaft (None: as recorded, else the tail); whether to also fit without each gain in turn."""
+    """Number of `seeds` from `first_seed` on, and how many `more` while none agrees with the
+    recordings (one search of a hundred did not); effort; whether to fit the `gears`' friction too;
+    the `gain` register that the fish will run with (None: the recordings' middle); the `load` on
+    the shaft (None: as recorded, else the tail); whether to also fit without each gain in turn."""
 
     seeds: int = 5
     first_seed: int = 0
@@ -54,6 +56,7 @@ class ServoConfig:
     gain: float | None = None
     load: str | None = None
     cross_validate: bool = False
+    more: int = 0
 
 
 def check(config: ServoConfig) -> None:
@@ -209,10 +212,13 @@ def _seeds(
     scratch: Path,
     progress: Progress,
 ) -> list[Fit]:
-    residuals = residual_function(fit, space)
-    seeds = range(config.first_seed, config.first_seed + config.seeds)
-    fits = [search_once(residuals, space, s, config.effort, scratch, progress) for s in seeds]
-    fits.sort(key=lambda found: found.cost)
+    """Fits, best first. One agrees if it errs by less than an angle's assumed deviation (rms)."""
+    residuals, fits = residual_function(fit, space), list[Fit]()
+    for seed in range(config.first_seed, config.first_seed + config.seeds + config.more):
+        if len(fits) >= config.seeds and np.square(fits[0].residuals).sum() < COUNTED * len(fit):
+            break
+        fits.append(search_once(residuals, space, seed, config.effort, scratch, progress))
+        fits.sort(key=lambda found: found.cost)
     best = with_honest_intervals(fits[0], residuals, blocks(fit), bounds(space))
     doubt = load_doubt(space, best.z, fit) + delay_doubt(space)
     return [replace(best, covariance=best.covariance + doubt), *fits[1:]]
