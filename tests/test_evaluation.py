@@ -136,7 +136,7 @@ def test_a_page_of_runs_cut_short_says_so(evaluated, tmp_path):
     assert "Incomplete, read as far as they go: reach open." in (out / "report.html").read_text()
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.long
 def test_a_comparison_pairs_every_policy_with_its_twin(tmp_path, monkeypatch):
     """In swims of six seconds: how far they come does not matter here."""

@@ -140,7 +140,7 @@ def test_without_its_own_speed_it_is_too_fast_for_a_slow_target():
     assert near < 0.2
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_the_better_of_two_is_chosen_and_written(tmp_path, monkeypatch):
     """A rule that wants to be there in a minute swims too slowly."""
     slow = replace(ONE, seconds=60.0)

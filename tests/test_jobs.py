@@ -119,7 +119,7 @@ def test_processes_end_with_the_one_that_wants_their_results(tmp_path, number):
     until(lambda: not any(map(pid_exists, workers)), seconds=10.0)
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.long
 def test_a_comparison_goes_on_and_its_cells_are_those_swum_alone(tmp_path):
     """To the bit. A cell on disk is not swum again."""

@@ -80,7 +80,7 @@ def test_the_search_finds_the_size_that_three_quarters_stand():
         assert len(table) < 24
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_its_intervals_hold_the_population_s_size_as_often_as_they_say():
     """95 % are said; 60 policies, whose targets are drawn from a known population."""
     exact = 8.0 * np.exp(0.6 * -0.6745)  # a quarter stands less
