@@ -17,20 +17,6 @@ from tailbeat.fish.store import load_fish
 FISH, POLICY = load_fish("pulley-fish-pool"), load_policy("pulley-fish-pool-generator")
 
 
-def test_fish_that_are_let_be_stay_and_the_others_swim_on_as_before():
-    commands = np.random.default_rng(3).uniform(-0.8, 0.8, (30, 4))
-    whole, some = (TwinSimulator(FISH, 4) for _ in range(2))
-    for step, command in enumerate(commands):
-        if step == 15:
-            some.keep(np.array([True, False, False, True]))
-            stayed = some.qpos.copy()
-        for fish in (whole, some):
-            fish.advance(command, np.zeros((4, 2)))
-    assert np.array_equal(some.qpos[[0, 3]], whole.qpos[[0, 3]])
-    assert np.array_equal(some.qpos[[1, 2]], stayed[[1, 2]])
-    assert np.abs(whole.qpos[[1, 2]] - stayed[[1, 2]]).max() > 0.1
-
-
 def test_swims_are_the_same_to_the_bit_when_those_before_them_are_over(monkeypatch):
     settings = settings_for(POLICY.contract)
     moved = []

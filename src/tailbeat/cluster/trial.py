@@ -35,7 +35,7 @@ from tailbeat.identify.posterior import factors_of
 from tailbeat.pool import mess
 from tailbeat.train.config import RunConfig, action_space, check, measured_run
 from tailbeat.train.expect import FEWER, FISH, SECONDS, of_file
-from tailbeat.train.progress import TrainingRow
+from tailbeat.train.progress import TrainingRow, resumable
 from tailbeat.train.recipes import recipe_of
 from tailbeat.train.train import train
 
@@ -133,8 +133,7 @@ def _over(course: dict[str, Any]) -> bool:
 def _learn(run: RunConfig) -> float:
     """Train from the last checkpoint, or from the start; returns how long [s]. A stage that had
     stalled when the trial was killed gets no second budget."""
-    resume = any((run.out / name).is_dir() for name in ("checkpoint", "checkpoint.old"))
-    if not resume:
+    if not (resume := resumable(run.out)):
         shutil.rmtree(run.out, ignore_errors=True)  # it ended before its first checkpoint
     began: list[float] = []
 

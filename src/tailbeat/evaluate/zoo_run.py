@@ -23,6 +23,7 @@ from tailbeat.files import BadInput, write_json
 from tailbeat.fish.proportions import Given
 from tailbeat.fish.store import load_fish
 from tailbeat.processes import end, start_verb
+from tailbeat.train.progress import resumable
 
 Say = Callable[[str], None]
 STEPS = ("new-fish", "record", "identify", "train", "evaluate", "rule", "swim")
@@ -153,15 +154,10 @@ def _clear(name: str, folder: Path) -> None:
             shutil.rmtree(folder / left, ignore_errors=True)
     if name == "swim":
         (folder / "tour.json").unlink(missing_ok=True)
-    if name == "train" and not _checkpoints(folder / "train"):
+    if name == "train" and not resumable(folder / "train"):
         shutil.rmtree(folder / "train", ignore_errors=True)
     if name == "rule":
         (folder / RULE).unlink(missing_ok=True)
-
-
-def _checkpoints(run: Path) -> list[Path]:
-    """What a training goes on from; none in its first minutes."""
-    return [run / name for name in ("checkpoint", "checkpoint.old") if (run / name).is_dir()]
 
 
 def commands(animal: Animal, name: str, config: ZooConfig, folder: Path) -> list[list[str]]:
@@ -170,7 +166,7 @@ def commands(animal: Animal, name: str, config: ZooConfig, folder: Path) -> list
     if animal.given is None:
         lab = mine = CRANK
     run, policy = folder / "train", str(folder / "train" / "policy.onnx")
-    again = ["--resume"] if _checkpoints(run) else []
+    again = ["--resume"] if resumable(run) else []
     first = str(folder / "guess.toml")
     return {
         "new-fish": [_new_fish(animal.given, lab)] if animal.given else [],

@@ -18,7 +18,7 @@ from stable_baselines3 import SAC
 from tailbeat.env.assess import Summary
 from tailbeat.env.world import World
 from tailbeat.files import BadInput, write_json
-from tailbeat.train.progress import Progress, TrainingRow
+from tailbeat.train.progress import CHECKPOINTS, Progress, TrainingRow
 from tailbeat.train.replay import EXTRA, RelabelBuffer
 
 ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -73,7 +73,7 @@ def _arrays(buffer: Any) -> tuple[str, ...]:
 
 def find(folder: Path) -> Path:
     """The newest complete checkpoint of a run. Raises BadInput if there is none."""
-    for name in ("checkpoint", "checkpoint.old"):
+    for name in CHECKPOINTS:
         if (folder / name / "random.json").is_file():
             return folder / name
     raise BadInput(f"{folder}: no checkpoint to resume; start without --resume.")
