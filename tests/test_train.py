@@ -1,11 +1,7 @@
 """Training: stages as data, whole checkpoints, interruptions, and refusals."""
 
 import json
-import os
 import shutil
-import signal
-import subprocess
-import sys
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import pairwise
@@ -19,7 +15,7 @@ pytest.importorskip("stable_baselines3", reason="the train extra is not installe
 
 import torch
 
-from support import complaint, until
+from support import complaint
 from tailbeat.control.actions import Direct, Generator, Turning
 from tailbeat.control.policy import decide, load_policy
 from tailbeat.env import randomize
@@ -64,6 +60,7 @@ def test_ten_stages_raise_one_difficulty_at_a_time():
     falls = [1, FALL, FALL**2]
     assert rates == pytest.approx([*falls, *falls, *(0.5 * FALL**k for k in range(4))])
     assert learning_rate(STAGES, 9, (1.0, 1.0, 1e-9)) == LOWEST
+    assert quick().stages == STAGES
 
 
 def test_a_stage_scales_noise_and_physics():
@@ -223,8 +220,16 @@ def test_other_settings_are_named_and_full_folders_refused(run):
     told = r"actions.ceiling was 4.0, now None.*seed was 0, now 3.*\(--actions, --seed\)\.$"
     with pytest.raises(BadInput, match=told):
         train(other, True, print)
-    with pytest.raises(BadInput, match="no run to resume"):
+    with pytest.raises(BadInput, match=r"no run to resume.*start without --resume\.$"):
         train(planned_for(run.parent / "nothing"), True, print)
+
+
+def test_files_of_something_else_are_neither_a_run_nor_a_place_for_one(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(BadInput, match="contains files of something else; choose a new folder"):
+        check(planned_for(tmp_path), resume=False)
+    with pytest.raises(BadInput, match=r"start without --resume in a new folder\.$"):
+        check(planned_for(tmp_path), resume=True)
 
 
 def test_a_run_begun_before_the_floor_is_the_same_run_without_one(tmp_path):
@@ -278,81 +283,9 @@ def test_a_full_disk_is_told_and_the_last_checkpoint_kept(run, monkeypatch):
     assert checkpoint.read_state(run.out / "checkpoint") == kept
 
 
-def started(out: Path) -> subprocess.Popen[bytes]:
-    code = (
-        "import sys; sys.path.insert(0, 'tests'); from pathlib import Path\n"
-        "from test_train import planned_for; from tailbeat.train.train import train\n"
-        f"plan = planned_for(Path({str(out)!r}), hours=1.0, checkpoint_minutes=0.02)\n"
-        "train(plan, False, lambda row: None)"
-    )
-    return subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parents[1])
-
-
-def written(out: Path) -> int:
-    """When the last checkpoint was written [ns]; 0 before the first."""
-    try:
-        return (out / "checkpoint" / "random.json").stat().st_mtime_ns
-    except FileNotFoundError:
-        return 0
-
-
-@pytest.mark.thorough
-def test_a_killed_run_loses_a_checkpoint_interval_at_most(tmp_path):
-    out = tmp_path / "run"
-    process = started(out)
-    until(lambda: written(out) > 0)
-    first = written(out)
-    until(lambda: written(out) > first)
-    process.kill()
-    process.wait()
-    kept = checkpoint.read_state(checkpoint.find(out))
-    progress = train(planned_for(out, hours=0.0005), True, print)
-    assert progress.seconds > kept.progress.seconds > 0
-    assert load_policy(out / "policy.onnx").contract.training["updates"] >= kept.updates
-
-
-SMOKE = """
-import os, signal, sys
-sys.path.insert(0, "tests")
-from test_train import endless
-from tailbeat.train.train import train
-train(endless(sys.argv[1]), False, lambda row: print(row.updates, flush=True))
-"""
-
-
 def smoking(out: str) -> RunConfig:
     space = action_space("generator", FISH, smoke().binds)
     return RunConfig(FISH, Path(out), smoke(), space, hours=1.0, checkpoint_minutes=0.1)
-
-
-def endless(out: str) -> RunConfig:
-    """In the repaired twin the smoke stage is passed after 1,600 updates; here no verdict comes."""
-    run = smoking(out)
-    return replace(run, checkpoint_minutes=0.05, recipe=replace(run.recipe, window=100_000))
-
-
-@pytest.mark.slow  # a minute; the next test kills too, and what a resumed run holds is tested above
-def test_a_run_killed_and_resumed_goes_on_without_a_drop(tmp_path):
-    out, here = tmp_path / "run", Path(__file__).parents[1]
-    command = [sys.executable, "-c", SMOKE, str(out)]
-    with subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        next(line for line in process.stdout if int(line) > 1500)
-        process.kill()
-    kept = checkpoint.read_state(checkpoint.find(out))
-    before = [row.success for row in kept.progress.history]
-    rows: list[TrainingRow] = []
-
-    def report(row: TrainingRow) -> None:
-        rows.append(row)
-        if row.updates >= 2200:
-            os.kill(os.getpid(), signal.SIGINT)
-
-    progress = train(endless(str(out)), True, report)
-    after = [row.success for row in progress.history[len(before) :]]
-    assert kept.updates > 600 and rows[0].updates >= kept.updates
-    assert len(before) > 1  # the first row's share is of a handful
-    assert min(after) > before[-1] - 0.2  # no drop; 0.06 is the window's own scatter
 
 
 @pytest.mark.slow
@@ -369,18 +302,6 @@ def test_the_smoke_recipe_learns_in_a_minute(tmp_path):
     assert best > 0.2
     still = assess(lambda seen: np.zeros((len(seen), 6), np.float32), world, 60, 1)
     assert not still.reached.any()
-
-
-@pytest.mark.thorough
-def test_ctrl_c_leaves_a_checkpoint_and_a_policy(tmp_path):
-    out = tmp_path / "run"
-    process = started(out)
-    until((out / "checkpoint" / "random.json").exists)
-    os.kill(process.pid, signal.SIGINT)
-    assert process.wait(60) == 0
-    assert load_policy(out / "policy.onnx").contract.training["recipe"] == "smoke"
-    assert quick().stages == STAGES
-    assert config.ACTIONS == ("generator", "direct", "filtered", "turning")
 
 
 def test_networks_that_leave_the_finite_end_the_run_and_keep_the_checkpoint(run):

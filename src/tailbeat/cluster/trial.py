@@ -7,7 +7,6 @@ folder is seen. One process works in it at a time: a second one waits.
 
 import fcntl
 import json
-import shutil
 import sys
 import time
 from collections.abc import Iterator
@@ -35,7 +34,7 @@ from tailbeat.identify.posterior import factors_of
 from tailbeat.pool import mess
 from tailbeat.train.config import RunConfig, action_space, check, measured_run
 from tailbeat.train.expect import FEWER, FISH, SECONDS, of_file
-from tailbeat.train.progress import TrainingRow, resumable
+from tailbeat.train.progress import TrainingRow, begun
 from tailbeat.train.recipes import recipe_of
 from tailbeat.train.train import train
 
@@ -133,15 +132,13 @@ def _over(course: dict[str, Any]) -> bool:
 def _learn(run: RunConfig) -> float:
     """Train from the last checkpoint, or from the start; returns how long [s]. A stage that had
     stalled when the trial was killed gets no second budget."""
-    if not (resume := resumable(run.out)):
-        shutil.rmtree(run.out, ignore_errors=True)  # it ended before its first checkpoint
     began: list[float] = []
 
     def report(row: TrainingRow) -> None:
         began.append(row.seconds)
         say(updates=row.updates, stage=row.stage, success=row.success, seconds=row.seconds)
 
-    course = train(run, resume, report, again=False)
+    course = train(run, begun(run.out), report, again=False)
     return course.seconds - (began[0] if began else 0.0)
 
 

@@ -23,7 +23,7 @@ from tailbeat.files import BadInput, write_json
 from tailbeat.fish.proportions import Given
 from tailbeat.fish.store import load_fish
 from tailbeat.processes import end, start_verb
-from tailbeat.train.progress import resumable
+from tailbeat.train.progress import begun
 
 Say = Callable[[str], None]
 STEPS = ("new-fish", "record", "identify", "train", "evaluate", "rule", "swim")
@@ -154,8 +154,6 @@ def _clear(name: str, folder: Path) -> None:
             shutil.rmtree(folder / left, ignore_errors=True)
     if name == "swim":
         (folder / "tour.json").unlink(missing_ok=True)
-    if name == "train" and not resumable(folder / "train"):
-        shutil.rmtree(folder / "train", ignore_errors=True)
     if name == "rule":
         (folder / RULE).unlink(missing_ok=True)
 
@@ -166,7 +164,7 @@ def commands(animal: Animal, name: str, config: ZooConfig, folder: Path) -> list
     if animal.given is None:
         lab = mine = CRANK
     run, policy = folder / "train", str(folder / "train" / "policy.onnx")
-    again = ["--resume"] if resumable(run) else []
+    again = ["--resume"] if begun(run) else []
     first = str(folder / "guess.toml")
     return {
         "new-fish": [_new_fish(animal.given, lab)] if animal.given else [],

@@ -18,10 +18,11 @@ from stable_baselines3 import SAC
 from tailbeat.env.assess import Summary
 from tailbeat.env.world import World
 from tailbeat.files import BadInput, write_json
-from tailbeat.train.progress import CHECKPOINTS, Progress, TrainingRow
+from tailbeat.train.progress import Progress, TrainingRow
 from tailbeat.train.replay import EXTRA, RelabelBuffer
 
 ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+FOLDERS = "checkpoint", "checkpoint.old"  # the newest first
 LATER = ("went",)  # not in older checkpoints; where targets stay it counts for nothing
 SPARE = 200e6  # bytes that are left free on the disk
 
@@ -71,12 +72,10 @@ def _arrays(buffer: Any) -> tuple[str, ...]:
     return ARRAYS + (EXTRA if isinstance(buffer, RelabelBuffer) else ())
 
 
-def find(folder: Path) -> Path:
-    """The newest complete checkpoint of a run. Raises BadInput if there is none."""
-    for name in CHECKPOINTS:
-        if (folder / name / "random.json").is_file():
-            return folder / name
-    raise BadInput(f"{folder}: no checkpoint to resume; start without --resume.")
+def find(folder: Path) -> Path | None:
+    """The newest complete checkpoint of a run; in its first minutes there is none."""
+    complete = (folder / name for name in FOLDERS if (folder / name / "random.json").is_file())
+    return next(complete, None)
 
 
 def read_state(place: Path) -> Saved:

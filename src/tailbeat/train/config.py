@@ -24,6 +24,7 @@ from tailbeat.env.task import Settings, check_settings
 from tailbeat.files import BadInput, leaves, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest
+from tailbeat.train.progress import RUN, begun
 from tailbeat.train.recipes import Recipe, quick
 
 Array = NDArray[np.float64]
@@ -197,10 +198,16 @@ def check(run: RunConfig, resume: bool) -> None:
     _check_memory(run.buffer_bytes)
     if resume:
         _check_same(run)
-    elif run.out.exists() and any(run.out.iterdir()):
+    elif begun(run.out):
         raise BadInput(
             f"{run.out}: contains another run; continue it with --resume, or choose a new folder."
         )
+    elif _filled(run.out):
+        raise BadInput(f"{run.out}: contains files of something else; choose a new folder.")
+
+
+def _filled(folder: Path) -> bool:
+    return folder.exists() and any(folder.iterdir())
 
 
 def check_stage(run: RunConfig, stage: str) -> None:
@@ -223,10 +230,11 @@ def _check_memory(buffer: int) -> None:
 def _check_same(run: RunConfig) -> None:
     """Check that the run in the folder has the same configuration. Raises BadInput naming each
     difference."""
-    path = run.out / "run.json"
-    if not path.is_file():
+    path = run.out / RUN
+    if not begun(run.out):
+        where = " in a new folder" if _filled(run.out) else ""
         raise BadInput(
-            f"{run.out}: no run to resume (run.json is missing); start without --resume."
+            f"{run.out}: no run to resume ({RUN} is missing); start without --resume{where}."
         )
     try:
         held = leaves("", json.loads(path.read_text(encoding="utf-8")))
@@ -266,4 +274,4 @@ def _options(names: set[str]) -> str:
 
 def begin(run: RunConfig) -> None:
     """Make the folder and write `run.json`."""
-    write_json(run.out / "run.json", asdict(run.record()), overwrite=True)
+    write_json(run.out / RUN, asdict(run.record()), overwrite=True)

@@ -9,13 +9,13 @@ import numpy as np
 from tailbeat.env.assess import Summary
 from tailbeat.env.curriculum import PROMOTED
 
-CHECKPOINTS = "checkpoint", "checkpoint.old"  # folders of a run, the newest first
+RUN = "run.json"  # what a run is started with
 RECENT = 24  # rows of the history from which the time to promotion is estimated
 
 
-def resumable(run: Path) -> bool:
-    """Whether the folder `run` has a checkpoint to go on from; in its first minutes it has none."""
-    return any((run / name).is_dir() for name in CHECKPOINTS)
+def begun(folder: Path) -> bool:
+    """Whether the folder holds a run to continue; before its first checkpoint it starts anew."""
+    return (folder / RUN).is_file()
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ def train(
 ) -> Progress:
     """Train until the last stage is passed, the hours are over, a stage stalls or Ctrl-C.
 
+    A run that was killed before its first checkpoint is resumed from the start.
     With a `stage` the run continues in that stage, whatever it has passed. A stage that has stalled
     gets the time of another budget when it is resumed; without `again` it does not. However it
     ends, it writes `policy.onnx`, a checkpoint and `curve.json` into the folder. Raises BadInput
