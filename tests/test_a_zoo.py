@@ -2,12 +2,14 @@
 
 import json
 from dataclasses import replace
+from subprocess import PIPE
 
 import pytest
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
 from support import tailbeat
+from tailbeat import processes
 from tailbeat.evaluate import zoo_run
 from tailbeat.evaluate.zoo import COUNT, SERVOS, WRONG, animals, guess
 from tailbeat.evaluate.zoo_run import STEPS, Step, ZooConfig, commands, intervals_hold, zoo
@@ -129,6 +131,19 @@ def test_an_interrupted_step_ends_its_fish_and_is_taken_up_again(tmp_path, monke
     (found,) = zoo(ZooConfig(tmp_path, only=(7,)), lambda said: None)
     assert list(found.steps) == ["train"] and found.steps["train"].code == code
     assert (tmp_path / animals()[7].name / "train.json").is_file() == kept
+
+
+def test_a_fish_has_every_core_to_itself(tmp_path, monkeypatch):
+    """Its verbs had one thread, as the many processes of a live swim have; identification took
+    nearly twice as long on two cores as the same verb typed by hand."""
+    told = "import os; print(os.environ.get('TAILBEAT_THREADS', 'every core'))"
+    start = processes.start
+    monkeypatch.setattr(processes, "start", lambda words, **more: start(["-c", told], **more))
+    for name in processes.ALONE:
+        monkeypatch.delenv(name, raising=False)
+    assert zoo_run._typed(["identify", "all"], tmp_path / "log") == (0, "every core")
+    kept = processes.start_verb(["drive"], stdout=PIPE)
+    assert kept.communicate()[0].strip() == "1"
 
 
 @pytest.mark.parametrize("begun", [True, False])

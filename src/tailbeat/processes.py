@@ -54,10 +54,14 @@ def start(words: Sequence[str], **more: Any) -> "subprocess.Popen[Any]":
     return subprocess.Popen([sys.executable, *words], start_new_session=True, **more)
 
 
-def start_verb(words: Sequence[str], **more: Any) -> "subprocess.Popen[str]":
-    """Start a verb of tailbeat, `words`, with one thread. It gets SIGTERM when this process dies.
+def start_verb(
+    words: Sequence[str], every_core: bool = False, **more: Any
+) -> "subprocess.Popen[str]":
+    """Start a verb of tailbeat, `words`. It has one thread, as other verbs share the cores, or
+    with `every_core` as many as it likes. It gets SIGTERM when this process dies.
     `more` goes to `subprocess.Popen`; its `env` is added to this process's environment."""
-    more["env"] = {**os.environ, **ALONE, **more.get("env", {})}
+    threads = {} if every_core else ALONE
+    more["env"] = {**os.environ, **threads, **more.get("env", {})}
     words = ["-m", "tailbeat", *words]
     return start(words, text=True, preexec_fn=end_with_parent, **more)
 

@@ -205,11 +205,12 @@ def _new_fish(one: Given, path: str) -> list[str]:
 
 
 def _typed(words: Sequence[str], log: Path) -> tuple[int, str]:
-    """Run a verb; returns its exit code and the last line of its output, which goes to `log`."""
+    """Run a verb, on every core as for a user; returns its exit code and the last line of its
+    output, which goes to `log`."""
     with log.open("a", encoding="utf-8") as kept:
         kept.write(f"$ tailbeat {' '.join(words)}\n")
         kept.flush()
-        process = start_verb(words, stdout=kept, stderr=kept)
+        process = start_verb(words, every_core=True, stdout=kept, stderr=kept)
         try:
             code = process.wait()
         finally:
