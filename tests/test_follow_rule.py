@@ -108,7 +108,7 @@ def without(rule, name):
     return decide
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_it_follows_and_without_the_target_s_velocity_it_lags():
     """All noise and physics, targets that were not chosen by."""
     build = partial(World, load_fish(FISH), settings_of(STAGES[-1], task=MOVING))

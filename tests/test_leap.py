@@ -96,7 +96,7 @@ def test_a_leap_that_does_not_pass_goes_back_to_the_stages_between(tmp_path, mon
     assert [row.stage for row in done.promotions] == [1, 2, 3, 4]
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_without_a_leap_every_stage_comes_in_turn(tmp_path, monkeypatch):
     asked = deciding(monkeypatch, lambda stage, updates: True)
     train(leaping(tmp_path / "run", leap=0), False, print)

@@ -203,7 +203,7 @@ def test_a_sound_fish_of_an_everyday_lab_passes_the_sign_test(friction):
     assert after_the_sign_test(lambda simulator: None, 32, friction)[0] == [""] * COUNT
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_no_tour_of_an_everyday_lab_is_held_for_the_friction_of_its_gears():
     rows = toured(lambda simulator: None, "everyday", 13, 30.0)
     for one in with_gears(rows, 0.5):

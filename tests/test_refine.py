@@ -173,7 +173,7 @@ def test_a_policy_without_a_gyro_keeps_its_rates(made):
     assert corrected(blind, offsets(made[1]))[0].yaw_rate == 0.0
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_refining_brings_back_the_targets_of_a_rough_lab():
     """The first of ten labs in which the policy reaches fewer than half of its targets, beside
     itself and the corrections that nobody can know. The lab after it needs none."""

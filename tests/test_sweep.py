@@ -120,7 +120,7 @@ def test_an_address_without_a_cluster_is_said_at_once(tmp_path, address):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.skipif(torch.cuda.is_available(), reason="Ray would find a GPU here")
 def test_a_share_of_a_gpu_is_refused_where_there_is_none(tmp_path):
     path = tiny(tmp_path)
