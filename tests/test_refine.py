@@ -142,14 +142,34 @@ def test_a_refined_file_has_the_same_network_and_signals_and_names_its_parent(lo
 
 
 @pytest.mark.thorough
-def test_what_is_found_replaces_an_earlier_correction(made):
-    """A log has the readings as they came, whatever corrected them."""
+def test_a_second_refining_goes_on_from_the_first(made):
+    """A log has the readings as they came, whatever corrected them: what is told replaces an
+    earlier correction. What is in doubt changes it little, and does not undo it."""
     found = offsets(made[1])
-    first, _ = corrected(POLICY.contract, found)
-    again, changes = corrected(replace(POLICY.contract, corrections=first), found)
-    assert replace(again, parent="") == replace(first, parent="")
-    assert all(one.before == pytest.approx(one.after) for one in changes)
+    first, before = corrected(POLICY.contract, found)
+    held = replace(POLICY.contract, corrections=first)
+    again, changes = corrected(held, found)
+    for one, own in zip(changes, before, strict=True):
+        assert own.after == one.before and own.found == one.found
+        assert abs(one.after - one.found) <= abs(one.before - one.found)
     assert again.parent != first.parent
+    _, kept = corrected(held, doubted(found))
+    assert all(one.after == pytest.approx(one.before, rel=0.05, abs=0.05) for one in kept)
+    assert max(abs(one.before) for one in kept) > 5
+
+
+def doubted(found):
+    """Offsets of which the swims tell nothing."""
+    rows = tuple(replace(row, interval=(-900.0, 900.0)) for row in found.offsets)
+    return replace(found, offsets=rows)
+
+
+def test_a_lab_whose_fish_is_seen_too_little_keeps_its_corrections(monkeypatch):
+    """One such lab ended the measure, after all its swims."""
+    config = RefinementConfig(mess="wrecked", labs=3, targets=1, swims=1, seconds=31.0, seed=7)
+    done = refinement(POLICY, config, lambda *_: None)
+    unseen = [lab for lab in done.labs if not lab.estimates]
+    assert 0 < len(unseen) < 3 and all(one.after == (one.before,) for one in unseen)
 
 
 def test_a_value_in_doubt_is_believed_in_part(made):
@@ -160,12 +180,8 @@ def test_a_value_in_doubt_is_believed_in_part(made):
         assert abs(one.after) <= abs(rows[one.name].value)
         if not rows[one.name].told:
             assert "in doubt" in one.why
-    wide = replace(
-        found, offsets=tuple(replace(row, interval=(-900.0, 900.0)) for row in found.offsets)
-    )
-    assert all(
-        abs(one.after) < 0.05 * abs(one.found) + 1e-9 for one in corrected(POLICY.contract, wide)[1]
-    )
+    _, changes = corrected(POLICY.contract, doubted(found))
+    assert all(abs(one.after) < 0.05 * abs(one.found) + 1e-9 for one in changes)
 
 
 def test_a_policy_without_a_gyro_keeps_its_rates(made):

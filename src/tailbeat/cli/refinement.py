@@ -10,7 +10,7 @@ from tailbeat.cli.options import JsonOption, PolicyFile, PoolFish, SeedOption, T
 from tailbeat.files import refuse_existing, write_json
 
 if TYPE_CHECKING:
-    from tailbeat.evaluate.refinement import LabResult, Refinement
+    from tailbeat.evaluate.refinement import Estimate, LabResult, Refinement
 
 
 def refinement(
@@ -49,7 +49,8 @@ def refinement(
 
 
 def _print(done: "Refinement") -> None:
-    rows = [_row(number, one) for number, one in enumerate(done.labs)]
+    names = list(dict.fromkeys(_named(e) for lab in done.labs for e in lab.estimates))
+    rows = [_row(number, one, names) for number, one in enumerate(done.labs)]
     output.tables({f"targets reached of {done.config.targets}": rows})
     for what, share in (
         ("as it is", done.before),
@@ -64,11 +65,16 @@ def _print(done: "Refinement") -> None:
     output.say(f"95 % intervals that hold the lab's own value: {sum(held)} of {len(held)}")
 
 
-def _row(number: int, one: "LabResult") -> dict[str, Any]:
+def _named(one: "Estimate") -> str:
+    return f"{one.name} [{one.unit}]"
+
+
+def _row(number: int, one: "LabResult", names: list[str]) -> dict[str, Any]:
+    found = {_named(e): f"{e.value:.2g} ({e.truth:.2g})" for e in one.estimates}
     return {
         "lab": number,
         "as it is": one.before,
         "refined": ", ".join(map(str, one.after)),
         "true corrections": one.true,
-        **{f"{e.name} [{e.unit}]": f"{e.value:.2g} ({e.truth:.2g})" for e in one.estimates},
+        **{name: found.get(name, "seen too little") for name in names},
     }

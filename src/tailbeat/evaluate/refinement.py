@@ -21,7 +21,7 @@ from tailbeat.evaluate.logged_swims import LogConfig, swims
 from tailbeat.evaluate.scenes import grid
 from tailbeat.evaluate.trial import Pool, in_labs, swim
 from tailbeat.files import BadInput
-from tailbeat.identify.offsets import Offsets, offsets
+from tailbeat.identify.offsets import Logged, Offsets, offsets
 from tailbeat.pool import mess
 from tailbeat.pool.mess import Lab
 from tailbeat.pool.water import Water
@@ -72,7 +72,7 @@ class Estimate:
 @dataclass(frozen=True)
 class LabResult:
     """One lab: targets reached within 5 cm `before`, after each round of refining, and with the
-    `true` corrections; the offsets of the last round."""
+    `true` corrections; the offsets of the last round, none where the fish was seen too little."""
 
     before: int
     after: tuple[int, ...]
@@ -118,7 +118,7 @@ def refinement(policy: Policy, config: RefinementConfig, progress: Progress) -> 
     setting = Setting(policy, pool, config, labs)
     steps = 2 * config.rounds + 2
     known = [policy.contract.corrections or Corrections()] * config.labs
-    before, after, found, bias = _reached(setting, known), [], list[Offsets](), np.zeros(0)
+    before, after, found, bias = _reached(setting, known), [], list[Offsets | None](), np.zeros(0)
     progress("swims", 1, steps)
     for turn in range(config.rounds):
         found, bias = _offsets(setting, known, turn)
@@ -146,17 +146,19 @@ def _lab(pool: Pool, config: RefinementConfig, number: int) -> tuple[Lab, Water]
     return lab, pool.waters[number % len(pool.waters)]
 
 
-def _refined(policy: Policy, found: Offsets, known: Corrections) -> Corrections:
-    """New corrections; the old ones where an offset is beyond what a lab gets wrong."""
+def _refined(policy: Policy, found: Offsets | None, known: Corrections) -> Corrections:
+    """New corrections; the old ones where nothing was found, or an offset is beyond what a lab gets
+    wrong."""
     try:
-        return corrected(policy.contract, found)[0]
+        held = replace(policy.contract, corrections=known)
+        return known if found is None else corrected(held, found)[0]
     except BadInput:
         return known
 
 
 def _offsets(
     setting: Setting, known: Sequence[Corrections], turn: int
-) -> tuple[list[Offsets], NDArray[np.float64]]:
+) -> tuple[list[Offsets | None], NDArray[np.float64]]:
     """What logged swims tell in each lab, and the mean bias of the gyros in them."""
     config, pool, each = setting.config, setting.pool, setting.config.swims
     seed = int(np.random.SeedSequence([config.seed, turn]).generate_state(1)[0])
@@ -166,7 +168,15 @@ def _offsets(
     told = LogConfig(config.seconds, seed, walls, corrections)
     done = swims(setting.policy, pool.fish, labs, told)
     own = [done.logged[i : i + each] for i in range(0, len(labs), each)]
-    return [offsets(one) for one in own], done.yaw_rate_bias.reshape(-1, each).mean(axis=1)
+    return [_told(one) for one in own], done.yaw_rate_bias.reshape(-1, each).mean(axis=1)
+
+
+def _told(logged: Sequence[Logged]) -> Offsets | None:
+    """What the swims of a lab tell; None where its camera saw the fish for too short a time."""
+    try:
+        return offsets(logged)
+    except BadInput:
+        return None
 
 
 def true_corrections(lab: Lab, yaw_rate_bias: float) -> Corrections:
@@ -194,7 +204,9 @@ def _reached(setting: Setting, known: Sequence[Corrections]) -> list[int]:
     return [int(hits.sum()) for hits in runs.reached.reshape(config.labs, -1)]
 
 
-def _estimates(found: Offsets, needed: Corrections) -> tuple[Estimate, ...]:
+def _estimates(found: Offsets | None, needed: Corrections) -> tuple[Estimate, ...]:
+    if found is None:
+        return ()
     rows = {row.name: row for row in found.offsets}
     return tuple(
         Estimate(row.name, row.unit, row.value, row.interval, row.told, truth / one.si)

@@ -93,7 +93,7 @@ def corrected(contract: Contract, found: Offsets) -> tuple[Corrections, tuple[Ch
     """New corrections of a contract, and what changed. Raises BadInput for one that is larger than
     a lab can have it.
 
-    A log has the readings as they came, so what it shows replaces an earlier correction.
+    A log has the readings as they came, so what it shows is a whole offset, not a change of one.
     """
     held = asdict(contract.corrections or Corrections())
     rows, blind = {row.name: row for row in found.offsets}, contract.yaw_rate == "camera"
@@ -111,16 +111,17 @@ def corrected(contract: Contract, found: Offsets) -> tuple[Corrections, tuple[Ch
 
 
 def _change(row: Offset, one: Correctable, before: float, blind: bool) -> Change:
-    """What an offset changes: the mean of what the swims say and of 0, which is off by what is
-    usual, each by its own doubt. So a wide interval changes little."""
+    """What an offset changes: the mean of what the swims say and of what was corrected `before`,
+    which is off by what is usual, each by its own doubt. So a wide interval changes little."""
     kept = before / one.si
     own = row.name, row.unit, kept
     if blind:
         return Change(*own, kept, row.value, row.interval, "kept: the policy sees no gyro")
     doubt = (row.interval[1] - row.interval[0]) / 4  # a deviation, of a 95 % interval
     share = one.usual**2 / (one.usual**2 + doubt**2)
-    why = "told by the swims" if row.told else f"{100 * share:.0f} % of it: the swims are in doubt"
-    return Change(*own, share * row.value, row.value, row.interval, why)
+    doubtful = f"{100 * share:.0f} % of the way there: the swims are in doubt"
+    why = "told by the swims" if row.told else doubtful
+    return Change(*own, kept + share * (row.value - kept), row.value, row.interval, why)
 
 
 def write(old: Path, contract: Contract, new: Path) -> Policy:
