@@ -9,7 +9,7 @@ import pytest
 from tailbeat.files import BadInput
 from tailbeat.fish import convergence
 from tailbeat.fish.description import Simulation
-from tailbeat.fish.store import load_fish, with_values
+from tailbeat.fish.store import load_fish, with_values, write_identified
 from tailbeat.identify import stages, step_check
 from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.intervals import estimates
@@ -86,6 +86,25 @@ def test_a_step_that_holds_stays_and_one_that_does_not_is_replaced():
     assert "full stroke with the identified numbers" in found.warnings[0]
     fine = fish.model_copy(update={"simulation": found.step.simulation})
     assert convergence.deviation(fine).error < convergence.ALLOWED
+
+
+@pytest.mark.thorough
+def test_a_step_that_wrong_numbers_asked_for_does_not_stay(tmp_path: Path):
+    """Found on a fish of 575 mm: with its tail identified and its servo still guessed, Euler at
+    4 ms erred too much. With its own servo it holds; the implicit step that stayed costs twice."""
+    fish = load_fish("pulley-fish-pool")
+    described, costly = tmp_path / "described.toml", tmp_path / "costly.toml"
+    text = Path(stages.fish_path("pulley-fish-pool")).read_text("utf-8")
+    described.write_text(text.replace('step = "4 ms"', 'step = "1 ms"'))
+    costly.write_text(text)
+    made = step_check.Held(convergence.Deviation(with_step(1e-3), 0.01), True, 0.2)
+    write_identified(described, costly, step_check.toml_values(made), "", overwrite=True)
+    assert load_fish(costly).simulation == load_fish(described).simulation == with_step(1e-3)
+    mine, ours = (step_check.is_ours(str(path)) for path in (described, costly))
+    assert (mine, ours) == (False, True)
+    assert not step_check.held(load_fish(described), mine).changed
+    again = step_check.held(load_fish(costly), ours)
+    assert again.changed and again.step.simulation == fish.simulation and not again.warnings
 
 
 def test_a_fish_that_diverges_at_every_step_is_refused():

@@ -148,7 +148,8 @@ def _write_fluid(
         [("fitted", found.fitted[0])] + [("held out", p) for p in found.validated[:1]],
     )
     named = fluid_report.toml_values(found, [p.run.name for p in found.fitted])
-    values = _reported(paths, named, fluid_report.as_report(found, config), partial(draw, shown))
+    report = fluid_report.as_report(found, config)
+    values = _reported(paths, named, report, partial(draw, shown), swum=True)
     note = fluid_report.heading(found, config)
     first = paths.scratch / fish.name  # the posterior needs its digest; the fish is written last
     write_identified(paths.fish, first, {"name": fish.stem, **values}, note, overwrite=True)
@@ -160,11 +161,16 @@ def _write_fluid(
 
 
 def _reported(
-    paths: Paths, values: Entries, report: dict[str, Any], draw: Callable[[Path], None]
+    paths: Paths,
+    values: Entries,
+    report: dict[str, Any],
+    draw: Callable[[Path], None],
+    swum: bool = False,
 ) -> Entries:
     """Draw the figure and write the report, with the step that the fish holds; returns the values
-    with that step. Raises BadInput, before anything is written, if no step holds."""
-    step = _held(paths, values)
+    with that step. Numbers that were fitted on swims (`swum`) belong to their step, which stays if
+    it holds. Raises BadInput, before anything is written, if no step holds."""
+    step = _held(paths, values, not swum and step_check.is_ours(paths.fish))
     _, place, figure = paths.written
     draw(figure)
     warnings = [*report.get("warnings", []), *step.warnings]
@@ -173,12 +179,13 @@ def _reported(
     return {**values, **step_check.toml_values(step)}
 
 
-def _held(paths: Paths, values: Entries) -> Held:
-    """The step that the fish with these identified values holds. Raises BadInput for none."""
+def _held(paths: Paths, values: Entries, ours: bool) -> Held:
+    """The step that the fish with these identified values holds (`ours` as in `step_check`). Raises
+    BadInput for none."""
     trial = paths.scratch / "step.toml"
     write_identified(paths.fish, trial, values, "", overwrite=True)
     try:
-        return step_check.held(load_fish(trial))
+        return step_check.held(load_fish(trial), ours)
     finally:
         trial.unlink()
         if not any(paths.scratch.iterdir()):

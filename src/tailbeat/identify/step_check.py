@@ -1,5 +1,6 @@
 """Does an identified fish hold its own step? If not, the step that does is written with it."""
 
+import tomllib
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,15 +8,16 @@ from tailbeat.files import BadInput
 from tailbeat.fish import convergence
 from tailbeat.fish.convergence import Deviation
 from tailbeat.fish.description import Fish
-from tailbeat.fish.store import Entry
+from tailbeat.fish.store import Entry, fish_path
 
-SOURCE = "chosen after the identification: the described step errs too much"
+OURS = "chosen after the identification"
+SOURCE = f"{OURS}: the cheapest step that holds, since the described one errs too much"
 
 
 @dataclass(frozen=True)
 class Held:
-    """The step that an identified fish gets; `changed` if it is not the described one, which erred
-    by `before` of the way (infinite: it diverged)."""
+    """The step that an identified fish gets; `changed` if it is not the one it had, which erred by
+    `before` of the way (infinite: it diverged)."""
 
     step: Deviation
     changed: bool
@@ -24,7 +26,7 @@ class Held:
     @property
     def warnings(self) -> list[str]:
         """What was changed, or could not be mended, in a sentence."""
-        if not self.changed and self.before < convergence.ALLOWED:
+        if self.before < convergence.ALLOWED:
             return []
         how = "diverged" if self.before == float("inf") else f"erred by {100 * self.before:.0f} %"
         if not self.changed:
@@ -39,10 +41,19 @@ class Held:
         ]
 
 
-def held(fish: Fish) -> Held:
+def is_ours(fish: str) -> bool:
+    """Whether the step in a fish's file was chosen by an identification, not by its user."""
+    content = tomllib.loads(fish_path(fish).read_text(encoding="utf-8-sig"))
+    step = content.get("simulation", {}).get("step")
+    return isinstance(step, dict) and str(step.get("source", "")).startswith(OURS)
+
+
+def held(fish: Fish, ours: bool = False) -> Held:
     """The step that holds for an identified fish at the largest stroke and rate that its motor can
-    be commanded. Raises BadInput if it diverges at every step."""
-    best = convergence.choose(fish, (fish.simulation, *convergence.CHOICES))
+    be commanded: its own if it does. A step of `ours` was chosen when other numbers were still
+    guesses, so it is chosen anew. Raises BadInput if the fish diverges at every step."""
+    own = () if ours else (fish.simulation,)
+    best = convergence.choose(fish, (*own, *convergence.CHOICES))
     if best.error == float("inf"):
         raise BadInput(
             f"{fish.name}: with the identified numbers it diverges at every step down to"
