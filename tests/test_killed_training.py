@@ -1,6 +1,7 @@
 """Trainings that are killed or interrupted: what they keep, and how they go on."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -75,6 +76,11 @@ def test_a_run_killed_before_its_first_checkpoint_is_resumed_from_the_start(tmp_
         train(planned_for(out), False, print)
     progress = train(planned_for(out, hours=0.0005), True, print)
     assert 1.8 < progress.seconds < 60 and kept(out).progress == progress
+    shutil.rmtree(out / "checkpoint")  # of a session that came to its end
+    policy = (out / "policy.onnx").read_bytes()
+    with pytest.raises(BadInput, match="its checkpoint is gone"):
+        train(planned_for(out), True, print)
+    assert (out / "policy.onnx").read_bytes() == policy
     assert load_policy(out / "policy.onnx").contract.training["seed"] == 0
 
 

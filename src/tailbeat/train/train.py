@@ -24,6 +24,7 @@ from tailbeat.train.replay import RelabelBuffer
 from tailbeat.train.sac import QuickSAC
 
 FOREVER = 10**12
+CURVE = "curve.json"  # written at the end of a session
 
 
 def silent(row: TrainingRow) -> None:
@@ -49,7 +50,7 @@ def train(
     config.check(run, resume)
     if stage is not None:
         config.check_stage(run, stage)
-    place = checkpoint.find(run.out) if resume else None
+    place = _resumed_from(run.out) if resume else None
     if run.recipe.torch_threads is not None:
         torch.set_num_threads(run.recipe.torch_threads)
     env = environment(run)
@@ -72,8 +73,20 @@ def train(
     callback.keep()
     if not progress.finished:
         callback.write_policy()
-    write_json(run.out / "curve.json", asdict(progress), overwrite=True)
+    write_json(run.out / CURVE, asdict(progress), overwrite=True)
     return progress
+
+
+def _resumed_from(out: Path) -> Path | None:
+    """The checkpoint of a run, None if it was killed before its first. Raises BadInput if a session
+    came to its end, which leaves one, and it is gone: nothing that was learnt is overwritten."""
+    place = checkpoint.find(out)
+    if place is None and (out / CURVE).exists():
+        raise BadInput(
+            f"{out}: its checkpoint is gone, so it cannot be resumed; start without --resume in a"
+            f" new folder."
+        )
+    return place
 
 
 def result(run: RunConfig, progress: Progress) -> TrainingResult:
