@@ -138,7 +138,9 @@ def test_draws_by_parts_of_the_recordings_are_the_same_and_swim_less():
     doubts = [by_swims(fit, OWNER)]
     once = draw(SPACE, doubts, [whole], 200, seed=1)
     asked["wall"] = 0
-    assert np.array_equal(draw(SPACE, doubts, [wall, rest], 200, seed=1), once)
+    said: list[float] = []
+    assert np.array_equal(draw(SPACE, doubts, [wall, rest], 200, 1, said.append), once)
+    assert said[0] == 0 and said[-1] == 1 and said == sorted(said)
     assert 100 < asked["rest"] < 0.9 * asked["wall"]
 
 

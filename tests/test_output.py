@@ -97,8 +97,9 @@ def test_counting_and_a_search_say_in_a_pipe_where_they_are(capsys):
         count("reach", 4, 4)
     with search_progress() as search:
         search(2, "search", 0.5, 12.345)
+        search(2, "draws", 1.0, 12.345)
     lines = capsys.readouterr().err.splitlines()
     assert [line.split(":")[0] for line in lines] == [
-        "reach 1/4", "reach 4/4", "seed 2 search, cost 12.35",
+        "reach 1/4", "reach 4/4", "seed 2 search, cost 12.35", "seed 2 draws, cost 12.35",
     ]  # fmt: skip
-    assert "30 %" in lines[2]
+    assert "30 %" in lines[2] and "100 %" in lines[3]

@@ -91,6 +91,8 @@ def _alive() -> Iterator[None]:
 
 def _of_seed(stage: str, share: float) -> float:
     """Fraction of a seed's time that is over after the fraction `share` of a stage."""
+    if stage == "draws":  # they come after all seeds
+        return share
     first = stage == "search"
     return SHARE_OF_SEARCH * share if first else SHARE_OF_SEARCH + (1 - SHARE_OF_SEARCH) * share
 

@@ -7,7 +7,7 @@ by swims: Liang and Zeger 1986). It is never smaller than independent residuals 
 prior counts as one more observation. Searches from other seeds that end almost as well count too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,9 +92,10 @@ def draw(
     parts: Sequence[Residuals],
     count: int,
     seed: int,
+    told: Callable[[float], None] = lambda share: None,
 ) -> Array:
     """Draws (count, p) of z, the first of which is the best fit; `parts` are the residuals of some
-    recordings each, together of all.
+    recordings each, together of all. `told` gets the fraction done.
 
     Each comes from a seed's fit by its `plausible` weight, in Student's t. Valleys of the cost are
     curved: a draw that misses the recordings clearly is moved halfway back, up to four times.
@@ -109,12 +110,14 @@ def draw(
     noise = noise_level(doubts[0].fit.residuals, len(space))
     limit = _limit(doubts[0], noise)
     left = np.arange(1, count)
-    for _ in range(RETREATS):
+    for turn in range(RETREATS):
+        told(turn / RETREATS)
         if not left.size:
             break
         z = np.clip(centre[left] + away[left], low, high)
         left = left[_misses(parts, z, noise, limit)]
         away[left] /= 2
+    told(1.0)
     return np.asarray(np.clip(centre + away, low, high))
 
 
