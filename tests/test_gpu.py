@@ -29,12 +29,13 @@ FISH = load_fish("pulley-fish-pool")
 STILL = Settings(sensors=quiet(), physics=randomize.none())
 
 
-def filled(device: str) -> QuickSAC:
+def filled(device: str, normalised: bool = False) -> QuickSAC:
     """A learner that has swum and not learnt: the same weights and buffer on every device."""
     env = FishVecEnv(FISH, 8, STILL, seed=0, reward_scale=0.01)
     model = QuickSAC(
-        "MlpPolicy", env, learning_starts=1_000, batch_size=64, seed=0, device=device, tau=0.01
-    )
+        "MlpPolicy", env, learning_starts=1_000, batch_size=64, seed=0, device=device, tau=0.01,
+        normalised=normalised,
+    )  # fmt: skip
     model.learn(800)
     torch.manual_seed(5)
     return model
@@ -47,9 +48,9 @@ def weights(model: QuickSAC) -> torch.Tensor:
     return torch.cat([one.detach().cpu().ravel() for one in held])
 
 
-def updated(device: str, rates: tuple[float, ...]) -> QuickSAC:
+def updated(device: str, rates: tuple[float, ...], normalised: bool = False) -> QuickSAC:
     """A learner after one update at each rate, of equal batches and noise."""
-    model = filled(device)
+    model = filled(device, normalised)
     np.random.seed(3)  # noqa: NPY002 (SB3 draws from it)
     for rate in rates:
         model.lr_schedule = FloatSchedule(rate)
@@ -57,11 +58,13 @@ def updated(device: str, rates: tuple[float, ...]) -> QuickSAC:
     return model
 
 
+@pytest.mark.parametrize("normalised", [False, True])
 @pytest.mark.parametrize("count", [1, WARM + 1, 40])
-def test_updates_are_those_of_a_processor(count):
+def test_updates_are_those_of_a_processor(count, normalised):
     """One kernel after another, the first that is captured, and many."""
-    start = weights(filled("cpu"))
-    ours, theirs = (weights(updated(device, (3e-4,) * count)) for device in ("cuda", "cpu"))
+    start = weights(filled("cpu", normalised))
+    rates = (3e-4,) * count
+    ours, theirs = (weights(updated(device, rates, normalised)) for device in ("cuda", "cpu"))
     assert (theirs - start).norm() > 0
     assert (ours - theirs).norm() < 0.02 * (theirs - start).norm()
 

@@ -245,6 +245,7 @@ def _check_same(run: RunConfig) -> None:
     held.setdefault("errors", None)
     held.setdefault("velocities", False)
     held.setdefault("averages", False)
+    held.setdefault("recipe.normalised", False)
     held.setdefault("build", None)
     held.setdefault("physics", "ranges")  # and no posterior
     held.setdefault("yaw_rate", "imu")  # and an IMU

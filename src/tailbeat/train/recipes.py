@@ -53,6 +53,7 @@ class Recipe:
     misses: float = 0.0  # m, distance of some relabelled targets from the path
     close_up: bool = False  # networks get the target features
     rounded: bool = False  # updates multiply in bfloat16 if the processor supports it
+    normalised: bool = False  # critics with normalised layers and no targets, if `quick`
     binds: Literal["fundamental", "signal"] = "fundamental"  # what stays below the ceiling
     promising: float | None = None
     between: int = 250

@@ -20,6 +20,7 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
+from tailbeat.train import normalised
 from tailbeat.train.captured import Captured
 
 Tensor = torch.Tensor
@@ -33,15 +34,24 @@ class QuickSAC(SAC):
 
     Takes SAC's arguments. `memory` is the correlation of the exploration noise from one control
     step to the next. `rounded` updates multiply matrices in bfloat16 if the processor supports it,
-    on a GPU in TF32.
+    on a GPU in TF32. `normalised` critics (`normalised.py`) need no targets.
     """
 
-    def __init__(self, *args: Any, memory: float = 0.0, rounded: bool = False, **rest: Any) -> None:
-        self.memory, self.rounded = memory, rounded
+    def __init__(
+        self,
+        *args: Any,
+        memory: float = 0.0,
+        rounded: bool = False,
+        normalised: bool = False,
+        **rest: Any,
+    ) -> None:
+        self.memory, self.rounded, self.normalised = memory, rounded, normalised
         super().__init__(*args, **rest)
 
     def _setup_model(self) -> None:
         super()._setup_model()
+        if self.normalised:
+            normalised.put_into(self)
         self.noise = torch.randn((self.n_envs, *(self.action_space.shape or ())))
         self.on_gpu = self.device.type == "cuda"
         self.rounded = self.rounded and (self.on_gpu or rounds())
@@ -117,7 +127,10 @@ class QuickSAC(SAC):
         _step(self.actor.optimizer, list(self.actor.parameters()), actor_gradient)
         missing = (log_prob + self.target_entropy).mean()
         _step(self.ent_coef_optimizer, [self.log_ent_coef], [-missing.reshape(1)])
-        polyak_update(self.critic.parameters(), self.critic_target.parameters(), self.tau)
+        if self.normalised:
+            normalised.keep(self.critic)
+        else:
+            polyak_update(self.critic.parameters(), self.critic_target.parameters(), self.tau)
         return torch.stack([critic_loss, actor_loss, entropy.reshape(())])
 
     def _gradients(self, data: Any, noise: Tensor, entropy: Tensor) -> tuple[Any, Any]:
@@ -132,12 +145,23 @@ class QuickSAC(SAC):
     def _critic_gradient(self, data: Any, noise: Tensor, entropy: Tensor) -> tuple[Tensor, Any]:
         with torch.no_grad():
             action, log_prob = self._act(data.next_observations, noise)
-            ahead = torch.cat(self.critic_target(data.next_observations, action), dim=1)
-            value = ahead.min(dim=1, keepdim=True).values - entropy * log_prob
+        found, ahead = self._values(data, action)
+        with torch.no_grad():
+            value = torch.cat(ahead, dim=1).min(dim=1, keepdim=True).values - entropy * log_prob
             goal = data.rewards + (1 - data.dones) * data.discounts * value
-        found = self.critic(data.observations, data.actions)
         loss = 0.5 * torch.stack([functional.mse_loss(q, goal) for q in found]).sum()
         return loss.detach(), torch.autograd.grad(loss, list(self.critic.parameters()))
+
+    def _values(self, data: Any, action: Tensor) -> tuple[Any, Any]:
+        """Each critic's values (n, 1) of a batch, and those ahead, of its next observations with
+        `action`."""
+        now, next_one = (data.observations, data.actions), (data.next_observations, action)
+        if self.normalised:
+            found, ahead = normalised.values(self.critic, now, next_one)
+            return found, ahead
+        with torch.no_grad():
+            ahead = self.critic_target(*next_one)
+        return self.critic(*now), ahead
 
     def _actor_gradient(self, data: Any, noise: Tensor, entropy: Tensor) -> tuple[Tensor, Any, Any]:
         action, log_prob = self._act(data.observations, noise)

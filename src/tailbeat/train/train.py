@@ -135,7 +135,8 @@ def learner(run: RunConfig, env: FishVecEnv) -> SAC:
         shape["features_extractor_kwargs"] = {"measure": run.measure}
     if recipe.quick:
         shape["optimizer_kwargs"] = {"fused": True}
-        more |= {"memory": recipe.memory, "rounded": recipe.rounded}
+        own = ("memory", "rounded", "normalised")
+        more |= {name: getattr(recipe, name) for name in own}
     return kind(
         "MlpPolicy",
         env,
