@@ -49,8 +49,8 @@ def test_at_first_a_layer_is_torch_s_batch_normalisation(passes):
     weight = torch.randn(200, WIDTH)
     found, wanted = layer.learning(batch), theirs(batch)
     assert torch.allclose(found, wanted, atol=1e-5)
-    slopes = [torch.autograd.grad((one * weight).sum(), batch)[0] for one in (found, wanted)]
-    assert torch.allclose(*slopes, atol=1e-4)
+    slope, other = (torch.autograd.grad((one * weight).sum(), batch)[0] for one in (found, wanted))
+    assert torch.allclose(slope, other, atol=1e-4)
 
 
 def test_later_it_is_normalised_by_what_is_kept_unless_a_batch_is_too_far():
@@ -111,10 +111,12 @@ def test_the_critics_gradient_is_that_of_both_batches_in_one_pass():
         action, log_prob = model._act(data.next_observations, noise)
     both = torch.cat([data.observations, data.next_observations])
     joint = torch.cat([both, torch.cat([data.actions, action])], dim=1)
-    found = [net.learning(joint) for net in model.critic.q_networks]
+    networks: Any = model.critic.q_networks
+    found = [net.learning(joint) for net in networks]
     ahead = torch.minimum(*(one[16:].detach() for one in found)) - 0.1 * log_prob
     goal = data.rewards + (1 - data.dones) * model.gamma * ahead
-    by_hand = 0.5 * sum(torch.nn.functional.mse_loss(one[:16], goal) for one in found)
+    losses = [torch.nn.functional.mse_loss(one[:16], goal) for one in found]
+    by_hand = 0.5 * torch.stack(losses).sum()
     assert loss.item() == pytest.approx(by_hand.item(), rel=1e-5)
     slopes = torch.autograd.grad(by_hand, list(model.critic.parameters()))
     assert all(torch.allclose(a, b, atol=1e-6) for a, b in zip(gradient, slopes, strict=True))
