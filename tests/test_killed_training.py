@@ -23,6 +23,7 @@ from tailbeat.train.train import train
 from test_train import planned_for, smoking
 
 pytestmark = pytest.mark.long
+PATIENCE = 180.0  # s: a process imports for half a minute where four tests share two cores
 
 
 def started(out: Path) -> subprocess.Popen[bytes]:
@@ -54,9 +55,9 @@ def kept(out: Path) -> Saved:
 def test_a_killed_run_loses_a_checkpoint_interval_at_most(tmp_path):
     out = tmp_path / "run"
     process = started(out)
-    until(lambda: written(out) > 0)
+    until(lambda: written(out) > 0, seconds=PATIENCE)
     first = written(out)
-    until(lambda: written(out) > first)
+    until(lambda: written(out) > first, seconds=PATIENCE)
     process.kill()
     process.wait()
     last = kept(out)
@@ -68,7 +69,7 @@ def test_a_killed_run_loses_a_checkpoint_interval_at_most(tmp_path):
 def test_a_run_killed_before_its_first_checkpoint_is_resumed_from_the_start(tmp_path):
     out = tmp_path / "run"
     process = started(out)
-    until((out / "run.json").is_file)
+    until((out / "run.json").is_file, seconds=PATIENCE)
     process.kill()
     process.wait()
     assert checkpoint.find(out) is None and not (out / "policy.onnx").exists()
@@ -127,7 +128,7 @@ def test_a_run_killed_and_resumed_goes_on_without_a_drop(tmp_path):
 def test_ctrl_c_leaves_a_checkpoint_and_a_policy(tmp_path):
     out = tmp_path / "run"
     process = started(out)
-    until((out / "checkpoint" / "random.json").exists)
+    until((out / "checkpoint" / "random.json").exists, seconds=PATIENCE)
     os.kill(process.pid, signal.SIGINT)
     assert process.wait(60) == 0
     assert load_policy(out / "policy.onnx").contract.training["recipe"] == "smoke"
