@@ -100,7 +100,7 @@ def endless(out: str) -> RunConfig:
     return replace(run, checkpoint_minutes=0.05, recipe=replace(run.recipe, window=100_000))
 
 
-@pytest.mark.slow  # a minute; the next test kills too, and what a resumed run holds is tested above
+@pytest.mark.slow  # a minute; others above kill too, and test_train.py looks at what is resumed
 def test_a_run_killed_and_resumed_goes_on_without_a_drop(tmp_path):
     out, here = tmp_path / "run", Path(__file__).parents[1]
     command = [sys.executable, "-c", SMOKE, str(out)]

@@ -61,6 +61,7 @@ def test_ten_stages_raise_one_difficulty_at_a_time():
     assert rates == pytest.approx([*falls, *falls, *(0.5 * FALL**k for k in range(4))])
     assert learning_rate(STAGES, 9, (1.0, 1.0, 1e-9)) == LOWEST
     assert quick().stages == STAGES
+    assert config.ACTIONS == ("generator", "direct", "filtered", "turning")
 
 
 def test_a_stage_scales_noise_and_physics():

@@ -34,7 +34,7 @@ from tailbeat.identify.posterior import factors_of
 from tailbeat.pool import mess
 from tailbeat.train.config import RunConfig, action_space, check, measured_run
 from tailbeat.train.expect import FEWER, FISH, SECONDS, of_file
-from tailbeat.train.progress import TrainingRow, begun
+from tailbeat.train.progress import CURVE, TrainingRow, begun
 from tailbeat.train.recipes import recipe_of
 from tailbeat.train.train import train
 
@@ -121,7 +121,7 @@ def _train(run: RunConfig, folder: Path) -> None:
 
 def _course(run: RunConfig) -> dict[str, Any]:
     """What a training wrote at its end; empty before."""
-    path = run.out / "curve.json"
+    path = run.out / CURVE
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
 

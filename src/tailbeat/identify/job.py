@@ -6,7 +6,6 @@ import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -150,16 +149,12 @@ def identify_fluid(
     doubts = tuple(by_swims(one, owner) for one in fits)
     parts = parts_of(fish, fit, space, config.start_weight)
     first, cost = config.first_seed, fits[0].cost
-    told = partial(_told_of_draws, progress, first, cost)
+    told = lambda share: progress(first, "draws", share, cost)  # noqa: E731
     drawn = draw(space, doubts, parts, config.draws, first, told)
     found = Found(
         fish, space, idle, doubts, np.array([list(values(space, z).values()) for z in drawn])
     )
     return _conclude(found, fit, validate, check or validate, began)
-
-
-def _told_of_draws(progress: Progress, seed: int, cost: float, share: float) -> None:
-    progress(seed, "draws", share, cost)
 
 
 def seeds_of(config: FluidConfig) -> range:

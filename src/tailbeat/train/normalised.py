@@ -93,13 +93,16 @@ def put_into(model: Any) -> None:
     critic.optimizer = type(adam)(critic.parameters(), lr=rate, fused=fused, betas=BETAS)
 
 
-def values(critic: Any, now: tuple[Tensor, Tensor], ahead: tuple[Tensor, Tensor]) -> Any:
+def values(
+    critic: Any, now: tuple[Tensor, Tensor], ahead: tuple[Tensor, Tensor]
+) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
     """Values now and ahead, (n, 1) of each critic, from observations and actions, in one pass."""
     seen, done = (torch.cat(pair) for pair in zip(now, ahead, strict=True))
     with torch.no_grad():
         features = critic.extract_features(seen, critic.features_extractor)
-    found = [net.learning(torch.cat([features, done], dim=1)) for net in critic.q_networks]
-    return zip(*(one.chunk(2) for one in found), strict=True)
+    joint = torch.cat([features, done], dim=1)
+    found, later = zip(*(net.learning(joint).chunk(2) for net in critic.q_networks), strict=True)
+    return found, later
 
 
 def keep(critic: Any) -> None:

@@ -10,6 +10,7 @@ from tailbeat.env.assess import Summary
 from tailbeat.env.curriculum import PROMOTED
 
 RUN = "run.json"  # what a run is started with
+CURVE = "curve.json"  # written at the end of a session
 RECENT = 24  # rows of the history from which the time to promotion is estimated
 
 

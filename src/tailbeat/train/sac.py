@@ -157,8 +157,7 @@ class QuickSAC(SAC):
         `action`."""
         now, next_one = (data.observations, data.actions), (data.next_observations, action)
         if self.normalised:
-            found, ahead = normalised.values(self.critic, now, next_one)
-            return found, ahead
+            return normalised.values(self.critic, now, next_one)
         with torch.no_grad():
             ahead = self.critic_target(*next_one)
         return self.critic(*now), ahead

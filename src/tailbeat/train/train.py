@@ -18,13 +18,12 @@ from tailbeat.train import config as config
 from tailbeat.train.callback import TrainingCallback
 from tailbeat.train.config import RunConfig
 from tailbeat.train.features import TargetFeatures
-from tailbeat.train.progress import Progress, Report, TrainingResult, TrainingRow
+from tailbeat.train.progress import CURVE, Progress, Report, TrainingResult, TrainingRow
 from tailbeat.train.recipes import DEPTH
 from tailbeat.train.replay import RelabelBuffer
 from tailbeat.train.sac import QuickSAC
 
 FOREVER = 10**12
-CURVE = "curve.json"  # written at the end of a session
 
 
 def silent(row: TrainingRow) -> None:
@@ -135,8 +134,8 @@ def learner(run: RunConfig, env: FishVecEnv) -> SAC:
         shape["features_extractor_kwargs"] = {"measure": run.measure}
     if recipe.quick:
         shape["optimizer_kwargs"] = {"fused": True}
-        own = ("memory", "rounded", "normalised")
-        more |= {name: getattr(recipe, name) for name in own}
+        more |= {"memory": recipe.memory, "rounded": recipe.rounded}
+        more["normalised"] = recipe.normalised
     return kind(
         "MlpPolicy",
         env,
