@@ -270,11 +270,11 @@ NODES = """
 import sys, time
 from pathlib import Path
 from ray.cluster_utils import Cluster
-from tailbeat.cluster import plan, tune
+from tailbeat.cluster import connection, plan, tune
 made = plan.read(Path(sys.argv[1]))
 cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
 second = cluster.add_node(num_cpus=1)
-tune.connect(cluster.address)
+connection.connect(cluster.address)
 out, killed = Path(sys.argv[2]), []
 def report(row):
     if row.numbers and not killed and len(list(out.glob("trials/*/run/checkpoint"))) == 2:

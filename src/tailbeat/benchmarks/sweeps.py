@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tailbeat.cluster import plan, tune
+from tailbeat.cluster import connection, plan, tune
 from tailbeat.cluster.plan import Sweep, Trial
 from tailbeat.cluster.trial import process_seconds
 from tailbeat.processes import ALONE, cores
@@ -93,12 +93,12 @@ def _in_turn(asked: Sweep, made: Sequence[Trial], out: Path) -> float:
 
 def _swept(asked: Sweep, made: Sequence[Trial], out: Path, in_turn: float) -> SweepRow:
     began = time.monotonic()
-    tune.connect(None)
+    connection.connect(None)
     start, used = time.monotonic() - began, time.process_time()
     try:
         failed = tune.swim(asked, made, out, lambda row: None)
     finally:
-        tune.disconnect()
+        connection.disconnect()
     assert not failed, failed
     whole, driver = time.monotonic() - began, time.process_time() - used
     trial = sum(process_seconds(out / "trials" / one.name) for one in made) / len(made)

@@ -35,9 +35,9 @@ DrawsOption = Annotated[int, typer.Option(help="Number of draws of the posterior
 def _on_cluster(address: str) -> "Ahead":
     """Searches on the cluster of this address, to which this connects. Raises BadInput."""
     need("a cluster", "ray")
-    from tailbeat.cluster import identification, tune
+    from tailbeat.cluster import connection, identification
 
-    tune.connect(address)
+    connection.connect(address)
     return partial(identification.search_ahead, address)
 
 

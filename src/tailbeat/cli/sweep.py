@@ -37,17 +37,17 @@ def sweep(
         refuse_existing(json)
     need_training()
     need("sweeps", "ray")
-    from tailbeat.cluster import plan, tune
+    from tailbeat.cluster import connection, plan
 
     asked = plan.read(file)
     made = plan.trials(asked)
     plan.check_names(file, made)
     check_folder(out)
     if address is not None:
-        tune.connect(address)
+        connection.connect(address)
     made = _kept(file, asked, made, out, resume)
     if address is None:
-        tune.connect(None)
+        connection.connect(None)
     done = _swim(asked, made, out)
     _print(out, done)
     if json is not None:
@@ -114,7 +114,7 @@ def _check_same(file: Path, asked: "Sweep", out: Path) -> None:
 
 def _swim(asked: "Sweep", made: Sequence["Trial"], out: Path) -> "SweepResult":
     """Swim what is not done; write table and page. Prints the rule before it begins."""
-    from tailbeat.cluster import plan, summary, tune
+    from tailbeat.cluster import connection, plan, summary, tune
     from tailbeat.report import sweep as page
 
     todo = [one for one in made if not (out / "trials" / one.name / summary.RESULT).is_file()]
@@ -122,8 +122,12 @@ def _swim(asked: "Sweep", made: Sequence["Trial"], out: Path) -> "SweepResult":
     failed: dict[str, str] = {}
     seen = TrialTable(len(made), len(made) - len(todo))
     if todo:
-        with _shown(seen) as report:
-            failed = tune.swim(asked, todo, out, report)
+        try:
+            with _shown(seen) as report:
+                failed = tune.swim(asked, todo, out, report)
+        except connection.RayEnded:
+            connection.abandon()
+            raise
     early = [name for name, row in seen.rows.items() if row.state == "ended early"]
     done = summary.collect(out, made, failed, early)
     summary.write_table(out / "sweep.parquet", done, {t.name: plan.as_row(t) for t in made})

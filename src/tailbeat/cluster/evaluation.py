@@ -25,9 +25,9 @@ def evaluate_on(
     """As `evaluate.evaluation.evaluate`, to the bit, on a Ray cluster, whose nodes must see the
     folder `out` and the file `policy` under the same paths, or have the shipped policy of that
     name. Chunks on disk are not swum again. Raises BadInput."""
-    from tailbeat.cluster import tune
+    from tailbeat.cluster import connection
 
-    tune.connect(address)  # before anything is written
+    connection.connect(address)  # before anything is written
 
     def swim_all(chunks: Sequence[Chunk], progress: Progress) -> None:
         left = [ChunkJob(policy, one) for one in chunks if not one.path.is_file()]

@@ -26,10 +26,10 @@ def search_ahead(
     """Search from every seed on a Ray cluster, whose nodes must see the folder of `paths.scratch`
     under the same path; `stages.fluid` then finds the results there, to the bit those of this
     machine. A search that was interrupted goes on. Raises BadInput."""
-    from tailbeat.cluster import tune
+    from tailbeat.cluster import connection
 
     fish, (fit, *_) = stages.swims_of(paths, config)
-    tune.connect(address)
+    connection.connect(address)
     scratch = paths.scratch.resolve()
     jobs = [SeedJob(fish, tuple(fit), config, scratch, seed) for seed in job.seeds_of(config)]
     map_jobs(search, jobs, report, address)

@@ -82,9 +82,9 @@ def _in_ray(
     function: Callable[[Job], Result], jobs: Sequence[Job], address: str
 ) -> Iterator[tuple[int, Result]]:
     """Number and result of each job, as they end."""
-    from tailbeat.cluster import tune
+    from tailbeat.cluster import connection
 
-    tune.connect(address)
+    connection.connect(address)
     import ray
 
     task: Any = ray.remote(num_cpus=1, runtime_env={"env_vars": ALONE})(function)

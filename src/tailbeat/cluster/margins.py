@@ -28,9 +28,9 @@ def margins_on(
 ) -> Margins:
     """As `evaluate.margins.margins`, to the bit, on a Ray cluster, whose nodes must see the file
     `policy` under the same path, or have the shipped policy of that name. Raises BadInput."""
-    from tailbeat.cluster import tune
+    from tailbeat.cluster import connection
 
-    tune.connect(address)  # before anything is written
+    connection.connect(address)  # before anything is written
 
     def swim(cells: Sequence[Cell], table: Table) -> dict[Cell, Hits]:
         jobs = []

@@ -7,21 +7,19 @@ its folder, not in Ray: a trial that is begun again, here or on another node, go
 import contextlib
 import importlib.metadata
 import json
-import logging
 import os
 import platform
 import signal
-import socket
 import subprocess
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from tailbeat.cluster import connection
 from tailbeat.cluster.plan import Sweep, Trial
 from tailbeat.files import BadInput, write_json
-from tailbeat.processes import ALONE, cores, end, end_with_parent, start
+from tailbeat.processes import ALONE, end, end_with_parent, start
 
 # Ray reads these when it is imported: our own table is shown, and no file that nobody reads.
 os.environ.setdefault("RAY_AIR_NEW_OUTPUT", "0")
@@ -34,11 +32,6 @@ from ray import tune
 from ray.tune.schedulers import ASHAScheduler, FIFOScheduler, MedianStoppingRule
 from ray.util.queue import Empty, Queue
 
-OUTSIDE, CLIENTS = "ray://", 10001  # of an address; the port of `ray start` for them
-# Ray's client from outside sends its token only if told; else the cluster seems not to answer.
-TOKEN = " If it has a token of Ray's, copy it to this machine and set RAY_AUTH_MODE=token."
-ANSWER = 5.0  # s that a cluster may take to answer
-STORE = 100_000_000  # bytes of shared memory for Ray's objects; ours are small
 LONGEST, PATIENCE = 10_000_000, 2_000  # updates: a trial's most, and before which none is ended
 SAME = ("tailbeat", "mujoco", "torch", "stable-baselines3", "numpy")  # versions on every node
 RESULT, TRIAL = "result.json", "trial.json"
@@ -57,49 +50,6 @@ class Row:
 Report = Callable[[Row], None]
 
 
-def connect(address: str | None) -> None:
-    """Connect to a cluster, or start Ray on this machine's cores.
-
-    `address` is auto or HOST:PORT of a cluster of which this machine is a node, or ray://HOST:PORT
-    of another. A second call does nothing. Raises BadInput if nobody answers there.
-    """
-    if ray.is_initialized():
-        return
-    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
-    logging.getLogger("ray").setLevel(logging.CRITICAL)  # we say in one line why a trial failed
-    if address is None:
-        quiet |= {"include_dashboard": False, "object_store_memory": STORE}
-        ray.init(num_cpus=cores(), address="local", **quiet)
-        return
-    try:
-        _check_answers(address)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # we say in one line that nobody answers
-            ray.init(address=address, **quiet)
-    except (OSError, RuntimeError, ValueError) as error:
-        raise BadInput(
-            f"--address {address}: no Ray cluster answers ({type(error).__name__}); allowed are"
-            f" auto and HOST:PORT of a cluster of which this machine is a node, and"
-            f" ray://HOST:{CLIENTS} of another. Start one with `ray start --head`, or omit"
-            f" --address to use this machine alone.{TOKEN if address.startswith(OUTSIDE) else ''}"
-        ) from None
-
-
-def _check_answers(address: str) -> None:
-    """Raises OSError or ValueError at once where Ray would try for minutes."""
-    if address == "auto":
-        return
-    host, _, port = address.removeprefix(OUTSIDE).rpartition(":")
-    if not host or "/" in host:
-        raise ValueError(address)
-    socket.create_connection((host, int(port)), timeout=ANSWER).close()
-
-
-def disconnect() -> None:
-    """Leave the cluster; Ray that was started on this machine ends."""
-    ray.shutdown()
-
-
 def versions() -> dict[str, str]:
     """The versions that driver and workers must share."""
     return {"python": platform.python_version()} | {
@@ -110,7 +60,8 @@ def versions() -> dict[str, str]:
 def swim(sweep: Sweep, todo: Sequence[Trial], out: Path, report: Report) -> dict[str, str]:
     """Swim the trials `todo` in `out/trials`; returns why each failed one did, by its name. Ray
     must be connected. Ctrl-C ends it; trials keep their checkpoints. Raises BadInput if a trial
-    needs more of a GPU than there is, or if a cluster of which this machine is no node is lost."""
+    needs more of a GPU than there is, or if a cluster of which this machine is no node is lost, and
+    RayEnded."""
     gpus = ray.cluster_resources().get("GPU", 0.0)
     if sweep.gpus > gpus:
         raise BadInput(
@@ -163,7 +114,13 @@ def _swim(sweep: Sweep, space: dict[str, Any], report: Report) -> dict[str, str]
             verbose=0,
         ),
     )
-    tuner.fit()
+    try:
+        tuner.fit()
+    except _Lost as lost:
+        raise connection.RayEnded(
+            f"{lost}, a process of Ray on this machine, ended: look at the machine's free memory,"
+            f" then run the command again with --resume; trials go on from their checkpoints."
+        ) from None
     return told.failed
 
 
@@ -229,8 +186,13 @@ def _last_line(log: Path, code: int) -> str:
     return said or f"its process ended with {code}"
 
 
+class _Lost(BaseException):
+    """The name of a process of Ray that ended. No Exception: Tune would wait for its workers."""
+
+
 class _Told(tune.Callback):
-    """Tells `report` of every trial that begins, learns, fails or ends."""
+    """Tells `report` of every trial that begins, learns, fails or ends. Raises _Lost once a process
+    of the Ray that was started here has ended: Tune would wait for its workers for ever."""
 
     def __init__(self, report: Report) -> None:
         self.report, self.failed = report, dict[str, str]()
@@ -238,6 +200,11 @@ class _Told(tune.Callback):
     def __getstate__(self) -> dict[str, Any]:
         """Nothing: Tune keeps a copy to restore itself from, which we do not use."""
         return {}
+
+    def on_step_begin(self, iteration: int, trials: Any, **_: Any) -> None:
+        ended = connection.ended()
+        if ended is not None:
+            raise _Lost(ended)
 
     def on_trial_start(self, iteration: int, trials: Any, trial: Any, **_: Any) -> None:
         self.report(Row(trial.config["name"], "running", {}))
