@@ -95,6 +95,7 @@ def planned_for(out: Path, **changes: Any) -> RunConfig:
         ({"actions": Generator(-1.0, 1.0, ceiling=6.0)}, "band ends at 4 Hz"),
         ({"actions": Generator(-1.0, 1.0, floor=4.0)}, "floor = 4 Hz; give 0 or more"),
         ({"recipe": replace(smoke(), buffer=10**12)}, "GB of memory"),
+        ({"recipe": replace(paper(), normalised=True)}, "recipe paper has SB3's own update"),
     ],
 )
 def test_plans_that_cannot_be_are_refused_before_anything_is_written(tmp_path, changes, complaint):

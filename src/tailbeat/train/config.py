@@ -194,6 +194,11 @@ def check(run: RunConfig, resume: bool) -> None:
         raise BadInput(f"--hours {run.hours:g}: give a time above 0.")
     if run.device not in ("cpu", "cuda") or (run.device == "cuda" and not cuda.is_available()):
         raise BadInput(f"--device {run.device}: allowed are cpu, and cuda if this machine has it.")
+    if run.recipe.normalised and not run.recipe.quick:
+        raise BadInput(
+            f"recipe.normalised = true: recipe {run.recipe.name} has SB3's own update, which has no"
+            f" such critics; leave it out, or take recipe quick or smoke."
+        )
     check_settings(run.fish, run.settings(0))
     _check_memory(run.buffer_bytes)
     if resume:
