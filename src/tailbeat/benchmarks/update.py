@@ -36,11 +36,15 @@ class UpdateRow:
 
 def update_bench() -> tuple[UpdateRow, ...]:
     """Measure the time per update, median of the turns, compared with SB3's SAC of the recipe
-    `paper` with torch's own threads. Ours is timed without and with rounded products."""
+    `paper` with torch's own threads. Ours is timed with SB3's losses and with normalised critics,
+    each with and without rounded products."""
     threads = torch.get_num_threads()
-    recipes = {"SB3's SAC": paper(), "quick, float32": replace(quick(), rounded=False)}
-    if rounds():
-        recipes["quick, rounded"] = quick()
+    ours = {"quick": replace(quick(), normalised=False), "normalised": quick()}
+    recipes = {"SB3's SAC": paper()}
+    for name, recipe in ours.items():
+        recipes[f"{name}, float32"] = replace(recipe, rounded=False)
+        if rounds():
+            recipes[f"{name}, rounded"] = recipe
     models = {name: _filled(recipe) for name, recipe in recipes.items()}
     spent: dict[str, list[float]] = {name: [] for name in models}
     try:

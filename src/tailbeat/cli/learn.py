@@ -1,7 +1,6 @@
-"""Train, inspect, compare and try policies."""
+"""Inspect, compare and try policies."""
 
-from dataclasses import asdict, replace
-from pathlib import Path
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -14,17 +13,6 @@ from tailbeat.report.tables import as_rows
 
 if TYPE_CHECKING:
     from tailbeat.control.camera_yaw import Source
-    from tailbeat.env.errors import Errors
-    from tailbeat.env.randomize import Randomisation
-
-PhysicsOption = Annotated[
-    Literal["ranges", "posterior"],
-    typer.Option(
-        help="Coefficients of the water. ranges: within 20 % of the fish's; posterior: from the"
-        " draws beside the fish."
-    ),
-]
-
 
 SeenImu = Annotated[
     Literal["bno055", "none"] | None,
@@ -36,142 +24,9 @@ SeenImu = Annotated[
 ]
 
 
-def _source(imu: str | None) -> "Source | None":
+def source(imu: str | None) -> "Source | None":
     """Source of the yaw rate; None if it is not given."""
     return None if imu is None else "camera" if imu == "none" else "imu"
-
-
-BindsOption = Annotated[
-    str | None,
-    typer.Option(
-        help="What the frequency ceiling limits: fundamental or signal; default: the recipe's."
-    ),
-]
-
-
-TrainedServo = Annotated[
-    str | None, typer.Option(help="Servo of the fish to train with; default: its own.")
-]
-FloorOption = Annotated[
-    float, typer.Option(help="Lowest fundamental of the generator [Hz]; with 0 it can stop.")
-]
-CentreOption = Annotated[
-    float | None,
-    typer.Option(help="Largest centre of the generator [rad]; default: 1.2 of a range of ±80°."),
-]
-TrainedMess = Annotated[
-    str,
-    typer.Option(
-        help="What robots get wrong in training, up to a level's sizes: clean, everyday, rough or"
-        " wrecked."
-    ),
-]
-
-TrainedBuild = Annotated[
-    str,
-    typer.Option(
-        help="How wrong fish are built in training, up to a level's sizes if these are above the"
-        " usual ranges: clean, everyday, rough or wrecked."
-    ),
-]
-
-SeesVelocities = Annotated[
-    bool,
-    typer.Option(help="The policy also observes filtered velocities, its own and the target's."),
-]
-
-
-SeesAverages = Annotated[
-    bool,
-    typer.Option(
-        help="The policy also observes averages of its own signals over seconds, and velocities."
-    ),
-]
-
-
-def train(
-    fish: FishOption,
-    out: Annotated[Path, typer.Option("--out", help="Folder of the run.")],
-    actions: Annotated[
-        str | None,
-        typer.Option(help="generator, direct or filtered; of a crank turning. Default: the first."),
-    ] = None,
-    recipe: Annotated[str, typer.Option(help="Recipe: quick, paper or smoke.")] = "quick",
-    task: Annotated[
-        str, typer.Option(help="reach: targets that stay; follow: those that move, too.")
-    ] = "reach",
-    seed: SeedOption = 0,
-    hours: Annotated[
-        float, typer.Option(help="Longest training time [h]; continue later with --resume.")
-    ] = 12.0,
-    resume: Annotated[bool, typer.Option(help="Continue from the checkpoint in --out.")] = False,
-    device: Annotated[str, typer.Option(help="Device of the updates: cpu or cuda.")] = "cpu",
-    servo: TrainedServo = None,
-    binds: BindsOption = None,
-    floor: FloorOption = 0.0,
-    centre: CentreOption = None,
-    physics: PhysicsOption = "ranges",
-    imu: SeenImu = None,
-    mess: TrainedMess = "clean",
-    build: TrainedBuild = "clean",
-    velocities: SeesVelocities = False,
-    averages: SeesAverages = False,
-    stage: Annotated[
-        str | None, typer.Option(help="Stage to continue in; default: the checkpoint's.")
-    ] = None,
-    json: JsonOption = None,
-) -> None:
-    """Train a policy through the stages of a recipe. Exit code 1 if it did not pass them all."""
-    if json is not None:
-        refuse_existing(json)
-    need_training()
-    from tailbeat.fish.store import load_fish, with_servo
-    from tailbeat.report.learning_figures import courses
-    from tailbeat.train.config import RunConfig, action_space
-    from tailbeat.train.recipes import recipe_of
-    from tailbeat.train.train import result
-    from tailbeat.train.train import train as learn
-
-    with progress.training() as report:
-        described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe, task)
-        space = action_space(actions, described, binds or chosen.binds, floor, centre)
-        told = described, out, chosen, space, seed, hours, device
-        run = RunConfig(*told, velocities=velocities, averages=averages)
-        run = replace(run, draws=_draws(fish, physics), yaw_rate=_source(imu) or "imu")
-        run = replace(run, errors=_wrong(mess), build=_built(build))
-        output.say(f"replay buffer: {run.buffer_bytes / 1e6:.0f} MB, in every checkpoint too")
-        course = learn(run, resume, report, stage)
-    courses({f"{space.kind}, seed {seed}": course.history}, out / "curve.png")
-    results.trained(done := result(run, course))
-    if done.finished and space.kind != "turning":
-        expect_or_say(str(done.policy), recipe)
-    if json is not None:
-        write_json(json, asdict(done) | {"folder": str(done.folder), "policy": str(done.policy)})
-    if not done.finished:
-        raise typer.Exit(1)
-
-
-def _wrong(mess: str) -> "Errors | None":
-    """Half widths of what robots get wrong at a level; None for the clean one. Raises BadInput."""
-    from tailbeat.pool.mess import level, widths
-
-    return None if mess == "clean" else widths(level(mess))
-
-
-def _built(name: str) -> "Randomisation | None":
-    """Half widths of the physics at a level; None, the usual ones, at the clean one. Raises
-    BadInput."""
-    from tailbeat.pool import mess
-
-    return None if name == "clean" else mess.build(mess.level(name))
-
-
-def _draws(fish: str, physics: str) -> Any:
-    if physics != "posterior":
-        return None
-    from tailbeat.identify.posterior import factors_of
-
-    return factors_of(fish)
 
 
 def show(file: PolicyFile, json: JsonOption = None) -> None:
@@ -241,7 +96,7 @@ def try_(
     need_training()
     from tailbeat.evaluate.reach import TrialConfig, try_policy
 
-    config = TrialConfig(arc, targets, seed, exact, pools, newer, _source(imu), least_arc)
+    config = TrialConfig(arc, targets, seed, exact, pools, newer, source(imu), least_arc)
     done = try_policy(file, fish, config)
     where = "in the virtual pool" if pools else "in the twin"
     sectors = [

@@ -103,7 +103,7 @@ PANELS = {
     "Learn": (
         Verb(
             "train",
-            "learn:train",
+            "training:train",
             "Train a policy through the stages of a recipe.",
             "--fish mine.toml --actions generator --out runs/mine",
         ),

@@ -32,7 +32,8 @@ ACTIONS = ("generator", "direct", "filtered", "turning")
 # Options of `train` by the entry of `run.json` that they set, or by its first part.
 OPTIONS = {
     "actions.kind": "--actions", "actions.binds": "--binds", "actions.floor": "--floor",
-    "actions.offset": "--centre", "recipe": "--recipe or --task", "seed": "--seed",
+    "actions.offset": "--centre", "recipe": "--recipe or --task",
+    "recipe.normalised": "--normalised or --no-normalised", "seed": "--seed",
     "physics": "--physics", "yaw_rate": "--imu", "errors": "--mess", "build": "--build",
     "velocities": "--velocities", "averages": "--averages",
 }  # fmt: skip

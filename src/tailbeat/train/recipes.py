@@ -40,7 +40,7 @@ class Recipe:
     returns: int
     batch: int
     discount: float
-    tau: float  # update factor of the target critics
+    tau: float  # update factor of the target critics, if there are any
     rates: tuple[float, ...]  # the first learning rate of each phase
     entropy: str
     reward_scale: float
@@ -53,7 +53,7 @@ class Recipe:
     misses: float = 0.0  # m, distance of some relabelled targets from the path
     close_up: bool = False  # networks get the target features
     rounded: bool = False  # updates multiply in bfloat16 if the processor supports it
-    normalised: bool = False  # critics with normalised layers and no targets, if `quick`
+    normalised: bool = False  # critics with normalised layers and no targets; only if `quick`
     binds: Literal["fundamental", "signal"] = "fundamental"  # what stays below the ceiling
     promising: float | None = None
     between: int = 250
@@ -82,8 +82,8 @@ BY_STAGES: dict[str, Any] = {"promising": None, "leap": 0, "polish": 0}
 
 
 def quick() -> Recipe:
-    """Our recipe: 64 fish, one update per 32 of their steps, five-step returns, relabelled
-    replay."""
+    """Our recipe: 64 fish, one update per 32 of their steps, five-step returns, relabelled replay,
+    normalised critics."""
     return Recipe(
         name="quick",
         quick=True,
@@ -106,6 +106,7 @@ def quick() -> Recipe:
         misses=0.1,
         close_up=True,
         rounded=True,
+        normalised=True,
         promising=0.7,
         leap=4_000,
         polish=4_000,
@@ -137,6 +138,7 @@ def paper() -> Recipe:
         misses=0.0,
         close_up=False,
         rounded=False,
+        normalised=False,
         greedy=False,
         **BY_STAGES,
     )
@@ -164,10 +166,10 @@ RECIPES = {"quick": quick, "paper": paper, "smoke": smoke}
 
 def following(recipe: Recipe) -> Recipe:
     """The recipe for following moving targets: other stages and another task. Its verdict asks that
-    the fish stays beside its target. Its updates are not rounded, as in the trials of its reward.
-    """
+    the fish stays beside its target. Its updates are not rounded and its critics not normalised,
+    as in the trials of its reward."""
     task, promising = MOVING, PROMISING if recipe.promising else None
-    recipe = replace(recipe, **BY_STAGES)
+    recipe = replace(recipe, normalised=False, **BY_STAGES)
     if recipe.name == "smoke":
         task = replace(task, nearest=0.3, farthest=0.6, seconds=6.0, target_speed=0.1)
         return replace(recipe, stages=FOLLOWING[:1], task=task)
