@@ -81,18 +81,19 @@ def test_a_leap_that_does_not_pass_goes_back_to_the_stages_between(tmp_path, mon
     failed: list[int] = []
 
     def passes(stage: int, updates: int) -> bool:
-        first_time = stage == 4 and (not failed or updates <= failed[0] + 40)
+        first_time = stage == 4 and (not failed or updates <= failed[0] + 150)
         failed.extend([updates] if first_time else [])
         return not first_time
 
     asked = deciding(monkeypatch, passes)
-    # The narrow centre of before: untrained fish then arrive in time for a second verdict.
-    run = leaping(tmp_path / "run")
-    done = train(replace(run, actions=action_space(None, run.fish, centre=0.8)), False, print)
+    run = leaping(tmp_path / "run", between=40, leap=150)
+    # Half a second, 25 updates: whatever an untrained fish does, its episodes then end.
+    brief = replace(run.recipe, task=replace(run.recipe.task, seconds=0.5))
+    done = train(replace(run, recipe=brief), False, print)
     order = [stage for i, (stage, _) in enumerate(asked) if not i or asked[i - 1][0] != stage]
     assert order == [1, 4, 2, 3, 4] and done.finished and done.passed() == 4
-    tried = [updates for stage, updates in asked if stage == 4 and updates <= failed[0] + 40]
-    assert len(tried) > 1 and min(np.diff(tried)) >= 10  # `between` lies between two verdicts
+    tried = [updates for stage, updates in asked if stage == 4 and updates <= failed[0] + 150]
+    assert len(tried) > 1 and min(np.diff(tried)) >= 40  # `between` lies between two verdicts
     assert [row.stage for row in done.promotions] == [1, 2, 3, 4]
 
 
