@@ -15,8 +15,9 @@ from tailbeat.identify.polish import polish
 from tailbeat.identify.search import Fit
 from tailbeat.identify.servo import as_bench, blocks, residual_function, servo_space
 from tailbeat.identify.servo_doubt import load_doubt, with_honest_intervals
-from tailbeat.identify.servo_job import ServoConfig, identify_servo
+from tailbeat.identify.servo_job import identify_servo
 from tailbeat.identify.servo_report import as_report
+from tailbeat.identify.servo_search import ServoConfig
 from tailbeat.identify.shaft import Bench
 from tailbeat.importers.xl330 import import_xl330
 from tailbeat.recording import Recording, read_recording

@@ -64,7 +64,7 @@ def counted(number: int, folder: Path) -> dict[str, bool]:
     places = {name: folder / name / "mine.toml" for name in ("tail", "servo")}
     chain._run_tail_and_servo(
         str(first), data, places, FluidConfig(seeds=1), lambda *_: None,
-        DRAWINGS,
+        DRAWINGS, None,
     )  # fmt: skip
     return intervals_hold(lab, places["servo"])
 

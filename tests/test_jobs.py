@@ -23,9 +23,10 @@ from tailbeat.evaluate.evaluation import EvaluationConfig, evaluate
 from tailbeat.evaluate.margins import MarginsConfig, margins
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import load_fish
-from tailbeat.identify import stages
+from tailbeat.identify import servo_search, stages
 from tailbeat.identify.job import FluidConfig, search_ahead, seeds_of
 from tailbeat.identify.search import Effort
+from tailbeat.identify.servo_search import ServoConfig
 from tailbeat.recording import write_recording
 
 POLICY = "pulley-fish-pool-generator"
@@ -135,12 +136,13 @@ def test_a_comparison_goes_on_and_its_cells_are_those_swum_alone(tmp_path):
 
 
 @pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed")
-@pytest.mark.parametrize("verb", ["evaluate", "identify fluid"])
+@pytest.mark.parametrize("verb", ["evaluate", "identify fluid", "identify servo"])
 def test_an_address_without_a_cluster_leaves_nothing_behind(tmp_path, verb):
     write_recording(
         record(load_fish("pulley-fish"), "s", 1.5, 0.5, seconds=3.0), tmp_path / "s.csv"
     )
-    own = {"evaluate": (POLICY,), "identify fluid": ("--fish", "pulley-fish", "--fit", "s.csv")}
+    fit = ("--fish", "pulley-fish", "--fit", "s.csv")
+    own = {"evaluate": (POLICY,), "identify fluid": fit, "identify servo": fit}
     words = (*verb.split(), *own[verb], "--out", "new.toml", "--address", "127.0.0.1:1")
     said = complaint(*words, cwd=tmp_path)
     assert "--address 127.0.0.1:1: no Ray cluster answers" in said
@@ -151,10 +153,12 @@ CLUSTER = """
 import sys
 from pathlib import Path
 from ray.cluster_utils import Cluster
-from test_jobs import ASKED, CONFIG, EVALUATED, FITTED, POLICY, fitted
+from tailbeat.cluster.jobs import map_jobs
+from tailbeat.files import BadInput
+from test_jobs import ASKED, CONFIG, EVALUATED, FITTED, POLICY, SERVO, bench, fitted, refusing
 from tailbeat.cluster.comparison import compare
 from tailbeat.cluster.evaluation import evaluate_on
-from tailbeat.cluster.identification import search_ahead
+from tailbeat.cluster.identification import fluid_ahead, servo_ahead
 from tailbeat.cluster.margins import margins_on
 cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
 address, out = cluster.address, Path(sys.argv[1])
@@ -166,6 +170,14 @@ FITTED = FluidConfig(zones=1, seeds=2, effort=Effort(generations=2, polish=2), d
 
 def fitted(out: Path) -> stages.Paths:
     return stages.Paths("pulley-fish", [out / "swim.csv"], out / "fitted.toml", [], None, [])
+
+
+SERVO = ServoConfig(seeds=2, effort=Effort(generations=3, population=8, polish=2, scouts=20))
+STEPS = Path(__file__).parents[1] / "examples/bench/servo-steps.csv"
+
+
+def bench(out: Path) -> stages.Paths:
+    return stages.Paths("pulley-fish", [STEPS], out / "servo.toml")
 
 
 def on_ray(script: str, out: Path) -> None:
@@ -182,6 +194,11 @@ def test_comparison_and_margins_on_a_cluster_are_those_of_this_machine(tmp_path)
     there, here = tmp_path / "there", tmp_path / "here"
     on_ray(
         """
+try:
+    map_jobs(refusing, range(8), print, address)
+    raise SystemExit("no job was refused")
+except BadInput as error:
+    assert str(error) == "job 3 is wrong.", error
 compare(CONFIG, out, print, address)
 margins_on(address, POLICY, ASKED, out / "margins", print)
 """,
@@ -205,7 +222,8 @@ def test_an_evaluation_and_searches_on_a_cluster_are_those_of_this_machine(tmp_p
     on_ray(
         """
 evaluate_on(address, POLICY, EVALUATED, out / "evaluated", print)
-search_ahead(address, fitted(out), FITTED, print)
+fluid_ahead(address, fitted(out), FITTED, print)
+servo_ahead(address, bench(out), SERVO, print)
 """,
         there,
     )
@@ -215,9 +233,12 @@ search_ahead(address, fitted(out), FITTED, print)
     for name in names:
         assert (there / name).read_bytes() == (here / name).read_bytes(), name
     fish, (fit, *_) = stages.swims_of(fitted(here), FITTED)
+    _, (commands, _) = stages.benches_of(bench(here), SERVO)
     for seed in seeds_of(FITTED):
         search_ahead(fish, fit, FITTED, fitted(here).scratch, seed)
-        theirs, ours = (
-            loads(next(folder.rglob(f"seed{seed}.fit")).read_bytes()) for folder in (there, here)
-        )
+        servo_search.search_ahead(commands, SERVO, bench(here).scratch, True, seed)
+    found = sorted(path.relative_to(here) for path in here.rglob("seed*.fit"))
+    assert len(found) == 4
+    for name in found:
+        theirs, ours = (loads((folder / name).read_bytes()) for folder in (there, here))
         assert theirs.cost == ours.cost and theirs.z.tolist() == ours.z.tolist()

@@ -3,20 +3,22 @@
 import json
 import shutil
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tailbeat.cluster import identification
 from tailbeat.evaluate import fresh_recordings
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.show import shaft_stiffness
 from tailbeat.fish.store import load_fish
-from tailbeat.identify import posterior, stages
-from tailbeat.identify.chain import ChainPaths, Folder, Report, _keys, identify_all, read_folder
+from tailbeat.identify import posterior
+from tailbeat.identify.chain import Ahead, ChainPaths, Folder, _keys, identify_all, read_folder
 from tailbeat.identify.check_swims import check_swims
-from tailbeat.identify.job import FluidConfig, search_ahead, seeds_of
+from tailbeat.identify.job import FluidConfig
 from tailbeat.identify.manoeuvres import FULL
 from tailbeat.identify.protocol import fluid_runs, limits, servo_commands
 from tailbeat.identify.search import Effort
@@ -144,7 +146,7 @@ def test_a_change_of_one_stage_s_inputs_keeps_the_stages_before_it(folder):
 
 
 @pytest.mark.thorough
-def test_one_folder_one_command(folder, tmp_path):
+def test_one_folder_one_command(folder, tmp_path, monkeypatch):
     """The whole chain with little effort: every stage runs, and its result goes on to the next."""
     few = tmp_path / "few"
     few.mkdir()
@@ -171,22 +173,26 @@ def test_one_folder_one_command(folder, tmp_path):
     assert known is not None and known.held_out == ("check-01-wander", "check-02-wander")
     assert known.discrepancy is not None and known.discrepancy.swims == 2
     assert not list(tmp_path.glob(".*"))
-    elsewhere = searched_elsewhere(few, tmp_path / "other.toml")
+    elsewhere = searched_elsewhere(few, tmp_path / "other.toml", monkeypatch)
     assert elsewhere.model_copy(update={"name": "mine"}) == fish
 
 
-def searched_elsewhere(few: Path, out: Path) -> Fish:
-    """The fish of a whole chain whose searches of the fluid were done before its stage, as a
-    cluster does them; the stage itself must search no more."""
+def searched_elsewhere(few: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> Fish:
+    """The fish of a whole chain whose searches were done before their stages, as a cluster does
+    them; the stages themselves must search no more."""
     seen: list[tuple[str, float]] = []  # stage, fraction done
 
-    def ahead(swims: stages.Paths, config: FluidConfig, report: Report) -> None:
-        described, (fit, *_) = stages.swims_of(swims, config)
-        for seed in seeds_of(config):
-            search_ahead(described, fit, config, swims.scratch, seed)
+    def mapped(function, jobs, report, address):
+        assert address == "here"
+        for job in jobs:
+            function(job)
         report(1, 1)
-        seen.clear()
+        assert seen.pop() == ("search", 1.0)
 
+    monkeypatch.setattr(identification, "map_jobs", mapped)
+    ahead = Ahead(
+        partial(identification.servo_ahead, "here"), partial(identification.fluid_ahead, "here")
+    )
     paths = ChainPaths("pulley-fish", few, out)
     identify_all(paths, LITTLE, lambda *row: seen.append(row[1:3]), DRAWINGS, ahead)
     searches = [share for stage, share in seen if stage != "draws"]

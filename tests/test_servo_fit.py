@@ -12,8 +12,9 @@ from tailbeat.identify.protocol import RATE, fluid_runs, limits, servo_commands,
 from tailbeat.identify.search import Effort
 from tailbeat.identify.servo import as_bench, described_servo, servo_space
 from tailbeat.identify.servo_doubt import load_doubt
-from tailbeat.identify.servo_job import ServoConfig, identify_servo
+from tailbeat.identify.servo_job import identify_servo
 from tailbeat.identify.servo_report import as_report
+from tailbeat.identify.servo_search import ServoConfig
 from tailbeat.identify.shaft import Bench, Load, free_run
 from tailbeat.importers.xl330 import import_xl330
 from tailbeat.recording import Recording

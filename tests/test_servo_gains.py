@@ -7,8 +7,9 @@ import pytest
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.servo import as_bench
 from tailbeat.identify.servo_gains import scan
-from tailbeat.identify.servo_job import ServoConfig, ServoFit, identify_servo
+from tailbeat.identify.servo_job import ServoFit, identify_servo
 from tailbeat.identify.servo_report import as_report
+from tailbeat.identify.servo_search import ServoConfig
 from tailbeat.identify.shaft import Bench
 from tailbeat.importers.xl330 import import_xl330
 from test_servo_fit import SHORT, own_runs

@@ -36,9 +36,12 @@ def _on_cluster(address: str) -> "Ahead":
     """Searches on the cluster of this address, to which this connects. Raises BadInput."""
     need("a cluster", "ray")
     from tailbeat.cluster import connection, identification
+    from tailbeat.identify.chain import Ahead
 
     connection.connect(address)
-    return partial(identification.search_ahead, address)
+    return Ahead(
+        partial(identification.servo_ahead, address), partial(identification.fluid_ahead, address)
+    )
 
 
 def _exit_untrusted(report: Mapping[str, Any]) -> None:
@@ -89,7 +92,7 @@ def identify_fluid(
     if address is not None:
         ahead = _on_cluster(address)
         with progress.counting() as count:
-            ahead(paths, config, partial(count, "searches"))
+            ahead.fluid(paths, config, partial(count, "searches"))
     with progress.search_progress() as report:
         stages.fluid(paths, config, report, measured_against_twin)
     said = _report(paths)
@@ -189,15 +192,20 @@ def identify_servo(
     ] = 5,
     seed: SeedOption = 0,
     generations: Annotated[int, typer.Option(help="CMA-ES generations of each search.")] = 150,
+    address: AddressOption = None,
     json: JsonOption = None,
 ) -> None:
     """Fit the servo to recorded commands and encoder angles. The load on the shaft is known."""
-    from tailbeat.identify import servo_job, stages
+    from tailbeat.identify import servo_search, stages
     from tailbeat.report import bench_figures
 
-    effort = replace(servo_job.ServoConfig().effort, generations=generations)
-    config = servo_job.ServoConfig(seeds, seed, effort, gears, gain, load, cross_validate)
+    effort = replace(servo_search.ServoConfig().effort, generations=generations)
+    config = servo_search.ServoConfig(seeds, seed, effort, gears, gain, load, cross_validate)
     paths = stages.Paths(fish, fit, out, validate or [], json)
+    if address is not None:
+        ahead = _on_cluster(address)
+        with progress.counting() as count:
+            ahead.servo(paths, config, partial(count, "searches"))
     with progress.search_progress() as report:
         stages.servo(paths, config, report, bench_figures.servo_fit)
     said = _report(paths)
@@ -228,7 +236,7 @@ def identify_all(
 ) -> None:
     """Fit tail, servo and fluid to the recordings of one folder. Writes fish, report, page and
     figures; the same command resumes an interrupted search. With --address, a cluster searches for
-    the fluid."""
+    servo and fluid."""
     from tailbeat.identify import chain, job
     from tailbeat.identify.search import Effort
     from tailbeat.report.identified import DRAWINGS

@@ -1,40 +1,50 @@
-"""The searches of an identification, in many processes of a Ray cluster."""
+"""The searches of an identification, in many processes of a Ray cluster.
 
+Its nodes must see the folder of `paths.scratch` under the same path. The stage then finds the
+results there, to the bit those of this machine. A search that was interrupted goes on.
+"""
+
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 
 from tailbeat.cluster.jobs import Report, map_jobs
-from tailbeat.fish.description import Fish
-from tailbeat.identify import job, stages
-from tailbeat.identify.runs import Run
+from tailbeat.identify import job, servo_search, stages
 
 
 @dataclass(frozen=True, eq=False)
 class SeedJob:
-    """What one search fits, from which seed, and the folder in which it leaves its result."""
+    """A seed, and the `search` that leaves what it finds from it in a folder."""
 
-    fish: Fish
-    fit: tuple[Run, ...]
-    config: job.FluidConfig
-    scratch: Path
+    search: Callable[[int], None]
     seed: int
 
 
-def search_ahead(
-    address: str, paths: stages.Paths, config: job.FluidConfig, report: Report
+def servo_ahead(
+    address: str, paths: stages.Paths, config: servo_search.ServoConfig, report: Report
 ) -> None:
-    """Search from every seed on a Ray cluster, whose nodes must see the folder of `paths.scratch`
-    under the same path; `stages.fluid` then finds the results there, to the bit those of this
-    machine. A search that was interrupted goes on. Raises BadInput."""
-    from tailbeat.cluster import connection
+    """Search from every seed ahead of `stages.servo`, and once more where the gears turn out to
+    have no friction. Raises BadInput."""
+    _, (fit, _) = stages.benches_of(paths, config)
+    seeds, scratch = servo_search.seeds_of(config), paths.scratch.resolve()
+    search = partial(servo_search.search_ahead, fit, config, scratch)
+    _search_all(address, partial(search, config.gears), seeds, report)
+    if servo_search.without_gears(fit, config, scratch):
+        _search_all(address, partial(search, False), seeds, report)
 
+
+def fluid_ahead(address: str, paths: stages.Paths, config: job.FluidConfig, report: Report) -> None:
+    """Search from every seed ahead of `stages.fluid`. Raises BadInput."""
     fish, (fit, *_) = stages.swims_of(paths, config)
-    connection.connect(address)
-    scratch = paths.scratch.resolve()
-    jobs = [SeedJob(fish, tuple(fit), config, scratch, seed) for seed in job.seeds_of(config)]
-    map_jobs(search, jobs, report, address)
+    search = partial(job.search_ahead, fish, fit, config, paths.scratch.resolve())
+    _search_all(address, search, job.seeds_of(config), report)
 
 
-def search(one: SeedJob) -> None:
-    """Search from a seed."""
-    job.search_ahead(one.fish, one.fit, one.config, one.scratch, one.seed)
+def _search_all(
+    address: str, search: Callable[[int], None], seeds: Iterable[int], report: Report
+) -> None:
+    map_jobs(_run, [SeedJob(search, seed) for seed in seeds], report, address)
+
+
+def _run(one: SeedJob) -> None:
+    one.search(one.seed)

@@ -93,4 +93,14 @@ def _in_ray(
     while left:
         done, left = ray.wait(left)
         for one in done:
-            yield numbers[one], ray.get(one)
+            yield numbers[one], _result(one)
+
+
+def _result(task: Any) -> Any:
+    """What a Ray task returned; its error is the job's own, as in a pool."""
+    import ray
+
+    try:
+        return ray.get(task)
+    except ray.exceptions.RayTaskError as error:
+        raise error.cause from error

@@ -14,11 +14,10 @@ from tailbeat.files import BadInput, new_file, refuse_existing, write_json
 from tailbeat.fish.store import check_fish_name, fish_path, load_fish
 from tailbeat.identify import job, posterior, stages
 from tailbeat.identify.protocol import EVERY, HELD_OUT_SERVO, present_name
-from tailbeat.identify.servo_job import ServoConfig
+from tailbeat.identify.servo_search import ServoConfig
 from tailbeat.identify.stages import DrawFluid, DrawServo, DrawTail, Paths, Progress
 
 Report = Callable[[int, int], None]  # searches done, all searches
-Ahead = Callable[[Paths, job.FluidConfig, Report], None]  # searches before the fluid's stage
 SERVO_MORE = 2  # further searches for the servo, while none agrees with the recordings
 SERVO_GENERATIONS = 10  # of the servo's search for each of the fluid's; 150 by default
 
@@ -90,6 +89,14 @@ class ChainPaths:
 
 
 @dataclass(frozen=True)
+class Ahead:
+    """Searches elsewhere, each before its stage, which then finds the results."""
+
+    servo: Callable[[Paths, ServoConfig, Report], None]
+    fluid: Callable[[Paths, job.FluidConfig, Report], None]
+
+
+@dataclass(frozen=True)
 class Summary:
     """The main numbers: stiffness `k_eff` [N m/rad] and damping `c_eff` [N m s/rad] at the shaft.
     Mean absolute errors on held-out recordings, of the servo's angle [deg] and of the swims' speed
@@ -117,9 +124,8 @@ def identify_all(
     """Identify tail, then servo, then fluid, and write fish, report, page and figures.
 
     Each stage starts from the result of the one before. Finished stages are kept beside `out` until
-    all are finished, so the same call resumes an interrupted one. `ahead` searches for the fluid
-    elsewhere, before its stage, which then finds the results. Raises BadInput for a missing or
-    unusable recording, and if an output exists.
+    all are finished, so the same call resumes an interrupted one. `ahead` searches for servo and
+    fluid elsewhere. Raises BadInput for a missing or unusable recording, and if an output exists.
     """
     job.check(config)
     described = load_fish(paths.fish)
@@ -128,14 +134,14 @@ def identify_all(
     work = paths.out.parent / f".{paths.out.stem}.chain"
     keys = _keys(paths.fish, data, config)
     places = {name: work / f"{name}-{key}" / paths.out.name for name, key in keys.items()}
-    _run_tail_and_servo(paths.fish, data, places, config, progress, drawings)
+    _run_tail_and_servo(paths.fish, data, places, config, progress, drawings, ahead)
     if not _done(places["fluid"]):
         swims = Paths(
             str(places["servo"]), data.fluid_fit, places["fluid"], data.fluid_validate,
             check=data.check,
         )  # fmt: skip
         if ahead is not None:
-            ahead(swims, config, _as_search(config, progress))
+            ahead.fluid(swims, config, _as_search(config, progress))
         stages.fluid(swims, config, progress, drawings.fluid)
     reports = {name: _read_json(path.with_suffix(".json")) for name, path in places.items()}
     found = _summary(reports)
@@ -192,6 +198,7 @@ def _run_tail_and_servo(
     config: job.FluidConfig,
     progress: Progress,
     drawings: Drawings,
+    ahead: Ahead | None,
 ) -> None:
     """Each stage starts from the fish that the one before it wrote."""
     tail, servo = places["tail"], places["servo"]
@@ -201,6 +208,8 @@ def _run_tail_and_servo(
         stages.tail(sweeps, data.static, data.release, drawings.tail)
     if not _done(servo):
         commands = Paths(str(tail), data.servo_fit, servo, data.servo_validate)
+        if ahead is not None:
+            ahead.servo(commands, servo_config, _as_search(config, progress))
         stages.servo(commands, servo_config, progress, drawings.servo)
 
 

@@ -1,10 +1,8 @@
 """`tailbeat identify servo`: fit with several seeds, keep the best, and check it."""
 
-import hashlib
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from importlib.metadata import version
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,56 +14,16 @@ from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.intervals import estimates
 from tailbeat.identify.naive_servo import Naive, naive_servos
 from tailbeat.identify.response import drive_frequency
-from tailbeat.identify.search import Effort, Fit, search_once
-from tailbeat.identify.servo import (
-    COUNTED,
-    GEARS,
-    IDEALISED,
-    as_servos,
-    blocks,
-    described_servo,
-    gain_reference,
-    residual_function,
-    servo_space,
-)
-from tailbeat.identify.servo_doubt import delay_doubt, load_doubt, with_honest_intervals
+from tailbeat.identify.search import Fit
+from tailbeat.identify.servo import IDEALISED, as_servos, described_servo, gain_reference
 from tailbeat.identify.servo_gains import contradictions
+from tailbeat.identify.servo_search import Progress, ServoConfig, searched
 from tailbeat.identify.shaft import Bench, free_run
-from tailbeat.identify.space import Parameter, bounds, values
+from tailbeat.identify.space import Parameter, values
 
 Array = NDArray[np.float64]
-Progress = Callable[[int, str, float, float], None]  # seed, stage, fraction done, best cost
 MODEL = ("kp", "kv", "armature", "damping", "friction", "force_limit", "delay")
 SATURATED = 0.9  # fraction of the time at the limit; above it nothing else can be identified
-AT_LEAST = 0.002  # a smaller friction of the gears counts as none
-
-
-@dataclass(frozen=True)
-class ServoConfig:
-    """Number of `seeds` from `first_seed` on, and how many `more` while none agrees with the
-    recordings (one search of a hundred did not); effort; whether to fit the `gears`' friction too;
-    the `gain` register that the fish will run with (None: the recordings' middle); the `load` on
-    the shaft (None: as recorded, else the tail); whether to also fit without each gain in turn."""
-
-    seeds: int = 5
-    first_seed: int = 0
-    effort: Effort = field(
-        default_factory=lambda: Effort(generations=150, population=32, polish=20, scouts=500)
-    )
-    gears: bool = True
-    gain: float | None = None
-    load: str | None = None
-    cross_validate: bool = False
-    more: int = 0
-
-
-def check(config: ServoConfig) -> None:
-    """Raises BadInput for no seeds, no generations or a gain that is not above 0."""
-    seeds, generations = config.seeds, config.effort.generations
-    if seeds < 1 or generations < 1:
-        raise BadInput(f"--seeds {seeds} --generations {generations}: both must be 1 or more.")
-    if config.gain is not None and not config.gain > 0:
-        raise BadInput(f"--gain {config.gain:g}: give the gain register's value, above 0.")
 
 
 @dataclass(frozen=True)
@@ -170,7 +128,7 @@ def identify_servo(
         raise BadInput("--fit is empty; give at least one recording to fit.")
     middle = gain_reference([*fit, *validate])
     gain = None if middle is None else config.gain or gain_reference(fit)
-    space, fits = _searched(fit, config, scratch / _key(fit, config), progress)
+    space, fits = searched(fit, config, scratch, progress)
     baseline = fish.servos.get("idealised", IDEALISED)
     overlays = [
         *_replay(space, fits[0], described_servo(baseline), fit, "fit"),
@@ -190,48 +148,6 @@ def identify_servo(
         naive=naive_servos(fit, validate),
         contradictions=tuple(contradictions(space, fits[0].z, fit)),
     )
-
-
-def _searched(
-    fit: Sequence[Bench], config: ServoConfig, scratch: Path, progress: Progress
-) -> tuple[tuple[Parameter, ...], list[Fit]]:
-    """Fits, best first; without the gears' friction if it is below `AT_LEAST`."""
-    space = servo_space(fit, config.gears)
-    fits = _seeds(space, fit, config, scratch / "gears", progress)
-    found = values(space, fits[0].z)
-    if config.gears and max(found[name] for name in GEARS) < AT_LEAST:
-        space = servo_space(fit, gears=False)
-        fits = _seeds(space, fit, config, scratch / "plain", progress)
-    return space, fits
-
-
-def _seeds(
-    space: tuple[Parameter, ...],
-    fit: Sequence[Bench],
-    config: ServoConfig,
-    scratch: Path,
-    progress: Progress,
-) -> list[Fit]:
-    """Fits, best first. One agrees if it errs by less than an angle's assumed deviation (rms)."""
-    residuals, fits = residual_function(fit, space), list[Fit]()
-    for seed in range(config.first_seed, config.first_seed + config.seeds + config.more):
-        if len(fits) >= config.seeds and np.square(fits[0].residuals).sum() < COUNTED * len(fit):
-            break
-        fits.append(search_once(residuals, space, seed, config.effort, scratch, progress))
-        fits.sort(key=lambda found: found.cost)
-    best = with_honest_intervals(fits[0], residuals, blocks(fit), bounds(space))
-    doubt = load_doubt(space, best.z, fit) + delay_doubt(space)
-    return [replace(best, covariance=best.covariance + doubt), *fits[1:]]
-
-
-def _key(fit: Sequence[Bench], config: ServoConfig) -> str:
-    """Name of the scratch folder, a digest of what is fitted: only the same work is resumed."""
-    digest = hashlib.sha256(repr((config.effort, config.gears, version("tailbeat"))).encode())
-    for bench in fit:
-        digest.update(repr((bench.load, bench.gain)).encode())
-        for signal in (bench.time, bench.command, bench.angle, bench.enabled):
-            digest.update(signal.tobytes())
-    return digest.hexdigest()[:16]
 
 
 def _replay(

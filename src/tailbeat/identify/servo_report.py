@@ -17,14 +17,8 @@ from tailbeat.identify.intervals import trade_offs
 from tailbeat.identify.search import Fit
 from tailbeat.identify.servo import BLOCK
 from tailbeat.identify.servo_doubt import load_doubt
-from tailbeat.identify.servo_job import (
-    LeftOut,
-    Overlay,
-    Progress,
-    ServoConfig,
-    ServoFit,
-    identify_servo,
-)
+from tailbeat.identify.servo_job import LeftOut, Overlay, ServoFit, identify_servo
+from tailbeat.identify.servo_search import Progress, ServoConfig
 from tailbeat.identify.shaft import Bench
 from tailbeat.identify.space import Parameter, values
 from tailbeat.identify.trust import Contest, Errors, Verdict, doubts, share_left_out, verdict

@@ -27,6 +27,7 @@ from tailbeat.identify import (
     posterior,
     servo_job,
     servo_report,
+    servo_search,
     step_check,
     tail_report,
 )
@@ -35,7 +36,9 @@ from tailbeat.identify.decay import ring_down, static_loop
 from tailbeat.identify.predict import Prediction
 from tailbeat.identify.runs import Run, as_runs
 from tailbeat.identify.servo import as_benches
-from tailbeat.identify.servo_job import ServoConfig, ServoFit
+from tailbeat.identify.servo_job import ServoFit
+from tailbeat.identify.servo_search import ServoConfig
+from tailbeat.identify.shaft import Bench
 from tailbeat.identify.step_check import Held
 from tailbeat.identify.tail import identify_tail
 from tailbeat.identify.tail_report import TailResult
@@ -92,13 +95,7 @@ def tail(paths: Paths, static: Path | None, release: Path | None, draw: DrawTail
 
 def servo(paths: Paths, config: ServoConfig, progress: Progress, draw: DrawServo) -> ServoFit:
     """Fit the servo, write fish, report and figure. Raises BadInput as `tail` does."""
-    servo_job.check(config)
-    _refuse_taken(paths)
-    described = load_fish(paths.fish)
-    fit, validate = (
-        [b for path in group for b in as_benches(read_recording(path), described, config.load)]
-        for group in (paths.fit, paths.validate)
-    )
+    described, (fit, validate) = benches_of(paths, config)
     found = servo_job.identify_servo(described, fit, validate, config, paths.scratch, progress)
     if config.cross_validate:
         left_out = servo_report.cross_validate(described, fit, config, paths.scratch, progress)
@@ -108,6 +105,18 @@ def servo(paths: Paths, config: ServoConfig, progress: Progress, draw: DrawServo
     write_identified(paths.fish, paths.out, values, servo_report.heading(found))
     job.clear(paths.scratch)
     return found
+
+
+def benches_of(paths: Paths, config: ServoConfig) -> tuple[Fish, list[list[Bench]]]:
+    """The fish as it is fitted, and its servo's recordings to fit and to validate. Raises BadInput,
+    also for what `servo` may not overwrite."""
+    servo_search.check(config)
+    _refuse_taken(paths)
+    described = load_fish(paths.fish)
+    return described, [
+        [b for path in group for b in as_benches(read_recording(path), described, config.load)]
+        for group in (paths.fit, paths.validate)
+    ]
 
 
 def fluid(
