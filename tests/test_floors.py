@@ -55,7 +55,7 @@ EDGES = {
         "report.following": "row",
         "report.html": "table values Block.rows",
         "report.identified": "page",
-        "report.sweep": "kind trial write",
+        "report.sweep": "kinds trials write",
         "report.tables": "as_rows",
         "report.tour": "rows",
         "robot.log": "read_rows Log.waiting Log.put Swim.rows",

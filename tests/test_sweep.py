@@ -10,10 +10,8 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import polars as pl
 import pytest
 import torch
@@ -23,8 +21,6 @@ from tailbeat.benchmarks import sweeps
 from tailbeat.benchmarks.sweeps import SweepRow
 from tailbeat.cluster import plan, summary, trial, tune
 from tailbeat.cluster.plan import Trial
-from tailbeat.cluster.summary import TrialRow
-from tailbeat.evaluate.rates import of_kind
 from tailbeat.files import write_json
 from tailbeat.link.datagrams import free_address
 from tailbeat.train.train import train
@@ -136,39 +132,6 @@ def test_a_share_of_a_gpu_is_refused_where_there_is_none(tmp_path):
 def test_no_trial_is_ended_for_its_success_in_the_first_stage():
     assert tune.score({"stage": 1, "success": 0.1}) == tune.score({"stage": 1, "success": 0.9}) == 0
     assert tune.score({"stage": 3, "success": 0.5}) == 2.5
-
-
-def row(name: str, passed: float, swum: float, updates: float = 100.0) -> TrialRow:
-    return TrialRow(name, "g", 0, "done", "", "", passed, 10, updates, 1.0, 200, swum, 50, swum)
-
-
-@pytest.mark.parametrize(
-    ("rows", "chosen"),
-    [
-        ([row("a", 9, 1.0), row("b", 10, 0.5)], "b"),
-        ([row("a", 10, 0.6), row("b", 10, 0.5)], "a"),
-        ([row("a", 10, 0.5, 20), row("b", 10, 0.5, 10)], "b"),
-        ([replace(row("a", 10, 1.0), state="failed"), row("b", 1, 0.0)], "b"),
-        ([], ""),
-    ],
-)
-def test_the_chosen_trial_follows_the_rule(rows, chosen):
-    assert summary._chosen(rows) == chosen
-
-
-def test_an_interval_is_over_seeds_and_targets(tmp_path):
-    """Three seeds that all miss the same fifth of the targets say little of other targets. Over
-    their three equal rates alone, Student's t gave an interval without a width."""
-    hits = np.arange(50) % 5 > 0
-    rows = [replace(row(name, 10, 0.8), folder=str(tmp_path / name)) for name in "abc"]
-    for name in "abc":
-        write_json(tmp_path / name / "result.json", {"hits": {"twin": hits.tolist(), "open": []}})
-    found = summary._group("g", rows)
-    assert found.twin == 0.8 and found.twin_interval == of_kind(np.tile(hits, (3, 1))).interval
-    assert np.diff(found.twin_interval)[0] > 0.2
-    assert found.open == pytest.approx(0.8) and np.isnan(found.open_interval).all()
-    none = summary._group("g", [replace(row("a", 0, 0.0), state="not done")])
-    assert none.seeds == 0 and np.isnan([none.twin, *none.twin_interval]).all()
 
 
 # ---- real trainings -----------------------------------------------------------------------------

@@ -97,11 +97,15 @@ def _with_copy(trial: "Trial", out: Path) -> "Trial":
 
 
 def _check_same(file: Path, asked: "Sweep", out: Path) -> None:
-    """Raises BadInput if the folder has no sweep, or another one; names each difference."""
+    """Raises BadInput if the folder has no sweep, or another one; names each difference. A
+    field that came later had its default."""
+    from tailbeat.cluster.plan import Sweep
+
     path = out / PLAN
     if not path.is_file():
         raise BadInput(f"{out}: no sweep to continue ({PLAN} is missing); start without --resume.")
-    held = leaves("", text.loads(path.read_text(encoding="utf-8")))
+    before = Sweep.model_validate(text.loads(path.read_text(encoding="utf-8")), strict=False)
+    held = leaves("", text.loads(text.dumps(before.model_dump(mode="json"))))
     ours = leaves("", text.loads(text.dumps(asked.model_dump(mode="json"))))
     wrong = [
         f"{name} was {held.get(name)}, now {ours.get(name)}"
@@ -189,10 +193,10 @@ def _shown(table: TrialTable) -> Iterator[Any]:
 
 
 def _print(out: Path, done: "SweepResult") -> None:
-    from tailbeat.report.sweep import kind, trial
+    from tailbeat.report.sweep import kinds, trials
 
-    output.tables({"trials": [trial(one) for one in done.trials]})
-    output.tables({"kinds, over their seeds": [kind(one) for one in done.groups]})
+    output.tables({"trials": trials(done)})
+    output.tables({"kinds, over their seeds": kinds(done)})
     if done.chosen:
         output.say(f"chosen: {out / 'trials' / done.chosen / 'run' / 'policy.onnx'}")
     output.say(f"page: {out / 'report.html'}, table: {out / 'sweep.parquet'}")

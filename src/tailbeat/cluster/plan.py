@@ -53,11 +53,12 @@ class Tried(_Part):
 
 class Evaluated(_Part):
     """Swims in the virtual pool after a training: the pool's fish, its waters, and `episodes`, each
-    in open water and inside walls."""
+    in open water and inside walls; with `messy` also in labs of every level of `pool.mess`."""
 
     fish: str = "pulley-fish"
     pool: str = "full"
     episodes: int = Field(default=50, ge=2)
+    messy: bool = False
 
 
 class Sweep(_Part):

@@ -10,14 +10,16 @@ import numpy as np
 import polars as pl
 
 from tailbeat.cluster.plan import Trial
+from tailbeat.evaluate.messy import LABS, PREFIX
 from tailbeat.evaluate.rates import of_kind
 from tailbeat.files import new_file
 
 RESULT = "result.json"
 # Said before a sweep begins, so that nobody chooses it by what comes out.
 RULE = (
-    "the trial that passed most stages; of these, that which reached most targets in open water of"
-    " the pool (without [evaluate], in the twin); of equals, that with the fewest updates"
+    "the trial that passed most stages; of these, that which reached most targets in messy labs of"
+    " every level (without evaluate.messy, in open water of the pool; without [evaluate], in the"
+    " twin); of equals, that with the fewest updates"
 )
 
 
@@ -25,7 +27,8 @@ RULE = (
 class TrialRow:
     """A trial's result. `state` is done, failed, ended early or not done; `why` it failed. Numbers
     are NaN until it is done: stages passed and in all, updates, `hours` of training, and the
-    fractions of targets reached in the `twin`, and in the pool in `open` water and inside walls."""
+    fractions of targets reached in the `twin`, and in the pool in `open` water, inside walls, and
+    in the labs of each level."""
 
     name: str
     group: str
@@ -42,13 +45,23 @@ class TrialRow:
     swims: float = float("nan")
     open: float = float("nan")
     walled: float = float("nan")
+    everyday: float = float("nan")
+    rough: float = float("nan")
+    wrecked: float = float("nan")
+
+    @property
+    def judged(self) -> float:
+        """The fraction by which trials are compared: see `RULE`."""
+        labs = (self.everyday + self.rough + self.wrecked) / 3
+        return next((one for one in (labs, self.open) if not np.isnan(one)), self.twin)
 
 
 @dataclass(frozen=True)
 class GroupRow:
-    """All seeds of a kind: how many are done, and the mean fraction of targets reached, in the twin
-    and in open water of the pool, with its 95 % interval (low, high) over seeds and targets, which
-    all seeds share (`rates.over_seeds`). In a sweep of an older release it is NaN."""
+    """All seeds of a kind: how many are done, and the mean fraction of targets reached, in the
+    twin, in open water of the pool and in the labs of each level, with its 95 % interval (low,
+    high) over seeds and targets, which all seeds share (`rates.over_seeds`). NaN where none was
+    swum, and the interval in a sweep of an older release."""
 
     group: str
     seeds: int
@@ -56,6 +69,12 @@ class GroupRow:
     twin_interval: tuple[float, float]
     open: float
     open_interval: tuple[float, float]
+    everyday: float
+    everyday_interval: tuple[float, float]
+    rough: float
+    rough_interval: tuple[float, float]
+    wrecked: float
+    wrecked_interval: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -108,12 +127,15 @@ def _row(folder: Path, trial: Trial, failed: Mapping[str, str], ended: Sequence[
         swum.get("swims", np.nan),
         swum.get("arrived", np.nan),
         pool.get("reach walled", {}).get("arrived", np.nan),
+        *(pool.get(f"{PREFIX}{name}", {}).get("arrived", np.nan) for name in LABS),
     )
 
 
 def _group(name: str, rows: Sequence[TrialRow]) -> GroupRow:
     done = [row for row in rows if row.state == "done"]
-    return GroupRow(name, len(done), *_mean(done, "twin"), *_mean(done, "open"))
+    pool = *_mean(done, "twin"), *_mean(done, "open")
+    labs = *_mean(done, "everyday"), *_mean(done, "rough"), *_mean(done, "wrecked")
+    return GroupRow(name, len(done), *pool, *labs)
 
 
 def _mean(rows: Sequence[TrialRow], where: str) -> tuple[float, tuple[float, float]]:
@@ -127,8 +149,8 @@ def _mean(rows: Sequence[TrialRow], where: str) -> tuple[float, tuple[float, flo
 
 
 def hits_of(folder: Path, where: str) -> list[bool]:
-    """Which targets a trial's policy reached, in the `twin` or in `open` water of the pool; none in
-    the result of an older release."""
+    """Which targets a trial's policy reached, in the `twin`, in `open` water of the pool or in labs
+    of a level; none where it did not swim, and in the result of an older release."""
     held = json.loads((folder / RESULT).read_text(encoding="utf-8"))
     return list(held.get("hits", {}).get(where, []))
 
@@ -137,11 +159,7 @@ def _chosen(rows: Sequence[TrialRow]) -> str:
     done = [row for row in rows if row.state == "done"]
     if not done:
         return ""
-    best = max(
-        done,
-        key=lambda row: (row.passed, row.twin if np.isnan(row.open) else row.open, -row.updates),
-    )
-    return best.name
+    return max(done, key=lambda row: (row.passed, row.judged, -row.updates)).name
 
 
 def write_table(path: Path, result: SweepResult, fields: Mapping[str, Mapping[str, Any]]) -> None:

@@ -26,6 +26,7 @@ from tailbeat.env.curriculum import OPEN_WATER, Stage, settings_of
 from tailbeat.env.task import as_seen
 from tailbeat.evaluate import store
 from tailbeat.evaluate.evaluation import EvaluationConfig, evaluate, waters_of
+from tailbeat.evaluate.messy import LABS, PREFIX
 from tailbeat.evaluate.reach import OPEN, in_twin, seeded
 from tailbeat.evaluate.trial import CHUNK
 from tailbeat.files import BadInput, write_json
@@ -91,12 +92,12 @@ def swim(folder: Path) -> None:
     if not (folder / TRIED).is_file():
         write_json(folder / TRIED, _tried(policy, run, sweep.trial))
     pool = None if sweep.evaluate is None else _evaluated(policy, sweep.evaluate, folder)
-    swum = [] if sweep.evaluate is None else _arrivals(folder, sweep.evaluate.episodes)
+    hits = {} if sweep.evaluate is None else _arrivals(sweep.evaluate, folder)
     trained = json.loads((folder / TRAINED).read_text(encoding="utf-8"))
     tried = json.loads((folder / TRIED).read_text(encoding="utf-8"))
     spent = time.time() - Process().create_time()
     result = {"trained": trained, "twin": tried, "pool": pool, "process_s": spent}
-    result["hits"] = {"twin": tried.pop("hits", []), "open": swum}
+    result["hits"] = {"twin": tried.pop("hits", []), **hits}
     write_json(folder / RESULT, result, overwrite=True)
 
 
@@ -176,17 +177,19 @@ def _tried(policy: Policy, run: RunConfig, asked: Tried) -> dict[str, Any]:
 
 def _evaluated(policy: Policy, asked: Evaluated, folder: Path) -> dict[str, Any]:
     """Swims in the pool; those on disk are not swum again."""
-    config = EvaluationConfig(
-        asked.fish, pool=asked.pool, tasks=("reach",), episodes=asked.episodes
-    )
+    tasks = ("reach", "messy") if asked.messy else ("reach",)
+    config = EvaluationConfig(asked.fish, pool=asked.pool, tasks=tasks, episodes=asked.episodes)
     done = evaluate(policy, config, folder / "evaluation", lambda name, swum, total: None)
-    return {name: asdict(one) for name, one in done.reach.items()}
+    found = {name: asdict(one) for name, one in done.reach.items()}
+    return found | {one.condition: asdict(one) for one in done.messy}
 
 
-def _arrivals(folder: Path, episodes: int) -> list[bool]:
-    """Which targets in open water of the pool were reached."""
-    runs, _ = store.load(folder / "evaluation", OPEN, -(-episodes // CHUNK))
-    return [bool(one) for one in runs.reached]
+def _arrivals(asked: Evaluated, folder: Path) -> dict[str, list[bool]]:
+    """Which targets were reached in open water of the pool, and in the labs of each level."""
+    where = {"open": OPEN} | ({name: f"{PREFIX}{name}" for name in LABS} if asked.messy else {})
+    chunks = -(-asked.episodes // CHUNK)
+    swum = {k: store.load(folder / "evaluation", name, chunks)[0] for k, name in where.items()}
+    return {k: [bool(one) for one in runs.reached] for k, runs in swum.items()}
 
 
 def say(**row: float) -> None:

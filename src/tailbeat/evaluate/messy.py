@@ -12,6 +12,7 @@ from tailbeat.pool.mess import LEVELS, lab_at
 
 PREFIX = "messy: "
 CLEAN = f"{PREFIX}clean"
+LABS = tuple(name for name, size in LEVELS.items() if size)  # everyday, rough, wrecked
 
 
 def conditions(pool: Pool) -> list[Condition]:
