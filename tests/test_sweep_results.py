@@ -83,3 +83,6 @@ def test_a_sweep_begun_before_a_field_came_goes_on_without_it(tmp_path):
     with pytest.raises(BadInput, match=r"evaluate.messy was False, now True"):
         asked = asked.model_copy(update={"evaluate": plan.Evaluated(messy=True)})
         _check_same(path, asked, out)
+    (out / "sweep.json").write_text('{"vary": {"fish": ["f"], "tails": 2}}')
+    with pytest.raises(BadInput, match="not a sweep that this release can read"):
+        _check_same(path, asked, out)

@@ -104,7 +104,12 @@ def _check_same(file: Path, asked: "Sweep", out: Path) -> None:
     path = out / PLAN
     if not path.is_file():
         raise BadInput(f"{out}: no sweep to continue ({PLAN} is missing); start without --resume.")
-    before = Sweep.model_validate(text.loads(path.read_text(encoding="utf-8")), strict=False)
+    try:
+        before = Sweep.model_validate_json(path.read_text(encoding="utf-8"), strict=False)
+    except ValueError:
+        raise BadInput(
+            f"{path}: not a sweep that this release can read; begin anew in another folder."
+        ) from None
     held = leaves("", text.loads(text.dumps(before.model_dump(mode="json"))))
     ours = leaves("", text.loads(text.dumps(asked.model_dump(mode="json"))))
     wrong = [
