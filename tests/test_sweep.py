@@ -220,6 +220,18 @@ def test_a_training_that_stalled_gets_no_second_budget_when_its_trial_is_killed(
     assert (run.out / "policy.onnx").is_file()
 
 
+@pytest.mark.thorough
+def test_a_training_that_ends_by_its_hours_was_not_told_to_end(tmp_path):
+    """Seven seconds, of which the first five have no report: it is over, not to be begun again."""
+    path, folder = tiny(tmp_path, seconds=600.0), tmp_path / "a"
+    path.write_text(path.read_text().replace("hours = 1.0", "hours = 0.002", 1))
+    made = plan.read(path)
+    run = trial.run_of(plan.trials(made)[0], made, folder)
+    trial._train(run, folder)
+    found = json.loads((folder / "trained.json").read_text())
+    assert 7.2 <= found["seconds"] < 15.0 and not found["finished"] and not found["stalled"]
+
+
 def test_a_worker_with_other_versions_is_refused(tmp_path):
     """Before it starts anything; the sentence says what differs."""
     config = {"out": str(tmp_path), "name": "a", "cores": 1}
