@@ -1,6 +1,5 @@
 """Train many policies from one file, on this machine or a cluster."""
 
-import json as text
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -110,8 +109,7 @@ def _check_same(file: Path, asked: "Sweep", out: Path) -> None:
         raise BadInput(
             f"{path}: not a sweep that this release can read; begin anew in another folder."
         ) from None
-    held = leaves("", text.loads(text.dumps(before.model_dump(mode="json"))))
-    ours = leaves("", text.loads(text.dumps(asked.model_dump(mode="json"))))
+    held, ours = (leaves("", one.model_dump(mode="json")) for one in (before, asked))
     wrong = [
         f"{name} was {held.get(name)}, now {ours.get(name)}"
         for name in sorted({*held, *ours})

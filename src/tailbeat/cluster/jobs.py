@@ -87,13 +87,19 @@ def _in_ray(
     connection.connect(address)
     import ray
 
-    task: Any = ray.remote(num_cpus=1, runtime_env={"env_vars": ALONE})(function)
-    numbers = {task.remote(job): number for number, job in enumerate(jobs)}
+    task: Any = ray.remote(num_cpus=1, runtime_env={"env_vars": ALONE})(_call)
+    sent = ray.put(function)  # once, with all that it holds
+    numbers = {task.remote(sent, job): number for number, job in enumerate(jobs)}
     left = list(numbers)
     while left:
         done, left = ray.wait(left)
         for one in done:
             yield numbers[one], _result(one)
+
+
+def _call(function: Callable[[Job], Result], job: Job) -> Result:
+    """A Ray task: Ray takes plain functions only, and `function` may be a partial one."""
+    return function(job)
 
 
 def _result(task: Any) -> Any:

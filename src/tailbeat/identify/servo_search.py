@@ -57,15 +57,16 @@ def search_ahead(
 ) -> None:
     """One of the searches of `identify_servo`, with or without the gears' friction, which finds its
     result in the folder `scratch`. Raises BadInput as that does."""
-    _search(fit, servo_space(fit, gears), config, scratch, gears)(seed, lambda *_: None)
+    _search(fit, config, scratch, gears)(seed, lambda *_: None)
 
 
 def without_gears(fit: Sequence[Bench], config: ServoConfig, scratch: Path) -> bool:
     """Whether searches without the gears' friction follow those from every seed in `scratch`."""
-    space = servo_space(fit, config.gears)
-    search = _search(fit, space, config, scratch, config.gears)
+    if not config.gears:
+        return False
+    search = _search(fit, config, scratch, config.gears)
     fits = [search(seed, lambda *_: None) for seed in seeds_of(config)]
-    return config.gears and _frictionless(space, min(fits, key=lambda found: found.cost))
+    return _frictionless(servo_space(fit, True), min(fits, key=lambda found: found.cost))
 
 
 def _frictionless(space: tuple[Parameter, ...], fit: Fit) -> bool:
@@ -74,13 +75,10 @@ def _frictionless(space: tuple[Parameter, ...], fit: Fit) -> bool:
 
 
 def _search(
-    fit: Sequence[Bench],
-    space: tuple[Parameter, ...],
-    config: ServoConfig,
-    scratch: Path,
-    gears: bool,
+    fit: Sequence[Bench], config: ServoConfig, scratch: Path, gears: bool
 ) -> Callable[[int, Progress], Fit]:
     """The search from a seed."""
+    space = servo_space(fit, gears)
     residuals = residual_function(fit, space)
     place = scratch / _key(fit, config) / ("gears" if gears else "plain")
 
@@ -105,7 +103,7 @@ def _seeds(
 ) -> tuple[tuple[Parameter, ...], list[Fit]]:
     """Fits, best first. One agrees if it errs by less than an angle's assumed deviation (rms)."""
     space, fits = servo_space(fit, gears), list[Fit]()
-    search = _search(fit, space, config, scratch, gears)
+    search = _search(fit, config, scratch, gears)
     seeds = seeds_of(config)
     for seed in range(seeds.start, seeds.stop + config.more):
         if len(fits) >= config.seeds and np.square(fits[0].residuals).sum() < COUNTED * len(fit):
