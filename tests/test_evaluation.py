@@ -10,7 +10,7 @@ import pytest
 
 from tailbeat.cli.evaluate import _walls
 from tailbeat.control.actions import Generator
-from tailbeat.control.policy import load_policy
+from tailbeat.control.policy import load_policy, shipped
 from tailbeat.evaluate import (
     compare,
     comparison,
@@ -195,8 +195,36 @@ def test_a_comparison_may_be_of_some_conditions_alone():
         compare.cells_of(replace(some, only=("full", "sea")))
 
 
+def test_policies_of_a_sweep_are_told_apart_by_their_trials(tmp_path, monkeypatch):
+    """All of them are `run/policy.onnx`, and were refused as two of the same name."""
+    paths = [tmp_path / f"trials/direct-seed-{seed}/run/policy.onnx" for seed in (0, 1)]
+    paths.append(tmp_path / "mine/policy.onnx")
+    for path in paths:
+        path.parent.mkdir(parents=True)
+        shutil.copyfile(shipped()[POLICY], path)
+    config = ComparisonConfig(tuple(map(str, paths)), targets=2, only=("twin",))
+    names = ["direct-seed-0", "direct-seed-1", "mine"]
+    assert compare.cells_of(config) == [(name, "twin") for name in names]
+    monkeypatch.chdir(tmp_path / "mine")
+    here = replace(config, policies=("policy.onnx",))
+    assert compare.cells_of(here) == [("mine", "twin")]
+
+
+def test_cells_of_a_policy_that_was_trained_anew_are_not_its_own(tmp_path):
+    path, out = tmp_path / "mine/policy.onnx", tmp_path / "comparison"
+    path.parent.mkdir()
+    shutil.copyfile(shipped()[POLICY], path)
+    config = ComparisonConfig((str(path),), targets=2, only=("twin", "full"))
+    first, second = compare.cells_of(config)
+    write_json(cell_path(out, *first), compare.swim_cell(config, *first))
+    assert compare.cells_left(config, out) == [second]
+    shutil.copyfile(shipped()["pulley-fish-pool-follow"], path)
+    with pytest.raises(BadInput, match="swum by another policy of the name mine"):
+        compare.cells_left(config, out)
+
+
 def test_cells_of_an_earlier_version_are_read(tmp_path):
-    """They said `arm`, and lacked three of the fractions of power."""
+    """They said `arm`, and lacked the policy's digest and three of the fractions of power."""
     config = ComparisonConfig((POLICY,), targets=2)
     first, *_ = compare.cells_of(config)
     write_json(cell_path(tmp_path, *first), compare.swim_cell(config, *first))
@@ -204,11 +232,12 @@ def test_cells_of_an_earlier_version_are_read(tmp_path):
     (path,) = (tmp_path / "cells").iterdir()
     held = json.loads(path.read_text())
     held["arm"] = held.pop("condition")
-    for name in ("share_below_floor", "share_inside", "share_above"):
+    for name in ("digest", "share_below_floor", "share_inside", "share_above"):
         del held[name]
     path.write_text(json.dumps(held))
     row, same = comparison.read(tmp_path).rows[0], found.rows[0]
     assert row == replace(same, share_below_floor=None, share_inside=None, share_above=None)
+    assert compare.cells_left(config, tmp_path) == compare.cells_of(config)[1:]
 
 
 @pytest.mark.thorough

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tailbeat.cluster.jobs import map_jobs
-from tailbeat.evaluate.compare import ComparisonConfig, cells_of, conclude, swim_cell
+from tailbeat.evaluate.compare import ComparisonConfig, cells_left, conclude, swim_cell
 from tailbeat.evaluate.comparison import Comparison, cell_path
 from tailbeat.evaluate.trial import Progress
 from tailbeat.files import write_json
@@ -26,11 +26,9 @@ def compare(
     """Swim every policy under every condition of the pool, each cell into a file, and read the
     numbers of all cells in the folder `out`; those on disk are not swum again. With an `address`
     the cells are swum on a Ray cluster, whose nodes must see `out` under the same path. Raises
-    BadInput if a policy does not fit."""
+    BadInput if a policy does not fit, or if a cell on disk is another policy's."""
     jobs = [
-        CellJob(config, policy, condition, path)
-        for policy, condition in cells_of(config)
-        if not (path := cell_path(out.resolve(), policy, condition)).is_file()
+        CellJob(config, *one, cell_path(out.resolve(), *one)) for one in cells_left(config, out)
     ]
 
     def report(done: int, total: int) -> None:

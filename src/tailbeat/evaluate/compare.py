@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from tailbeat.control.actions import PERIOD
-from tailbeat.control.policy import Policy, decide, load_policy
+from tailbeat.control.policy import Policy, contract_digest, decide, load_policy
 from tailbeat.env.simulator import TwinSimulator
 from tailbeat.env.task import as_seen
 from tailbeat.env.world import seeds_from
 from tailbeat.evaluate import store
-from tailbeat.evaluate.comparison import TWIN, Cell, Comparison, read
+from tailbeat.evaluate.comparison import TWIN, Cell, Comparison, cell_path, read, read_cell
 from tailbeat.evaluate.evaluation import ENSEMBLE_SEED, POOLS
 from tailbeat.evaluate.messy import at_level
 from tailbeat.evaluate.rates import success
@@ -85,6 +85,21 @@ def cells_of(config: ComparisonConfig) -> list[tuple[str, str]]:
     return [cell for cell in found if not config.only or cell[1] in config.only]
 
 
+def cells_left(config: ComparisonConfig, out: Path) -> list[tuple[str, str]]:
+    """The cells of `cells_of` that are not in the folder `out`. Raises BadInput if one there was
+    swum by another policy, as before a new training under the same name."""
+    digests = {_label(name): contract_digest(load_policy(name).contract) for name in config.policies}
+    cells = cells_of(config)
+    for policy, condition in cells:
+        path = cell_path(out, policy, condition)
+        if path.is_file() and read_cell(path).digest not in (None, digests[policy]):
+            raise BadInput(
+                f"{path}: swum by another policy of the name {policy}; choose a new folder, or"
+                f" delete the cells of {policy} in this one."
+            )
+    return [one for one in cells if not cell_path(out, *one).is_file()]
+
+
 def swim_cell(config: ComparisonConfig, policy: str, condition: str) -> Cell:
     """Swim a cell of `cells_of`."""
     field = field_of(config)
@@ -112,9 +127,12 @@ def _entrant(name: str, twin: str | None, fish: Fish) -> Entrant:
 
 
 def _label(policy: str) -> str:
-    """A policy's name: the run's folder if the file has the name that every run gives it."""
-    path = Path(policy)
-    return path.parent.name if path.name == "policy.onnx" else path.stem
+    """A policy's name: the run's folder if the file has the name that every run gives it; if that
+    folder too has the name that a sweep or a zoo gives every run, the folder above it."""
+    path = Path(policy).resolve()
+    if path.name != "policy.onnx":
+        return path.stem
+    return path.parents[1].name if path.parent.name in ("run", "train") else path.parent.name
 
 
 def conditions_of(entrant: Entrant, field: Field) -> list[Condition]:
@@ -161,6 +179,7 @@ def cell(entrant: Entrant, condition: Condition, field: Field) -> Cell:
         condition=condition.name,
         targets=condition.count,
         field=(field.fish.name, field.count, field.seed),
+        digest=contract_digest(contract),
         **vars(success(found.reached, found.near)),
         speed=path_speed(found.pose),
         actuator_watts=actuator_watts(found),

@@ -49,12 +49,13 @@ class Manner(SuccessRates):
 
 @dataclass(frozen=True, kw_only=True)
 class Cell(Manner):
-    """A `Manner` on disk, with the pool's fish, number of targets and seed (`field`), and which
-    targets were reached within 5 and 20 cm."""
+    """A `Manner` on disk, with the pool's fish, number of targets and seed (`field`), which targets
+    were reached within 5 and 20 cm, and the digest of the policy's contract (None before 0.3.0)."""
 
     field: tuple[str, int, int]
     hits_arrived: tuple[bool, ...]
     hits_near: tuple[bool, ...]
+    digest: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +122,7 @@ def has_cells(out: Path) -> bool:
 def read(out: Path) -> Comparison:
     """Read the tables of all cells. Raises BadInput if there are none, or cells of several
     comparisons."""
-    cells = [_read_cell(path) for path in sorted((out / "cells").glob("*.json"))]
+    cells = [read_cell(path) for path in sorted((out / "cells").glob("*.json"))]
     if not cells:
         raise BadInput(f"{out}: no cells of a comparison in it; `tailbeat compare` makes them.")
     if len({one.field for one in cells}) > 1:
@@ -131,7 +132,7 @@ def read(out: Path) -> Comparison:
     return Comparison(rows, _kinds(cells), provenance())
 
 
-def _read_cell(path: Path) -> Cell:
+def read_cell(path: Path) -> Cell:
     """Read a cell; in older cells `arm` is the condition."""
     held = store.read_json(path)
     if "arm" in held:
