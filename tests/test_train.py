@@ -30,7 +30,8 @@ from tailbeat.env.curriculum import (
 )
 from tailbeat.env.sensors import quiet
 from tailbeat.env.task import Settings
-from tailbeat.env.world import World
+from tailbeat.env.vector_env import training_seeds
+from tailbeat.env.world import World, seeds_from
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import load_fish
 from tailbeat.train import checkpoint
@@ -211,6 +212,33 @@ def test_a_checkpoint_is_whole(run):
         assert torch.equal(*moments) and moments[0].abs().sum() > 0
     entropies = [model.log_ent_coef.item() for model in (one, two)]
     assert entropies[0] == entropies[1] != float(np.log(0.02))
+
+
+def test_a_resumed_training_sees_new_targets_and_seeds_share_none(tmp_path):
+    """SB3 seeds the environment anew at the first reset: fish i got seed + i. So a resumed training
+    saw the first targets again, and trainings of near seeds saw the same."""
+    from tailbeat.train.train import _restored, environment, learner
+
+    def begun(seed: int) -> Any:
+        run = replace(planned_for(tmp_path / str(seed)), seed=seed)
+        env = environment(run)
+        return env, learner(run, env)
+
+    first: dict[int, np.ndarray] = {}
+    for seed in (0, 1):
+        env, model = begun(seed)
+        model._setup_learn(10)  # as `learn` does: resets
+        first[seed] = env.world.target.copy()
+    checkpoint.save(tmp_path, model, env.world, Progress())
+    env, model = begun(1)
+    _restored(tmp_path / "checkpoint", model, env, again=False)
+    model._setup_learn(10, reset_num_timesteps=False)
+    seen = [*first.values(), env.world.target]
+    distances = [np.abs(a[:, None] - b).max(axis=-1) for a in seen for b in seen if a is not b]
+    assert np.min(distances) > 1e-9
+    drawn = [set(training_seeds(seed, 64)) for seed in range(20)]
+    tested = set[int]().union(*(seeds_from(seed, 1000) for seed in range(20)))
+    assert len(set[int]().union(*drawn)) == 20 * 64 and not tested & set[int]().union(*drawn)
 
 
 @pytest.mark.thorough

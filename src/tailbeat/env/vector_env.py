@@ -24,6 +24,7 @@ from tailbeat.env.world import Outcome, World, seeds_from
 from tailbeat.fish.description import Fish
 
 Array = NDArray[np.float64]
+TRAINING = 1  # second number of a training's seed
 
 
 def observation_space(settings: Settings, count: int | None = None) -> gymnasium.spaces.Box:
@@ -139,6 +140,13 @@ class FishEnv(gymnasium.Env):
         return rendering.from_above(self.world, 0, np.array(self.path))
 
 
+def training_seeds(seed: int | None, count: int) -> list[int]:
+    """One seed per fish of a training; none is among those of `seeds_from`, which swims that test a
+    policy use."""
+    entropy = None if seed is None else (seed, TRAINING)
+    return [int(s) for s in np.random.SeedSequence(entropy).generate_state(count, np.uint64)]
+
+
 @dataclass(frozen=True, eq=False)
 class Behind:
     """What one step of n fish was computed from: frames before and after (n, 3, 6), see
@@ -166,7 +174,7 @@ class FishVecEnv(VecEnv):
         threads: int = 0,
         reward_scale: float = 1.0,
     ) -> None:
-        self.world = World(fish, settings or Settings(), seeds_from(seed, count), threads)
+        self.world = World(fish, settings or Settings(), training_seeds(seed, count), threads)
         self.render_mode = "rgb_array"
         self.reward_scale = reward_scale
         self.returns, self.lengths = np.zeros(count), np.zeros(count, dtype=int)
@@ -174,6 +182,12 @@ class FishVecEnv(VecEnv):
         self.actions: Array = np.zeros((count, act.size(self.world.space)))
         spaces = observation_space(self.world.settings), action_space(act.size(self.world.space))
         super().__init__(count, *spaces)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Reseed the generators at the next reset. SB3 would give the fish seed, seed + 1, … . Then
+        trainings of near seeds would see the same targets and physics."""
+        self._seeds = list[int | None](training_seeds(seed, self.num_envs))
+        return self._seeds
 
     def reset(self) -> NDArray[np.float32]:
         """Restart every fish."""

@@ -63,6 +63,7 @@ def train(
         _put_into(stage, run, progress)
     elif progress.finished:
         raise BadInput(f"{run.out}: this run has passed all its stages; choose one with --stage.")
+    env.world.change(run.settings(progress.stage))  # before the first reset
     callback = TrainingCallback(run, progress, env, report)
     model.set_logger(configure(str(run.out / "tensorboard"), ["tensorboard"]))
     with _stopped_by_signals(callback):
@@ -159,6 +160,7 @@ def _restored(place: Path, model: SAC, env: FishVecEnv, again: bool) -> Progress
     """Load a checkpoint into model and world; returns the progress, in which a stalled stage has
     another budget if it is begun `again`."""
     state = checkpoint.load(place, model, env.world)
+    env._reset_seeds()  # SB3 asked for the seed of the start, which would replay the first episodes
     model.num_timesteps, model._n_updates = state.decisions, state.updates
     progress = state.progress
     # running episodes are lost with the world; those that ended early are mostly arrivals
