@@ -218,8 +218,22 @@ def test_cells_of_a_policy_that_was_trained_anew_are_not_its_own(tmp_path):
     first, second = compare.cells_of(config)
     write_json(cell_path(out, *first), compare.swim_cell(config, *first))
     assert compare.cells_left(config, out) == [second]
+    one = load_fish("pulley-fish")
+    changed = one.model_copy(update={"added_inertia": 0.5})
+    assert compare.pool_digest(changed) != compare.pool_digest(one)
+    for other, complaint in {
+        replace(config, targets=3): "--targets was 2, now 3",
+        replace(config, seed=1, only=("full",)): "--seed was 0, now 1",
+    }.items():
+        with pytest.raises(BadInput, match=complaint):
+            compare.cells_left(other, out)
+    held = json.loads(cell_path(out, *first).read_text())
+    write_json(cell_path(out, *first), held | {"pool": "of before"}, overwrite=True)
+    with pytest.raises(BadInput, match="pulley-fish, the waters or the messy labs are others now"):
+        compare.cells_left(config, out)
+    write_json(cell_path(out, *first), held, overwrite=True)
     shutil.copyfile(shipped()["pulley-fish-pool-follow"], path)
-    with pytest.raises(BadInput, match="swum by another policy of the name mine"):
+    with pytest.raises(BadInput, match=r"mine\.twin\.json: policy mine is another one now"):
         compare.cells_left(config, out)
 
 
@@ -232,7 +246,7 @@ def test_cells_of_an_earlier_version_are_read(tmp_path):
     (path,) = (tmp_path / "cells").iterdir()
     held = json.loads(path.read_text())
     held["arm"] = held.pop("condition")
-    for name in ("digest", "share_below_floor", "share_inside", "share_above"):
+    for name in ("digest", "pool", "share_below_floor", "share_inside", "share_above"):
         del held[name]
     path.write_text(json.dumps(held))
     row, same = comparison.read(tmp_path).rows[0], found.rows[0]

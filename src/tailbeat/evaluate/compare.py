@@ -5,6 +5,7 @@ water, the water without lag, stall or added inertia, another servo, the ensembl
 get things wrong.
 """
 
+import hashlib
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +19,7 @@ from tailbeat.env.simulator import TwinSimulator
 from tailbeat.env.task import as_seen
 from tailbeat.env.world import seeds_from
 from tailbeat.evaluate import store
-from tailbeat.evaluate.comparison import TWIN, Cell, Comparison, cell_path, read, read_cell
+from tailbeat.evaluate.comparison import TWIN, Cell, Comparison, cell_path, cells_in, read
 from tailbeat.evaluate.evaluation import ENSEMBLE_SEED, POOLS
 from tailbeat.evaluate.messy import at_level
 from tailbeat.evaluate.rates import success
@@ -28,9 +29,10 @@ from tailbeat.evaluate.spectrum import power_shares, windows
 from tailbeat.evaluate.trial import CHUNK, Condition, part, pools, swim
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
-from tailbeat.fish.store import load_fish
+from tailbeat.fish.store import digest, load_fish
 from tailbeat.identify.runs import tracked_pose
-from tailbeat.pool.water import ablations, ensemble
+from tailbeat.pool import mess
+from tailbeat.pool.water import ablations, ensemble, fingerprint
 from tailbeat.robot.fits import check_swims
 
 IDEAL = "idealised"  # the servo's name in a description
@@ -87,17 +89,39 @@ def cells_of(config: ComparisonConfig) -> list[tuple[str, str]]:
 
 def cells_left(config: ComparisonConfig, out: Path) -> list[tuple[str, str]]:
     """The cells of `cells_of` that are not in the folder `out`. Raises BadInput if one there was
-    swum by another policy, as before a new training under the same name."""
-    digests = {_label(name): contract_digest(load_policy(name).contract) for name in config.policies}
-    cells = cells_of(config)
-    for policy, condition in cells:
-        path = cell_path(out, policy, condition)
-        if path.is_file() and read_cell(path).digest not in (None, digests[policy]):
-            raise BadInput(
-                f"{path}: swum by another policy of the name {policy}; choose a new folder, or"
-                f" delete the cells of {policy} in this one."
-            )
+    swum with other options, in another pool, or by a policy that has been trained anew since."""
+    wanted = {_label(name): contract_digest(load_policy(name).contract) for name in config.policies}
+    cells, own = cells_of(config), field_of(config)
+    pool = pool_digest(own.fish)
+    for path, held in cells_in(out):
+        wrong = _unlike(held, own, pool)
+        if held.digest not in (None, wanted.get(held.policy, held.digest)):
+            wrong.append(f"policy {held.policy} is another one now")
+        if wrong:
+            raise BadInput(f"{path}: {'; '.join(wrong)}. Use the same ones, or a new folder.")
     return [one for one in cells if not cell_path(out, *one).is_file()]
+
+
+def _unlike(held: Cell, own: Field, pool: str) -> list[str]:
+    """What differs between a cell on disk and a field with the digest `pool`."""
+    now = (own.fish.name, own.count, own.seed)
+    found = [
+        f"{name} was {before}, now {after}"
+        for name, before, after in zip(
+            ("--fish", "--targets", "--seed"), held.field, now, strict=True
+        )
+        if before != after
+    ]
+    if not found and held.pool not in (None, pool):
+        found.append(f"{held.field[0]}, the waters or the messy labs are others now")
+    return found
+
+
+def pool_digest(fish: Fish) -> str:
+    """Digest of all that a comparison takes from the pool: its fish, waters and messy labs."""
+    waters = (*ablations().values(), *ensemble(POOLS, ENSEMBLE_SEED))
+    parts = (digest(fish), fingerprint(waters), mess.fingerprint())
+    return hashlib.sha256("".join(parts).encode()).hexdigest()[:16]
 
 
 def swim_cell(config: ComparisonConfig, policy: str, condition: str) -> Cell:
@@ -180,6 +204,7 @@ def cell(entrant: Entrant, condition: Condition, field: Field) -> Cell:
         targets=condition.count,
         field=(field.fish.name, field.count, field.seed),
         digest=contract_digest(contract),
+        pool=pool_digest(field.fish),
         **vars(success(found.reached, found.near)),
         speed=path_speed(found.pose),
         actuator_watts=actuator_watts(found),

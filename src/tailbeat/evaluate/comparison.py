@@ -50,12 +50,14 @@ class Manner(SuccessRates):
 @dataclass(frozen=True, kw_only=True)
 class Cell(Manner):
     """A `Manner` on disk, with the pool's fish, number of targets and seed (`field`), which targets
-    were reached within 5 and 20 cm, and the digest of the policy's contract (None before 0.3.0)."""
+    were reached within 5 and 20 cm, and digests of the policy's contract and of the `pool` (both
+    None in cells of releases up to 0.2.0)."""
 
     field: tuple[str, int, int]
     hits_arrived: tuple[bool, ...]
     hits_near: tuple[bool, ...]
     digest: str | None = None
+    pool: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +124,7 @@ def has_cells(out: Path) -> bool:
 def read(out: Path) -> Comparison:
     """Read the tables of all cells. Raises BadInput if there are none, or cells of several
     comparisons."""
-    cells = [read_cell(path) for path in sorted((out / "cells").glob("*.json"))]
+    cells = [one for _, one in cells_in(out)]
     if not cells:
         raise BadInput(f"{out}: no cells of a comparison in it; `tailbeat compare` makes them.")
     if len({one.field for one in cells}) > 1:
@@ -132,7 +134,12 @@ def read(out: Path) -> Comparison:
     return Comparison(rows, _kinds(cells), provenance())
 
 
-def read_cell(path: Path) -> Cell:
+def cells_in(out: Path) -> list[tuple[Path, Cell]]:
+    """The cells of a folder, with their paths. Raises BadInput."""
+    return [(path, _read_cell(path)) for path in sorted((out / "cells").glob("*.json"))]
+
+
+def _read_cell(path: Path) -> Cell:
     """Read a cell; in older cells `arm` is the condition."""
     held = store.read_json(path)
     if "arm" in held:
