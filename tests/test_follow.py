@@ -65,13 +65,19 @@ class Chain:
     count: int = 0
     said: tuple[str, ...] = ()
 
-    def turn(self, seconds: float, state: State, text: str = "so it is") -> list[Frame]:
+    def turn(
+        self,
+        seconds: float,
+        state: State,
+        text: str = "so it is",
+        reason: Reason = Reason.SWIMMING,
+    ) -> list[Frame]:
         """Camera frames, 60 a second, while the fish is in a state; returns what the fish got."""
         got = []
         for _ in range(round(60 * seconds)):
             self.now += 1 / 60
             self.count += 1
-            self._speak(state, text)
+            self._speak(state, text, reason)
             self.sender.work(self.now)
             filmed = self.now - 0.03
             pose = (0.5, 0.1, 1.0)
@@ -88,11 +94,11 @@ class Chain:
     def _say(self, text: str) -> None:
         self.said = (*self.said, text)
 
-    def _speak(self, state: State, text: str) -> None:
+    def _speak(self, state: State, text: str, reason: Reason) -> None:
         to, there = self.receiver, self.sender.socket.getsockname()
         asked = link.ask_datagram(KEY, to.nonce, self.count, round(self.now * SECOND))
         taken = to.ordered.get(RUN, 0)
-        status = Status(state, Reason.SWIMMING, text, 0, 0, taken, 0.0, Numbers())
+        status = Status(state, reason, text, 0, 0, taken, 0.0, Numbers())
         self.fish.sendto(asked, there)
         self.fish.sendto(status_datagram(KEY, RUN, to.nonce, self.count, status), there)
 
@@ -154,6 +160,42 @@ def test_a_path_ends_if_the_fish_never_swims(chain, monkeypatch):
     record = chain.leader.follow.record()
     assert record.began is None and not record.finished and not record.seen
     assert record.last == "stop: the tail bends to the wrong side"
+
+
+@pytest.mark.parametrize(
+    "reason", [Reason.STOP_ASKED, Reason.SHAFT_STUCK, Reason.OVERCURRENT, Reason.SIGN_TEST]
+)
+def test_a_fish_that_stopped_is_left_to_a_person(chain, reason):
+    """Every frame, a tour used to disarm and arm what the operator had just stopped."""
+    chain.turn(3.0, State.ARMED)
+    chain.turn(1.0, State.RUN)
+    chain.orders()
+    chain.turn(10.0, State.STOP, reason=reason)
+    assert chain.orders() == [] and chain.leader.rearmed == 0
+    chain.turn(5.0, State.DISARMED, reason=Reason.NOT_ARMED)  # somebody looks after it
+    assert chain.orders() == []
+    chain.turn(2.5, State.ARMED)
+    assert chain.orders() == [Order.SWIM]
+
+
+def test_a_fish_that_the_camera_lost_is_disarmed_and_armed_again(chain):
+    chain.turn(3.0, State.ARMED)
+    chain.turn(1.0, State.RUN)
+    chain.orders()
+    chain.turn(2.5, State.STOP, reason=Reason.POSE_LOST)
+    assert chain.orders()[0] is Order.DISARM
+    chain.turn(2.5, State.DISARMED, reason=Reason.NOT_ARMED)
+    assert chain.orders()[0] is Order.ARM and chain.leader.rearmed == 1
+    chain.turn(2.5, State.ARMED)
+    assert chain.orders()[0] is Order.SWIM
+
+
+def test_a_fish_that_somebody_disarmed_is_not_armed(chain):
+    chain.turn(3.0, State.ARMED)
+    chain.turn(1.0, State.RUN)
+    chain.orders()
+    chain.turn(10.0, State.DISARMED, reason=Reason.NOT_ARMED)
+    assert chain.orders() == []
 
 
 def test_a_leader_has_a_tour_or_a_path():

@@ -9,6 +9,7 @@ from tailbeat.control.measure import PAPER, Measure
 from tailbeat.files import BadInput
 from tailbeat.link.datagrams import Order
 from tailbeat.link.places import POOL, place
+from tailbeat.link.reasons import Reason
 from tailbeat.link.sender import Sender
 from tailbeat.link.status import State, Status
 from tailbeat.operator.follow import Follow
@@ -18,7 +19,8 @@ from tailbeat.operator.tour import Pose, Tour, draw_targets
 Say = Callable[[str], None]
 STARTING, STUCK, AGAIN = 30.0, 15.0, 2.0  # s to start, without swimming, between orders
 FRESH = 1.0  # s: an older status is not used
-REARMED = 20  # most times that a tour arms a robot in HOLD; each is reported
+REARMED = 20  # most times that a tour arms a robot again; each is reported
+UP = (State.ARMED, State.TEST, State.RUN, State.HOLD)  # with torque
 
 
 @dataclass(eq=False)
@@ -29,6 +31,10 @@ class Leader:
     again (`rearmed` times), and ends if the fish does not swim. `ran` is the last time at which it
     swam. With `follow` the target moves by the clock, and the fish is armed again as in a tour.
     Without both, the target is `aim` [m], and the operator leads from then on.
+
+    A fish that stopped, or that somebody disarmed, gets no order: a person looks after it first.
+    One that stopped only because nobody saw it is disarmed and armed again. `up`: it was armed, and
+    not disarmed from here.
     """
 
     tour: Tour | None
@@ -36,6 +42,7 @@ class Leader:
     ran: float = field(default_factory=lambda: time.monotonic() + STARTING)
     armed: int = 0
     swam: bool = False
+    up: bool = False
     asked: float = 0.0
     follow: Follow | None = None
 
@@ -65,6 +72,7 @@ class Leader:
             self.ran, self.swam = max(self.ran, now), self.swam or state is State.RUN
         elif status is not None and now - self.asked > AGAIN and (self.attends or not self.swam):
             self._order(sender, status, now, say)
+        self.up = self.up or state in UP
         if self.aim is not None:
             sender.target, self.aim = self.aim, None
         if self.tour is not None:
@@ -76,14 +84,21 @@ class Leader:
         self.asked, state = now, status.state
         if state is State.ARMED:
             sender.order(Order.SWIM, now)
-        elif state is State.STOP and self.rearmed < REARMED:
+        elif self.rearmed >= REARMED:
+            return
+        elif state is State.STOP and status.reason is Reason.POSE_LOST:
             sender.order(Order.DISARM, now)
-        elif self.rearmed < REARMED:
-            if self.swam:
-                self.armed += 1
-                say(f"{state.value}: {status.text}; armed again, time {self.rearmed}")
-            self.armed = max(self.armed, 1)
-            sender.order(Order.ARM, now)
+            self.up = False
+        elif state is State.HOLD or (state is State.DISARMED and not self.up):
+            self._arm(sender, status, now, say)
+
+    def _arm(self, sender: Sender, status: Status, now: float, say: Say) -> None:
+        """Order to arm. It counts as another time if the fish has been armed before."""
+        again = self.swam or status.state is State.HOLD
+        self.armed = max(self.armed, 1) + again
+        if again:
+            say(f"{status.state.value}: {status.text}; armed again, time {self.rearmed}")
+        sender.order(Order.ARM, now)
 
     def _tour(self, tour: Tour, sender: Sender, pose: Pose | None, now: float, say: Say) -> None:
         done = len(tour.rows)
