@@ -240,6 +240,7 @@ def test_cameras_that_are_none_are_refused(tmp_path):
         str(tmp_path / "none.avi"): "no such camera",
         str(tmp_path / "notes.txt"): "cannot read this film",
         "/dev/video77": "no camera answers",
+        "/dev/v4l/by-id/usb-none": "no camera answers",
     }.items():
         with pytest.raises(BadInput, match=complaint):
             open_camera(where)

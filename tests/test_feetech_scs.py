@@ -4,6 +4,7 @@ maker's `scscl`, another maker's client and our driver complete a session over r
 import math
 from collections.abc import Iterator
 from functools import partial
+from typing import get_args
 
 import pytest
 
@@ -13,7 +14,7 @@ from lines import PATIENT, Bench, heard_by, servo_bench
 from support import tailbeat, until
 from tailbeat.emulators.feetech import OVERHEATED, Feetech
 from tailbeat.emulators.feetech_table import SCS
-from tailbeat.fish.description import Hardware
+from tailbeat.fish.description import Family, Hardware
 from tailbeat.fish.store import load_fish
 from tailbeat.robot import feetech_tables as tables
 from tailbeat.robot import prepare
@@ -132,6 +133,7 @@ def test_arming_asks_for_the_fastest_speed_in_each_meaning_of_it(bench, phase, s
 
 @pytest.mark.realtime
 def test_prepare_and_doctor_use_its_table(bench, monkeypatch):
+    assert set(prepare.LISTEN) == set(get_args(Family))
     monkeypatch.setitem(prepare.LISTEN, "feetech-scs", PATIENT)
     for address, value in {5: 7, 6: 4, 8: 0, 9: 0, 11: 0, 19: 0, 44: 50}.items():
         bench.device.put(address, value)

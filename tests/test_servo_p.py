@@ -147,6 +147,24 @@ def test_the_driver_arms_follows_and_reads_in_si_units():
 
 
 @pytest.mark.realtime
+def test_what_its_memory_holds_is_not_written_at_every_arming(monkeypatch):
+    """The lower limit is negative, and its register was compared as if it had no sign."""
+    with servo_bench(PM42) as bench:
+        servo = connect(bench.path, PM42, deadline=PATIENT)
+        servo.prepare(-1.4, 1.4)
+        write, written = bench.device.table.write, list[int]()
+        monkeypatch.setattr(
+            bench.device.table, "write", lambda at, data: (written.append(at), write(at, data))[1]
+        )
+        servo.prepare(-1.4, 1.4)
+        assert bench.device.get(52, True) < 0
+        assert written and not {9, 11, 48, 52} & set(written)
+        servo.prepare(-1.3, 1.4)
+        assert 52 in written and 48 not in written
+        servo.close()
+
+
+@pytest.mark.realtime
 def test_its_own_watchdog_stops_it_and_release_lets_it_go():
     with servo_bench(PM42) as bench:
         servo = connect(bench.path, PM42, deadline=PATIENT)

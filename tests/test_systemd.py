@@ -72,7 +72,8 @@ def test_the_unit_runs_drive_disarmed_fed_by_the_loop_and_lets_go_last(tmp_path)
     )
     wanted = {"Type": "notify", "WatchdogSec": "2", "Restart": "on-failure", "User": "fish",
               "CPUSchedulingPolicy": "fifo", "LimitMEMLOCK": "infinity",
-              "SupplementaryGroups": "dialout", "After": "network.target"}  # fmt: skip
+              "SupplementaryGroups": "dialout", "After": "network-online.target",
+              "Wants": "network-online.target", "StartLimitIntervalSec": "0"}  # fmt: skip
     assert wanted.items() <= lines.items()
     with pytest.raises(BadInput, match="not allowed in a unit"):
         systemd.unit("/usr/bin/python3", "fish\nRoot", "/dev/x", WORDS)

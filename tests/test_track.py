@@ -164,12 +164,16 @@ def test_what_is_missing_from_a_calibration_is_said(lab: Path, tmp_path: Path):
     out = tmp_path / "camera.json"
     (tmp_path / "empty").mkdir()
     (tmp_path / "bad.png").write_text("no picture")
+    (tmp_path / "large").mkdir()
+    large = str(tmp_path / "large" / "pool.png")
+    cv2.imwrite(large, cv2.resize(np.asarray(cv2.imread(pool)), (1920, 1080)))
     for given, complaint in (
         ((views, survey, str(lab / "views" / "01.png")), "0 surveyed points were seen; 4 are"),
         ((str(tmp_path / "empty"), survey, pool), "no picture .*in it"),
         ((views, survey, str(tmp_path / "bad.png")), "cannot read this picture"),
         ((views, tmp_path / "none.csv", pool), "give a CSV table"),
         ((pool, survey, pool), "found in 0 of"),
+        ((views, survey, large), "1920 x 1080 pixels, the views of the board have 1280 x 720"),
     ):
         with pytest.raises(BadInput, match=complaint):
             calibrate(*given, SHEET, out, 20, quiet)

@@ -206,6 +206,10 @@ def test_a_camera_mode_or_ids_that_do_not_fit_are_refused(tracker):
         tracker.see(np.zeros((480, 640), np.uint8), 0)
     with pytest.raises(BadInput, match="give two different ones"):
         Tracker(true_calibration(), ids=(3, 3))
+    surveyed = replace(true_calibration(), fixed={1: (0.0, 0.0, 0.0), 12: (1.0, 0.0, 0.0)})
+    for make in (lambda: Tracker(surveyed), lambda: start_tracker("unix:/none", surveyed)):
+        with pytest.raises(BadInput, match="tag 1 is one of those surveyed in the pool"):
+            make()
 
 
 def test_a_pose_is_the_corners_middle_and_lower_edge():

@@ -118,7 +118,8 @@ class Servo:
         ends = sorted(map(self._counts, (low, high)))
         wanted = {OPERATING_MODE: POSITION_MODE, RETURN_DELAY: 0, LOWEST: ends[0], HIGHEST: ends[1]}
         for register, value in wanted.items():
-            if self.get(register) != value:  # saves write cycles of the EEPROM
+            held = value % (1 << 8 * register[1])  # registers are read without a sign
+            if self.get(register) != held:  # saves write cycles of the EEPROM
                 self.set(register, value)
         for register in (self.table.profile_acceleration, self.table.profile_velocity):
             self.set(register, 0)

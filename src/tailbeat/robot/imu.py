@@ -16,7 +16,7 @@ import serial
 
 from tailbeat.files import BadInput
 from tailbeat.robot.mounting import Mounting, Vector, direction
-from tailbeat.robot.wire import GONE, heard, reopen, send
+from tailbeat.robot.wire import GONE, heard, hurry, reopen, send
 
 CHIP_ID, ACCELERATION, GYRO, STATUS, UNITS, MODE, TRIGGER, PAGE = (
     0x00,
@@ -184,9 +184,11 @@ class Imu:
 def opened(path: str, deadline: float) -> serial.Serial:
     """The open port of an IMU; both kinds speak 115,200 baud. Raises BadInput."""
     try:
-        return serial.Serial(path, 115_200, timeout=deadline, write_timeout=0.1, exclusive=True)
+        port = serial.Serial(path, 115_200, timeout=deadline, write_timeout=0.1, exclusive=True)
     except (*GONE, ValueError) as error:
         raise BadInput(f"{path}: {error}; give the IMU's port, closed in other programs.") from None
+    hurry(port)
+    return port
 
 
 def connect(path: str, mounting: Mounting | None = None, deadline: float = DEADLINE) -> Imu:

@@ -25,6 +25,7 @@ LISTEN = {
     "dynamixel-x": 0.8,
     "dynamixel-p": 0.8,
     "feetech-sts": 0.1,
+    "feetech-scs": 0.1,
 }  # s: a Dynamixel waits 3 ms for each lower id
 PATIENT = 0.25  # s for a reply
 

@@ -39,9 +39,14 @@ def open_port(path: str, baud: int, deadline: float) -> serial.Serial:
         raise BadInput(
             f"{path}: {error}; give the servo's port, closed in other programs."
         ) from None
-    with contextlib.suppress(ValueError, OSError, NotImplementedError):
-        port.set_low_latency_mode(True)  # a pty has none
+    hurry(port)
     return port
+
+
+def hurry(port: serial.Serial) -> None:
+    """Ask the adapter to pass on bytes at once: many wait 16 ms for more. A pty cannot."""
+    with contextlib.suppress(ValueError, OSError, NotImplementedError):
+        port.set_low_latency_mode(True)
 
 
 def reopen(port: serial.Serial) -> None:
@@ -49,6 +54,7 @@ def reopen(port: serial.Serial) -> None:
     with contextlib.suppress(*GONE):
         port.close()
     port.open()
+    hurry(port)
 
 
 def send(port: serial.Serial, data: bytes) -> None:

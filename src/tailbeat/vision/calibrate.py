@@ -13,7 +13,7 @@ from tailbeat import __version__
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.link.places import POOL
 from tailbeat.vision.calibration import Calibration, write_calibration
-from tailbeat.vision.camera import CameraFault, open_camera
+from tailbeat.vision.camera import SIZE, CameraFault, is_device, open_camera
 from tailbeat.vision.detector import open_detector
 from tailbeat.vision.field_of_view import blind
 from tailbeat.vision.survey import board_corners, fit_lens, hang, read_survey
@@ -70,7 +70,7 @@ def calibrate(
     images = list(_views(views, board, count, say))
     lens = fit_lens(images, board)
     say(f"lens: {len(images)} views, {lens.rms:.2f} px rms")
-    points, pixels = _found(picture, known, say)
+    points, pixels = _found(picture, known, lens.size, say)
     hung = hang(lens, points, pixels)
     fish, target = sheet.fish, sheet.target
     provenance = {
@@ -93,11 +93,12 @@ def calibrate(
 
 
 def _is_camera(where: str) -> bool:
-    return where.startswith(("unix:", "/dev/video")) or where.isdigit()
+    return where.startswith("unix:") or is_device(where)
 
 
-def _pictures(where: str) -> Iterator[tuple[str, Any]]:
-    """Grey pictures with names: of a picture file, a folder, a film or a camera."""
+def _pictures(where: str, size: tuple[int, int] = SIZE) -> Iterator[tuple[str, Any]]:
+    """Grey pictures with names: of a picture file, a folder, a film or a camera, of which this
+    `size` is requested."""
     path = Path(where)
     if path.is_dir() or path.suffix.lower() in PICTURES:
         paths = sorted(path.iterdir()) if path.is_dir() else [path]
@@ -106,7 +107,7 @@ def _pictures(where: str) -> Iterator[tuple[str, Any]]:
             raise BadInput(f"{where}: no picture ({', '.join(PICTURES)}) in it; give another.")
         yield from ((one.name, _picture(one)) for one in chosen)
         return
-    camera = open_camera(where)
+    camera = open_camera(where, size)
     number = 0
     try:
         while True:
@@ -147,12 +148,21 @@ def _views(where: str, board: Any, count: int, say: Say) -> Iterator[Any]:
             return
 
 
-def _found(picture: str, known: list[Any], say: Say) -> tuple[list[Any], Any]:
+def _found(
+    picture: str, known: list[Any], size: tuple[int, int], say: Say
+) -> tuple[list[Any], Any]:
     """The surveyed points that are seen, and their pixels (n, 2). A point's pixel is the median of
-    up to twenty frames, because waves move it."""
+    up to twenty frames, because waves move it. Raises BadInput if the picture has not the `size` of
+    the lens's views."""
     detector = open_detector()
     places: dict[int, list[Any]] = {}
-    for number, (_, image) in enumerate(_pictures(picture), 1):
+    for number, (name, image) in enumerate(_pictures(picture, size), 1):
+        given = (image.shape[1], image.shape[0])
+        if given != size:
+            raise BadInput(
+                f"{picture}: {name} has {given[0]} x {given[1]} pixels, the views of the board have"
+                f" {size[0]} x {size[1]}; take both in the same mode of the camera."
+            )
         for one in detector.find(image):
             places.setdefault(one.ident, []).append(one.corners.mean(axis=0))
         if number == 20:

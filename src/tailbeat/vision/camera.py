@@ -27,6 +27,7 @@ Stamped = tuple[Picture, int]
 HEADER = struct.Struct("<4sQQHH")  # magic, number, end of exposure [ns], columns, rows
 MAGIC = b"tbF1"
 LARGEST = 4096  # px, longest side
+SIZE = (1280, 720)  # px, columns and rows that are requested of a device
 SECOND = 1_000_000_000
 PATIENCE = 1.0  # s without a frame: sixty frames
 FIRST = 10.0  # s for the first frame: cameras set their exposure
@@ -143,13 +144,14 @@ class Film:
 
 def open_camera(
     where: str,
-    size: tuple[int, int] = (1280, 720),
+    size: tuple[int, int] = SIZE,
     rate: float = 60.0,
     exposure: float = 0.002,
     latency: float = 0.0,
     patience: float = PATIENCE,
 ) -> Camera:
-    """Open `unix:/path` of a virtual camera, `/dev/video0` (or 0), or a film's file.
+    """Open `unix:/path` of a virtual camera, a device (`/dev/video0`, 0, or its name below
+    `/dev/v4l/by-id`), or a film's file.
 
     `size` (columns, rows) and `rate` [Hz] are requested from a device. `exposure` [s] and `latency`
     [s], from the end of the exposure to the time stamp, are subtracted from the stamps. Raises
@@ -158,7 +160,7 @@ def open_camera(
     lag = round((exposure / 2 + latency) * SECOND)
     if where.startswith("unix:"):
         return _open_socket(where.removeprefix("unix:"), lag, patience)
-    if where.isdigit() or where.startswith("/dev/video"):
+    if is_device(where):
         return _open_device(where, size, rate, lag, patience)
     if not Path(where).is_file():
         raise BadInput(f"{where}: no such camera; give unix:/path, /dev/video0 or a film's file.")
@@ -166,6 +168,11 @@ def open_camera(
     if not capture.isOpened():
         raise BadInput(f"{where}: OpenCV cannot read this film; try another format.")
     return Film(where, capture)
+
+
+def is_device(where: str) -> bool:
+    """Whether this names a camera of the computer, by number or path."""
+    return where.isdigit() or where.startswith("/dev/")
 
 
 def grey(image: Any) -> Picture:

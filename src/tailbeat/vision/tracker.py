@@ -72,6 +72,19 @@ class Last:
     side: float  # px
 
 
+def check_ids(ids: tuple[int, int], calibration: Calibration) -> None:
+    """Raises BadInput if fish and target have one id, or the id of a tag that is fixed to the
+    pool."""
+    if ids[0] == ids[1]:
+        raise BadInput(f"fish and target both have tag {ids[0]}; give two different ones.")
+    taken = [one for one in ids if one in calibration.fixed]
+    if taken:
+        raise BadInput(
+            f"tag {taken[0]} is one of those surveyed in the pool; give fish and target other tags,"
+            f" or survey the pool with others."
+        )
+
+
 @dataclass(eq=False)
 class Tracker:
     """Tracks the tags of fish and target, `ids`; see `see`. It has one detector, so use it in one
@@ -90,9 +103,8 @@ class Tracker:
     stamps: deque[int] = field(default_factory=lambda: deque(maxlen=61))
 
     def __post_init__(self) -> None:
+        check_ids(self.ids, self.calibration)
         self.fixed = FixedTags(self.calibration)
-        if self.ids[0] == self.ids[1]:
-            raise BadInput(f"fish and target both have tag {self.ids[0]}; give two different ones.")
 
     def see(self, image: Picture, stamp: int) -> Sighting:
         """Track one grey frame (rows, columns), exposed at `stamp` [ns]. Raises BadInput if its

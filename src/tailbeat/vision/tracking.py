@@ -24,7 +24,7 @@ from tailbeat.processes import start
 from tailbeat.vision.calibration import Calibration
 from tailbeat.vision.camera import CameraFault, open_camera
 from tailbeat.vision.tags import FISH, TARGET
-from tailbeat.vision.tracker import Picture, Sighting, Tracker, TrackerLimits
+from tailbeat.vision.tracker import Picture, Sighting, Tracker, TrackerLimits, check_ids
 
 PREVIEW = 0.1  # s between two pictures for the operator page
 PREVIEW_SIZE = (640, 360)  # px of each of its two halves, the fish close up and the whole pool
@@ -185,10 +185,9 @@ def start_tracker(
     """Watch a camera (see `open_camera`) for the tags of fish and target; `more` as in `Watching`.
 
     Returns at once. A problem with the camera is reported in `fault`, and the camera is opened
-    again. Raises BadInput for ids that are equal.
+    again. Raises BadInput for ids that are equal or of the survey.
     """
-    if ids[0] == ids[1]:
-        raise BadInput(f"fish and target both have tag {ids[0]}; give two different ones.")
+    check_ids(ids, calibration)
     made = TrackerProcess(Watching(camera, calibration, ids, **more))
     made.begin()
     return made
