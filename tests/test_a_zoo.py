@@ -113,6 +113,8 @@ def test_an_interrupted_recording_begins_anew_and_a_finished_step_is_kept(tmp_pa
     assert "half" not in (folder / "data" / "tail-sweep.csv").read_text()
     with pytest.raises(BadInput, match="allowed are 0 to 7"):
         zoo(replace(config, only=(8,)), said.append)
+    with pytest.raises(BadInput, match="was begun with --targets 100, now 4"):
+        zoo(replace(config, only=(0,), targets=4), said.append)
 
 
 def test_a_crank_is_trained_and_tried_as_it_is_described(tmp_path):

@@ -289,6 +289,14 @@ def test_what_does_not_fit_is_refused(evaluated, tmp_path):
     assert isinstance(SPACE, Generator)
 
 
+def test_a_posterior_is_that_of_the_fish_inside_the_policy():
+    """A policy may carry an older fish of the same name: its draws were those of the newer one."""
+    own = load_fish("pulley-fish-pool")
+    assert evaluation._draws("pulley-fish-pool", own) is not None
+    older = own.model_copy(update={"added_inertia": own.added_inertia + 0.1})
+    assert evaluation._draws("pulley-fish-pool", older) is None
+
+
 def test_behind_a_path_every_swim_has_its_own_lab_and_other_tasks_stay_clean():
     policy, config = load_policy(POLICY), EvaluationConfig(seed=5, lab="rough")
     pool = evaluation.pool_of(policy, config)

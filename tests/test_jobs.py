@@ -1,10 +1,12 @@
 """Jobs in many processes: in order, as if swum alone; an error ends them; cells of a comparison."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from pickle import loads
@@ -16,7 +18,8 @@ from support import complaint, importing_as_here, until
 from synthetic import record
 from tailbeat.cluster import comparison
 from tailbeat.cluster.jobs import map_jobs
-from tailbeat.control.policy import load_policy
+from tailbeat.cluster.same import load_same
+from tailbeat.control.policy import contract_digest, load_policy, shipped
 from tailbeat.evaluate.compare import ComparisonConfig, cells_of, swim_cell
 from tailbeat.evaluate.comparison import cell_path
 from tailbeat.evaluate.evaluation import EvaluationConfig, evaluate
@@ -118,6 +121,26 @@ def test_processes_end_with_the_one_that_wants_their_results(tmp_path, number):
     driver.send_signal(number)
     driver.wait(10.0)
     until(lambda: not any(map(pid_exists, workers)), seconds=10.0)
+
+
+def test_a_node_with_another_file_of_a_policy_refuses_its_jobs(tmp_path, monkeypatch):
+    """Its swims were stored as those of the policy that the command had loaded."""
+    path, config = tmp_path / "mine.onnx", replace(CONFIG, policies=("mine.onnx",), only=("twin",))
+    shutil.copyfile(shipped()[POLICY], path)
+    monkeypatch.chdir(tmp_path)
+    jobs = list[comparison.CellJob]()
+    monkeypatch.setattr(comparison, "map_jobs", lambda swim, own, *_, **more: jobs.extend(own))
+    monkeypatch.setattr(comparison, "conclude", lambda out: None)
+    comparison.compare(config, tmp_path / "out", print)
+    monkeypatch.chdir("/")  # a node works in another folder
+    shutil.copyfile(shipped()["pulley-fish-pool-follow"], path)
+    (job,) = jobs
+    with pytest.raises(BadInput, match=r"mine: on .* this is another policy than where"):
+        comparison.swim(job)
+    assert not job.path.exists()
+    digest = contract_digest(load_policy(POLICY).contract)
+    with pytest.raises(BadInput, match="this is another policy"):
+        load_same(str(path), digest)
 
 
 @pytest.mark.slow

@@ -15,10 +15,11 @@ from tailbeat.env.task import Scene
 from tailbeat.env.world import seeds_from
 from tailbeat.evaluate import trial
 from tailbeat.evaluate.rates import wilson
-from tailbeat.evaluate.reach import by_sector, in_pool, in_twin, reach
+from tailbeat.evaluate.reach import TrialConfig, by_sector, in_pool, in_twin, reach, try_policy
 from tailbeat.evaluate.runs import surge
 from tailbeat.evaluate.spectrum import windows
-from tailbeat.fish.store import digest, load_fish, with_servo
+from tailbeat.files import BadInput
+from tailbeat.fish.store import digest, fish_path, load_fish, with_servo
 from tailbeat.pool.water import Water, ensemble
 
 TWIN, FISH = load_fish("pulley-fish-pool"), load_fish("pulley-fish")
@@ -53,6 +54,16 @@ def test_the_policies_fit_the_shipped_twin(name):
     twin = with_servo(TWIN, servo)
     check_fits(contract, twin.name, digest(twin), twin.band, PERIOD)
     assert contract.training["versions"]["engine"] == "4.0.0"
+
+
+def test_a_trial_in_pools_is_of_the_policy_s_own_body(tmp_path):
+    """The contract's digest was compared with itself: any fish of an equal band was accepted."""
+    path = tmp_path / "longer.toml"
+    path.write_text(fish_path("pulley-fish").read_text().replace('"180 g"', '"190 g"'))
+    config = TrialConfig(targets=2, pools=1)
+    assert try_policy(str(BEST), "pulley-fish", config).targets == 2
+    with pytest.raises(BadInput, match="the policy's fish is not the pool's"):
+        try_policy(str(BEST), str(path), config)
 
 
 def test_the_shipped_generator_reaches_its_targets_in_twin_and_pool():

@@ -44,7 +44,7 @@ def sweep(
     check_folder(out)
     if address is not None:
         connection.connect(address)
-    made = _kept(file, asked, made, out, resume)
+    asked, made = _kept(file, asked, made, out, resume)
     if address is None:
         connection.connect(None)
     done = _swim(asked, made, out)
@@ -57,14 +57,14 @@ def sweep(
 
 def _kept(
     file: Path, asked: "Sweep", made: Sequence["Trial"], out: Path, resume: bool
-) -> list["Trial"]:
-    """Check every trial, and write the sweep into its folder, with the fish that are files. Raises
-    BadInput before anything is written."""
+) -> tuple["Sweep", list["Trial"]]:
+    """Check every trial, and write the sweep into its folder, with the fish that are files. Returns
+    both with the copies. Raises BadInput before anything is written."""
     from tailbeat.cluster.trial import check_trial
 
     if resume:
         _check_same(file, asked, out)
-        return [_with_copy(one, out) for one in made]
+        return _with_pool_copy(asked, out), [_with_copy(one, out) for one in made]
     if out.exists() and any(out.iterdir()):
         raise BadInput(
             f"{out}: contains another sweep; continue it with --resume, or choose a new folder."
@@ -76,8 +76,10 @@ def _kept(
             raise BadInput(f"{file}: trial {one.name}: {error}") from None
     for fish in {one.fish for one in made if Path(one.fish).is_file()}:
         _copy(Path(fish), out / "fish")
+    if asked.evaluate is not None and Path(asked.evaluate.fish).is_file():
+        _copy(Path(asked.evaluate.fish), out / "pool")
     write_json(out / PLAN, asked.model_dump(mode="json"))
-    return [_with_copy(one, out) for one in made]
+    return _with_pool_copy(asked, out), [_with_copy(one, out) for one in made]
 
 
 def _copy(fish: Path, folder: Path) -> None:
@@ -93,6 +95,18 @@ def _copy(fish: Path, folder: Path) -> None:
 def _with_copy(trial: "Trial", out: Path) -> "Trial":
     copy = out.resolve() / "fish" / Path(trial.fish).name
     return replace(trial, fish=str(copy)) if copy.is_file() else trial
+
+
+def _with_pool_copy(asked: "Sweep", out: Path) -> "Sweep":
+    """The sweep with the copy of the pool's fish: trials work in other folders."""
+    if asked.evaluate is None:
+        return asked
+    copy = out.resolve() / "pool" / Path(asked.evaluate.fish).name
+    if not copy.is_file():
+        return asked
+    return asked.model_copy(
+        update={"evaluate": asked.evaluate.model_copy(update={"fish": str(copy)})}
+    )
 
 
 def _check_same(file: Path, asked: "Sweep", out: Path) -> None:

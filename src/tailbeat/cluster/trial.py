@@ -33,6 +33,8 @@ from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import load_fish, with_servo
 from tailbeat.identify.posterior import factors_of
 from tailbeat.pool import mess
+from tailbeat.robot.fits import check_same_body
+from tailbeat.train import checkpoint
 from tailbeat.train.config import RunConfig, action_space, check, measured_run
 from tailbeat.train.expect import FEWER, FISH, SECONDS, of_file
 from tailbeat.train.progress import CURVE, TrainingRow, begun
@@ -72,10 +74,10 @@ def run_of(trial: Trial, sweep: Sweep, folder: Path) -> RunConfig:
 def check_trial(trial: Trial, sweep: Sweep, folder: Path) -> None:
     """Raises BadInput if a trial cannot be trained or evaluated: its fish, its actions, its memory,
     the pool's fish and waters. This machine needs no GPU."""
-    if sweep.evaluate is not None:
-        load_fish(sweep.evaluate.fish)
-        waters_of(sweep.evaluate.pool)
     run = replace(run_of(trial, sweep, folder), device="cpu")
+    if sweep.evaluate is not None:
+        check_same_body(run.fish, load_fish(sweep.evaluate.fish))
+        waters_of(sweep.evaluate.pool)
     check(measured_run(run), resume=(folder / "run").exists())
 
 
@@ -109,11 +111,11 @@ def process_seconds(folder: Path) -> float:
 def _train(run: RunConfig, folder: Path) -> None:
     """Train until all stages are passed, one stalls or the hours are over; a training that is over
     is not continued."""
-    course, used = _course(run), 0.0
+    course, used = _course(run), False
     if not _over(course):
         used = _learn(run)
         course = _course(run)
-    if not _over(course) and used < 3600 * run.hours:
+    if not _over(course) and not used:
         sys.exit(ENDED)
     if course["finished"] and run.space().kind != "turning":
         _expect(run)
@@ -130,16 +132,19 @@ def _over(course: dict[str, Any]) -> bool:
     return bool(course and (course["finished"] or course["stalled"]))
 
 
-def _learn(run: RunConfig) -> float:
-    """Train from the last checkpoint, or from the start; returns how long it took [s]. A stage that
-    had stalled when the trial was killed gets no second budget."""
+def _learn(run: RunConfig) -> bool:
+    """Train from the last checkpoint, or from the start; returns whether its hours are used up.
+    They include those before the checkpoint. A stage that had stalled when the trial was killed
+    gets no second budget."""
 
     def report(row: TrainingRow) -> None:
         say(updates=row.updates, stage=row.stage, success=row.success, seconds=row.seconds)
 
-    began = time.monotonic()
-    train(run, begun(run.out), report, again=False)
-    return time.monotonic() - began
+    place, began = checkpoint.find(run.out), time.monotonic()
+    before = checkpoint.read_state(place).progress.seconds if place else 0.0
+    left = max(3600 * run.hours - before, 1.0)  # a session also writes policy and curve
+    train(replace(run, hours=left / 3600), begun(run.out), report, again=False)
+    return time.monotonic() - began >= left
 
 
 def _expect(run: RunConfig) -> None:

@@ -90,8 +90,7 @@ def cells_of(config: ComparisonConfig) -> list[tuple[str, str]]:
 def cells_left(config: ComparisonConfig, out: Path) -> list[tuple[str, str]]:
     """The cells of `cells_of` that are not in the folder `out`. Raises BadInput if one there was
     swum with other options, in another pool, or by a policy that has been trained anew since."""
-    wanted = {_label(name): contract_digest(load_policy(name).contract) for name in config.policies}
-    cells, own = cells_of(config), field_of(config)
+    cells, own, wanted = cells_of(config), field_of(config), digests_of(config)
     pool = pool_digest(own.fish)
     for path, held in cells_in(out):
         wrong = _unlike(held, own, pool)
@@ -100,6 +99,11 @@ def cells_left(config: ComparisonConfig, out: Path) -> list[tuple[str, str]]:
         if wrong:
             raise BadInput(f"{path}: {'; '.join(wrong)}. Use the same ones, or a new folder.")
     return [one for one in cells if not cell_path(out, *one).is_file()]
+
+
+def digests_of(config: ComparisonConfig) -> dict[str, str]:
+    """Digests of the policies, by their names in the cells."""
+    return {_label(name): contract_digest(load_policy(name).contract) for name in config.policies}
 
 
 def _unlike(held: Cell, own: Field, pool: str) -> list[str]:

@@ -40,6 +40,7 @@ from tailbeat.evaluate.trial import (
     swim_all,
 )  # fmt: skip
 from tailbeat.files import BadInput, write_json
+from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest, load_fish
 from tailbeat.identify import posterior
 from tailbeat.link.places import room
@@ -121,7 +122,7 @@ def pool_of(policy: Policy, config: EvaluationConfig) -> Pool:
     own = load_fish(config.fish)
     trained = check_swims(policy, config.twin, own)
     waters, actions = waters_of(config.pool), policy.contract.actions
-    draws = _draws(config.twin or policy.contract.fish)
+    draws = _draws(config.twin or policy.contract.fish, trained)
     measure = policy.contract.measure
     walls = config.walls or room(measure.reach)
     found = Pool(own, trained, actions, waters, config.episodes, config.seed, walls, draws, measure)
@@ -129,11 +130,16 @@ def pool_of(policy: Policy, config: EvaluationConfig) -> Pool:
     return replace(as_seen(found, held), corrections=held.corrections, lab=config.lab)
 
 
-def _draws(fish: str) -> NDArray[np.float64] | None:
-    """The posterior's draws beside a fish, if there is one; a policy may carry a fish of which no
-    file is at hand."""
+def _draws(fish: str, trained: Fish) -> NDArray[np.float64] | None:
+    """The posterior's draws beside a fish, if there is one. None if that is not the fish which the
+    policy was `trained` on: it may carry one of which no file is at hand, or an older one of the
+    same name."""
     known = posterior.at_hand(fish)
-    return None if known is None else posterior.coefficient_factors(load_fish(fish), known)
+    if known is None:
+        return None
+    found = load_fish(fish)
+    same = digest(found.model_copy(update={"servo": trained.servo})) == digest(trained)
+    return posterior.coefficient_factors(found, known) if same else None
 
 
 def conditions_of(pool: Pool, tasks: Sequence[str]) -> list[Condition]:

@@ -24,7 +24,7 @@ from tailbeat.fish.store import digest, load_fish
 from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolSimulator
 from tailbeat.pool.water import Water, ensemble
-from tailbeat.robot.fits import check_same_body, twin_of
+from tailbeat.robot.fits import check_same_body, check_swims, twin_of
 
 OPEN = "reach open"  # the condition without walls
 SECTOR = 30  # degrees of bearing, left and right together
@@ -161,15 +161,17 @@ def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:
     held = policy.contract
     if config.newer:
         check_same_body(twin_of(policy, None), described)
+    elif config.pools:
+        check_swims(policy, None, described)
     else:
-        own = (described.name, digest(described))
-        who = (held.fish, held.fish_digest) if config.pools else own
-        check_fits(held, *who, described.band, PERIOD)
+        check_fits(held, described.name, digest(described), described.band, PERIOD)
     noise = 0.0 if config.exact else 1.0
     stage = Stage("trial", 3, noise, noise, float(np.radians(config.arc)))
     task = replace(OPEN_WATER, least_arc=float(np.radians(config.least_arc)))
     settings = as_seen(settings_of(stage, held.actions, task, held.measure), held)
     settings = replace(settings, yaw_rate=config.yaw_rate or held.yaw_rate)
+    if config.pools:
+        settings = replace(settings, corrections=held.corrections)
     waters = ensemble(config.pools, config.seed) if config.pools else []
     build = in_pool(described, settings, waters) if waters else in_twin(described, settings)
     return reach(policy, build, config.targets, config.seed)

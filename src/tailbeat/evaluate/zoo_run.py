@@ -17,7 +17,7 @@ from pathlib import Path
 from tailbeat.control.policy import load_policy
 from tailbeat.evaluate.evaluation import read
 from tailbeat.evaluate.reach import OPEN
-from tailbeat.evaluate.store import read_record
+from tailbeat.evaluate.store import read_json, read_record
 from tailbeat.evaluate.zoo import COUNT, SERVO, Animal, animals, guess
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.proportions import Given
@@ -26,6 +26,7 @@ from tailbeat.processes import end, start_verb
 from tailbeat.train.progress import begun
 
 Say = Callable[[str], None]
+RUN = "zoo-run.json"  # what a folder was asked for
 STEPS = ("new-fish", "record", "identify", "train", "evaluate", "rule", "swim")
 CRANK_STEPS = ("train", "evaluate")  # described already; no driver turns a motor without end
 TOUR = 4  # targets of the swim in real time, through camera, network, servo and IMU
@@ -102,6 +103,7 @@ def zoo(config: ZooConfig, say: Say) -> tuple[Outcome, ...]:
         raise BadInput(f"--only {wrong[0]}: allowed are 0 to {COUNT - 1}.")
     if config.targets < 2:  # as an evaluation wants
         raise BadInput(f"--targets {config.targets}: give 2 or more.")
+    _begin(config)
     chosen = [
         (number, one)
         for number, one in enumerate(animals(config.seed))
@@ -112,6 +114,21 @@ def zoo(config: ZooConfig, say: Say) -> tuple[Outcome, ...]:
         found.append(_taken(animal, config, number, say))
         write_json(config.out / "zoo.json", {"fish": found}, overwrite=True)
     return tuple(found)
+
+
+def _begin(config: ZooConfig) -> None:
+    """Write what the folder's steps are asked for. Raises BadInput if that was something else."""
+    path, asked = config.out / RUN, {"seed": config.seed, "targets": config.targets}
+    if not path.is_file():
+        write_json(path, asked)
+        return
+    held = read_json(path)
+    for name, value in asked.items():
+        if held.get(name) != value:
+            raise BadInput(
+                f"{config.out}: was begun with --{name} {held.get(name)}, now {value}; use the"
+                f" same, or a new folder."
+            )
 
 
 def _taken(animal: Animal, config: ZooConfig, number: int, say: Say) -> Outcome:
