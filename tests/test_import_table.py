@@ -97,6 +97,7 @@ def test_nothing_is_claimed_of_a_log_that_the_user_did_not_state(data, tmp_path)
         ("t,a\n0,1\n1,2\n", TableConfig(DEG.columns, [], {"gain": "kp"}), "not a header field"),
         ("t,a\n0,1\n1\n", DEG, "row 2 has 1 cells and the header 2"),
         ("", DEG, "a header and at least two rows"),
+        ("t,a,a\n0,1,5\n1,2,6\n", DEG, "column 'a' appears twice; rename or remove one"),
     ],
 )  # fmt: skip
 def test_bad_tables_are_one_sentence(tmp_path, text, config, complaint):
@@ -113,6 +114,7 @@ def test_bad_tables_are_one_sentence(tmp_path, text, config, complaint):
         ('{"t": [1, 2], "a": [1]}', None, "lists of unequal length"),
         ('{"e": [{"t": 1}, {"t": 2}]}', "entries", "--rows 'entries' is not a list"),
         ("[1, 2]", None, "no list of two or more objects"),
+        ('{"t": [], "a": []}', None, "a header and at least two rows"),
         ('[{"t": 0, "a": 1}, {"t": 1}]', None, "column a, row 2: None is not a finite number"),
     ],
 )
@@ -120,6 +122,12 @@ def test_bad_json_is_one_sentence(tmp_path, text, rows, complaint):
     config = TableConfig(DEG.columns, rows=rows)
     with pytest.raises(BadInput, match=complaint):
         import_table(written(tmp_path, "a.json", text), config)
+
+
+def test_an_empty_parquet_file_is_one_sentence(tmp_path):
+    pl.DataFrame({"t": [], "a": []}).write_parquet(tmp_path / "a.parquet")
+    with pytest.raises(BadInput, match=r"a\.parquet: give a table with a header"):
+        import_table(tmp_path / "a.parquet", DEG)
 
 
 def test_a_bad_map_exits_with_2_and_writes_nothing(tmp_path):

@@ -20,7 +20,7 @@ from tailbeat.recording import write_recording
 
 FISH = load_fish("pulley-fish")
 RUN = as_run(record(FISH, "a", 1.5, 0.5, seconds=3.0), FISH)
-KNOWN = Discrepancy(0.05, 0.05, 0.1, 0.1, 12)
+KNOWN = Discrepancy(0.05, 0.05, 0.1, 0.1, 12, (12, 12, 9, 9))
 
 
 def posterior(fish=FISH, **changes) -> Posterior:
@@ -125,6 +125,23 @@ def test_bands_hold_95_percent_of_fresh_swims(held_out):
             alone += [band.inside for band in bands(fresh, None)]
     assert 0.92 <= np.mean(inside) <= 0.98
     assert np.mean(alone) < 0.5
+
+
+def test_a_quantity_that_few_swims_told_has_wider_bands_and_one_that_none_told_has_none():
+    """It got a band of the draws alone, which hold a third, or as narrow as if all had told it."""
+    blind = np.array([0, 0, np.nan, 0])
+    (fresh,), told = swims(1, 9, true=0.05), swims(10, 0, true=0.05)
+    some = discrepancy([*told[:2], *(replace(o, measured=o.measured + blind) for o in told[2:])])
+    assert some.told == (10, 10, 2, 10)
+    wide, usual = (
+        {b.quantity: b.high - b.low for b in bands(fresh, known)}
+        for known in (some, replace(some, told=None))
+    )
+    ratio = {name: wide[name] / usual[name] for name in wide}
+    assert ratio.pop("heading") == pytest.approx(4.303 / 2.228, rel=1e-3)
+    assert list(ratio.values()) == pytest.approx([1.0] * 3)
+    none = discrepancy([replace(one, measured=one.measured + blind) for one in told])
+    assert [b.quantity for b in bands(fresh, none)] == ["speed", "distance", "turn_rate"]
 
 
 def test_a_band_is_about_the_fish_where_its_draws_lie_on_one_side():

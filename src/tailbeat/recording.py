@@ -46,6 +46,23 @@ class Recording:
 # ---- reading ------------------------------------------------------------------------------------
 
 
+def read_recordings(paths: Sequence[str | Path]) -> list[Recording]:
+    """Read recordings, and give those that share a file's name their folder's too: the same
+    protocol may have been played on several days. Raises BadInput, also for a file given twice."""
+    files = [Path(path) for path in paths]
+    stems = [file.stem for file in files]
+    for number, file in enumerate(files):
+        if file.resolve() in [one.resolve() for one in files[:number]]:
+            raise BadInput(f"{file}: given twice; give each recording once.")
+    found = [read_recording(file) for file in files]
+    return [
+        replace(one, name=f"{file.resolve().parent.name}/{one.name}")
+        if stems.count(file.stem) > 1
+        else one
+        for one, file in zip(found, files, strict=True)
+    ]
+
+
 def read_recording(path: str | Path) -> Recording:
     """Read a recording: `.parquet` as Parquet, any other suffix as CSV. Empty cells of marker
     columns become NaN. Raises BadInput that names file, column, row and value."""

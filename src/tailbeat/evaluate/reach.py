@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import cycle, islice
 from typing import Any
 
 import numpy as np
@@ -112,12 +113,9 @@ def in_twin(fish: Fish, settings: Settings) -> Build:
 def in_pool(fish: Fish, settings: Settings, waters: Sequence[Water]) -> Build:
     """A function that builds worlds of the plant from seeds, with the waters in turn. Sensors and
     targets are those of `settings`; its physics ranges are not used."""
-
-    def build(seeds: list[int]) -> World:
-        each = [waters[i % len(waters)] for i in range(len(seeds))]
-        return World(fish, settings, seeds, simulator=PoolSimulator(fish, each))
-
-    return build
+    return lambda seeds: World(
+        fish, settings, seeds, simulator=PoolSimulator(fish, [*islice(cycle(waters), len(seeds))])
+    )
 
 
 def reach(policy: Policy, build: Build, count: int, seed: int) -> SeededTrial:
@@ -165,15 +163,15 @@ def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:
         check_swims(policy, None, described)
     else:
         check_fits(held, described.name, digest(described), described.band, PERIOD)
-    noise = 0.0 if config.exact else 1.0
+    noise = float(not config.exact)
     stage = Stage("trial", 3, noise, noise, float(np.radians(config.arc)))
     task = replace(OPEN_WATER, least_arc=float(np.radians(config.least_arc)))
     settings = as_seen(settings_of(stage, held.actions, task, held.measure), held)
     settings = replace(settings, yaw_rate=config.yaw_rate or held.yaw_rate)
+    build = in_twin(described, settings)
     if config.pools:
-        settings = replace(settings, corrections=held.corrections)
-    waters = ensemble(config.pools, config.seed) if config.pools else []
-    build = in_pool(described, settings, waters) if waters else in_twin(described, settings)
+        own = replace(settings, corrections=held.corrections)
+        build = in_pool(described, own, ensemble(config.pools, config.seed))
     return reach(policy, build, config.targets, config.seed)
 
 

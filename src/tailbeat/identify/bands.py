@@ -35,13 +35,15 @@ MOST = 3.0  # largest discrepancy that is looked for, as a fraction of a swim's 
 @dataclass(frozen=True)
 class Discrepancy:
     """How far the twin is from `swims` held-out swims beyond its posterior: a standard deviation
-    for each quantity, as a fraction of the swim's size (`Drawn.size`). NaN where no swim tells."""
+    for each quantity, as a fraction of the swim's size (`Drawn.size`). NaN where no swim tells.
+    `told` says how many swims tell each; None in a posterior of releases up to 0.2.0: all."""
 
     speed: float
     distance: float
     heading: float
     turn_rate: float
     swims: int
+    told: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,8 @@ def discrepancy(swims: Sequence[Drawn]) -> Discrepancy:
     speed, distance, heading, turn_rate = (
         _extra(*columns) for columns in zip(error.T, spread.T, size.T, strict=True)
     )
-    return Discrepancy(speed, distance, heading, turn_rate, len(swims))
+    told = tuple(np.sum(np.isfinite(error) & np.isfinite(spread), axis=0).tolist())
+    return Discrepancy(speed, distance, heading, turn_rate, len(swims), told)
 
 
 def _extra(error: Array, spread: Array, size: Array) -> float:
@@ -180,10 +183,12 @@ def _extra(error: Array, spread: Array, size: Array) -> float:
 
 def bands(swim: Drawn, known: Discrepancy | None, share: float = 0.95) -> list[Band]:
     """The bands of one swim: Student's t, with as many degrees of freedom as swims gave the
-    discrepancy. Quantities that the recording does not tell are left out."""
+    discrepancy of the quantity. Left out are quantities that the recording does not tell, and those
+    that no held-out swim told: the draws alone would be too sure."""
     centre, spread = swim.centre, swim.spread
-    freedom = np.inf if known is None else max(known.swims, 1)
-    reach = stats.t.ppf(0.5 + share / 2, freedom) * np.hypot(spread, shares(known) * swim.size)
+    reach = stats.t.ppf(0.5 + share / 2, _freedom(known)) * np.hypot(
+        spread, shares(known) * swim.size
+    )
     return [
         Band(swim.run.name, name, unit, measured, middle, middle - half, middle + half)
         for (name, unit), measured, middle, half in zip(
@@ -193,8 +198,15 @@ def bands(swim: Drawn, known: Discrepancy | None, share: float = 0.95) -> list[B
             reach.tolist(),
             strict=True,
         )
-        if np.isfinite(measured)
+        if np.isfinite(measured) and not (known and np.isnan(getattr(known, name)))
     ]
+
+
+def _freedom(known: Discrepancy | None) -> Array:
+    """Degrees of freedom (4,) in the order of `UNITS`; infinite without a discrepancy."""
+    if known is None:
+        return np.full(len(UNITS), np.inf)
+    return np.maximum(np.broadcast_to(known.told or known.swims, len(UNITS)), 1)
 
 
 def left_out(swims: Sequence[Drawn]) -> list[Band]:

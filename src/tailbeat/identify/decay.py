@@ -169,7 +169,7 @@ def _ringing(recording: Recording, signal: Array) -> tuple[int, int]:
     passed = after[after > (held[-1] if held.size else 0)]
     noise = 1.4826 * np.median(np.abs(tail - np.median(tail)))
     loud = np.flatnonzero(np.abs(away) > QUIET * noise)
-    if side == 0 or not passed.size or loud[-1] - passed[0] < 10:
+    if side == 0 or not (passed.size and loud.size) or loud[-1] - passed[0] < 10:
         raise BadInput(
             f"{recording.name}: no ring-down found: the tail must be held aside, released, and seen"
             f" to swing past rest; record from before the release until it is still."

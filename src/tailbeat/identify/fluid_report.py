@@ -77,8 +77,7 @@ def _doubt(found: Identified) -> dict[str, Any]:
 
 def _verdict(found: Identified, naive: Sequence[Compared]) -> Verdict:
     contests = [Contest(one.quantity, one.ratio, one.best) for one in naive]
-    samples = [(p.run, p.run.track.time.size) for p in found.fitted]
-    spoilt = [(run.name, share_left_out(run.glitches, n)) for run, n in samples]
+    spoilt = [(p.run.name, share_left_out(p.run.glitches, p.run.rows)) for p in found.fitted]
     return verdict(contests, spoilt, misfit(found.fits[0]))
 
 

@@ -223,6 +223,8 @@ def _key(fish: Fish, fit: Sequence[Run], config: FluidConfig) -> str:
     for run in fit:
         digest.update(run.track.time.tobytes() + run.track.pose.tobytes())
         digest.update(b"" if run.motor is None else run.motor.tobytes())
+        digest.update(repr((run.launch, run.gait)).encode())
+        digest.update(b"" if run.track.markers is None else run.track.markers.tobytes())
     return digest.hexdigest()[:16]
 
 

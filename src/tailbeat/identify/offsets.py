@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from tailbeat.files import BadInput
 
@@ -21,7 +22,8 @@ BLOCK = 500  # samples of a block of the bootstrap: 10 s, as long as eddies last
 DRAWS = 200
 SLOW = (40, 60, 90)  # samples over which a beat is averaged: each is tried
 FAST = ((6, 50), (10, 50), (10, 80))  # samples: noise is averaged over the first, beats pass
-SHORTEST = 20.0  # s of swimming
+FEWEST = 3  # blocks
+USUAL = 15  # blocks of three swims of a minute, with which the widths in `KINDS` were set
 GAP = 0.25  # s without a pose: it is not bridged
 
 
@@ -102,15 +104,17 @@ def offsets(swims: Sequence[Logged]) -> Offsets:
     """Offsets of one robot from a few swims. Raises BadInput if they are too short."""
     pieces = [piece for swim in swims for piece in _pieces(swim)]
     seconds = STEP * sum(len(piece.time) for piece in pieces)
-    if seconds < SHORTEST:
+    blocks = sum((len(piece.time) - 2 * max(SLOW)) // BLOCK for piece in pieces)
+    if blocks < FEWEST:
         raise BadInput(
-            f"{seconds:.0f} s of swimming with poses; give {SHORTEST:g} s or more, with turns to"
+            f"{seconds:.0f} s of swimming with poses; give"
+            f" {STEP * (FEWEST * BLOCK + 2 * max(SLOW)):.0f} s or more without a gap, with turns to"
             f" both sides."
         )
     found = [_estimates(pieces, slow, *fast) for slow, fast in zip(SLOW, FAST, strict=True)]
     values = np.mean([values for values, _ in found], axis=0)
     apart = np.var([values for values, _ in found], axis=0)
-    half = 2 * np.sqrt(np.mean([spread**2 for _, spread in found], axis=0) + apart)
+    half = 2 * np.sqrt(np.mean([(_few(blocks) * s) ** 2 for _, s in found], axis=0) + apart)
     rows = tuple(
         Offset(name, unit, v * by, ((v - wide * h) * by, (v + wide * h) * by), enough, what)
         for (name, unit, by, enough, wide, what), v, h in zip(
@@ -118,6 +122,15 @@ def offsets(swims: Sequence[Logged]) -> Offsets:
         )
     )
     return Offsets(rows, seconds, len(swims), UNTOLD)
+
+
+def _few(blocks: int) -> float:
+    """How much wider an interval by a bootstrap over so few blocks must be than over `USUAL` ones:
+    Student's t, and the variance that a bootstrap misses."""
+    reach = stats.t.ppf(0.975, np.array([blocks, USUAL]) - 1)
+    lost = np.sqrt(np.array([blocks, USUAL]) / (np.array([blocks, USUAL]) - 1))
+    few, usual = reach * lost
+    return float(few / usual)
 
 
 # ---- swims on a grid ----------------------------------------------------------------------------

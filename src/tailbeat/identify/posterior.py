@@ -194,6 +194,11 @@ def _wrong(column: Array) -> bool:
     return not bool(np.isfinite(column).all())
 
 
+def _discrepancy(known: Mapping[str, Any]) -> Discrepancy:
+    told = known.get("told")
+    return Discrepancy(**{**known, "told": None if told is None else tuple(told)})
+
+
 def _from(frame: pl.DataFrame, facts: Mapping[str, Any]) -> Posterior:
     known = facts["discrepancy"]
     units: Sequence[str] = facts["units"]
@@ -207,6 +212,6 @@ def _from(frame: pl.DataFrame, facts: Mapping[str, Any]) -> Posterior:
         frame.to_numpy().astype(np.float64),
         tuple(facts["fitted"]),
         tuple(facts["held_out"]),
-        None if known is None else Discrepancy(**known),
+        None if known is None else _discrepancy(known),
         facts["versions"],
     )

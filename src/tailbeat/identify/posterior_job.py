@@ -18,7 +18,7 @@ from tailbeat.identify.runs import Run, as_runs
 from tailbeat.identify.search import Fit
 from tailbeat.identify.space import WIDE_STEP, Parameter, bounds, cost, covariance, sensitivity
 from tailbeat.identify.space import values as values_at
-from tailbeat.recording import read_recording
+from tailbeat.recording import read_recordings
 
 
 def write_posterior(
@@ -29,7 +29,7 @@ def write_posterior(
     described, path = load_fish(fish), out or posterior.beside(fish_path(fish))
     refuse_existing(path)
     runs, judged = (
-        [run for name in group for run in as_runs(read_recording(name), described)]
+        [run for one in read_recordings(group) for run in as_runs(one, described)]
         for group in (fit, check_swims)
     )
     if not runs:

@@ -54,9 +54,8 @@ class Cruise:
 @dataclass(frozen=True, eq=False)
 class Run:
     """A checked recording: its track and gait; `motor` (k,) [rad], None for a cruise; `launch` (3,)
-    surge, sway [m/s] and yaw rate [rad/s] at the start, if stated; `glitches` that were left out.
-
-    A cruise has a heading and a beat; a replayed run may lack either (`Track`, `Gait`)."""
+    surge, sway [m/s] and yaw rate [rad/s] at the start, if stated; `glitches` that were left out of
+    so many `rows`. A cruise has a heading and a beat; a replayed run may lack either."""
 
     name: str
     track: Track
@@ -65,6 +64,7 @@ class Run:
     from_rest: bool
     launch: Array | None = None
     glitches: tuple[Glitch, ...] = ()
+    rows: int = 0
 
 
 def as_runs(recording: Recording, fish: Fish) -> list[Run]:
@@ -76,6 +76,7 @@ def as_run(recording: Recording, fish: Fish) -> Run:
     """A recording without its glitches, checked against a fish. Raises BadInput with the reason."""
     if "motor_angle_rad" in recording.columns:  # a wrong unit is no glitch
         check_motor(recording, fish, recording.columns["motor_angle_rad"], most=0.1)
+    given = recording.time.size
     recording, glitches = clean_swim(recording)
     motor = recording.columns.get("motor_angle_rad")
     if motor is None and fish.motor.kind != "crank":
@@ -92,7 +93,7 @@ def as_run(recording: Recording, fish: Fish) -> Run:
         check_motor(recording, fish, motor)
         frequency = steady_beat(track.time, np.sin(motor), fish.band)
     gait, launch = measure_gait(track, frequency), launch_of(recording, fish)
-    return Run(recording.name, track, gait, motor, _from_rest(track), launch, glitches)
+    return Run(recording.name, track, gait, motor, _from_rest(track), launch, glitches, given)
 
 
 def _recorded_pose(recording: Recording, needs_yaw: bool) -> Array:
@@ -149,10 +150,9 @@ def tip_index(fish: Fish) -> int:
 
 def _from_rest(track: Track) -> bool:
     """Whether the first tenth of the track is slower than a quarter of its fastest tenth."""
-    tenth = max(track.time.size // 10, 2)
-    marks = track.pose[::tenth, :2]
+    marks = track.pose[:: max(track.time.size // 10, 2), :2]
     speeds = np.linalg.norm(np.diff(marks, axis=0), axis=1)
-    return bool(speeds[0] < 0.25 * speeds.max())
+    return bool(speeds.size and speeds[0] < 0.25 * speeds.max())
 
 
 def repeat(

@@ -127,6 +127,11 @@ def identify_servo(
     if not fit:
         raise BadInput("--fit is empty; give at least one recording to fit.")
     middle = gain_reference([*fit, *validate])
+    if middle is None and config.gain is not None:
+        raise BadInput(
+            f"--gain {config.gain:g}: no recording states its gain; add a line `# gain: ...` on top"
+            f" of each, or leave --gain out."
+        )
     gain = None if middle is None else config.gain or gain_reference(fit)
     space, fits = searched(fit, config, scratch, progress)
     baseline = fish.servos.get("idealised", IDEALISED)

@@ -42,7 +42,7 @@ from tailbeat.identify.shaft import Bench
 from tailbeat.identify.step_check import Held
 from tailbeat.identify.tail import identify_tail
 from tailbeat.identify.tail_report import TailResult
-from tailbeat.recording import Recording, read_recording
+from tailbeat.recording import Recording, read_recording, read_recordings
 
 Progress = Callable[[int, str, float, float], None]
 DrawTail = Callable[[TailResult, Recording | None, Path], None]
@@ -80,7 +80,7 @@ def tail(paths: Paths, static: Path | None, release: Path | None, draw: DrawTail
     an output exists."""
     _refuse_taken(paths)
     described = load_fish(paths.fish)
-    recordings = [read_recording(path) for path in paths.fit]
+    recordings = read_recordings(paths.fit)
     pull, pulled = (None, ()) if static is None else clean_pull(read_recording(static))
     rung, listed = (None, ()) if release is None else clean_tail(read_recording(release))
     ring = None if rung is None else ring_down(rung)
@@ -114,7 +114,7 @@ def benches_of(paths: Paths, config: ServoConfig) -> tuple[Fish, list[list[Bench
     _refuse_taken(paths)
     described = load_fish(paths.fish)
     return described, [
-        [b for path in group for b in as_benches(read_recording(path), described, config.load)]
+        [b for one in read_recordings(group) for b in as_benches(one, described, config.load)]
         for group in (paths.fit, paths.validate)
     ]
 
@@ -143,7 +143,7 @@ def swims_of(paths: Paths, config: job.FluidConfig) -> tuple[Fish, list[list[Run
         described = whole(described)
     groups = (paths.fit, paths.validate, paths.check)
     return described, [
-        [run for path in group for run in as_runs(read_recording(path), described)]
+        [run for one in read_recordings(group) for run in as_runs(one, described)]
         for group in groups
     ]
 

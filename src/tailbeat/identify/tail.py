@@ -25,6 +25,7 @@ from tailbeat.identify.clean import clean_tail
 from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.glitches import Glitch
 from tailbeat.identify.response import Condition, measure, split
+from tailbeat.identify.trust import share_left_out
 from tailbeat.recording import Recording
 
 Array = NDArray[np.float64]
@@ -41,7 +42,8 @@ class TailFit:
     `excess_re` and `excess_im` [N m/rad] are the scatter of the conditions about the lines beyond
     their own deviations: if it is large, the four numbers do not describe the tail well. `glitches`
     lists what was left out, `contradictions` recordings of different tails. `mode` J [kg m^2 s^2]
-    and `bend` S [N m/rad^3] are of the next mode and of the stroke; None: not seen.
+    and `bend` S [N m/rad^3] are of the next mode and of the stroke; None: not seen. `spoilt` has
+    the fraction of each recording's samples that are glitches.
     """
 
     conditions: tuple[Condition, ...]
@@ -56,6 +58,7 @@ class TailFit:
     contradictions: tuple[str, ...] = ()
     mode: Estimate | None = None
     bend: Estimate | None = None
+    spoilt: tuple[tuple[str, float], ...] = ()
 
     def stiffness(self, square: Array) -> Array:
         """Re H [N m/rad] of small strokes at squared frequencies [rad^2/s^2]."""
@@ -93,10 +96,13 @@ def identify_tail(recordings: Sequence[Recording]) -> TailFit:
     (c, f), spare_im = line(drag, response.imag, deviation, ("N m s/rad", "N m"))
     warnings = _warnings(found, i, c, f)
     glitches = tuple(glitch for _, listed in cleaned for glitch in listed)
-    against = tuple(_contradictions(found))
-    return TailFit(
-        tuple(found), k, i, c, f, spare_re, spare_im, tuple(warnings), glitches, against, mode, bend
+    spoilt = tuple(
+        (one.name, share_left_out(listed, one.time.size))
+        for one, (_, listed) in zip(recordings, cleaned, strict=True)
     )
+    against = tuple(_contradictions(found))
+    said = tuple(warnings), glitches, against
+    return TailFit(tuple(found), k, i, c, f, spare_re, spare_im, *said, mode, bend, spoilt)
 
 
 def _stiffness(

@@ -75,7 +75,7 @@ def combine(
 def as_report(found: TailResult) -> dict[str, Any]:
     """The JSON report."""
     fit, hinges = found.fit, found.hinges
-    said = verdict((), (), fit.contradictions)
+    said = verdict((), fit.spoilt, fit.contradictions)
     return {
         "verdict": list(said.sentences),
         "trusted": said.trusted,

@@ -122,26 +122,30 @@ def import_table(path: str | Path, config: TableConfig) -> Recording:
 
 
 def read_table(file: Path, rows: str | None = None) -> Table:
-    """Columns and header of a .json, .parquet or CSV file. Raises BadInput if it is no table."""
+    """Columns and header of a .json, .parquet or CSV file. Raises BadInput if it is no table of two
+    rows or more."""
     if not file.is_file():
         raise BadInput(f"{file}: no such file; give a table as .csv, .json or .parquet.")
-    if file.suffix == ".json":
-        return _read_json(file, rows)
-    if rows is not None:
+    if file.suffix != ".json" and rows is not None:
         raise BadInput(f"--rows {rows}: {file} is not a JSON file; leave --rows out.")
-    columns = _read_parquet(file) if file.suffix == ".parquet" else _read_csv(file)
-    return Table(file, columns, {})
+    if file.suffix == ".json":
+        table = _read_json(file, rows)
+    else:
+        table = _read_parquet(file) if file.suffix == ".parquet" else _read_csv(file)
+    if min(map(len, table.columns.values()), default=0) < 2:
+        raise BadInput(f"{file}: give a table with a header and at least two rows.")
+    return table
 
 
-def _read_parquet(file: Path) -> dict[str, Sequence[Any]]:
+def _read_parquet(file: Path) -> Table:
     try:
         frame = pl.read_parquet(file)
     except pl.exceptions.PolarsError:
         raise BadInput(f"{file}: not a Parquet file; give another.") from None
-    return {name: frame[name].to_list() for name in frame.columns}
+    return Table(file, {name: frame[name].to_list() for name in frame.columns}, {})
 
 
-def _read_csv(file: Path) -> dict[str, Sequence[Any]]:
+def _read_csv(file: Path) -> Table:
     """Cells as text; separated by comma, semicolon or tab, whichever the header has most of."""
     try:
         text = file.read_text(encoding="utf-8-sig")
@@ -150,15 +154,14 @@ def _read_csv(file: Path) -> dict[str, Sequence[Any]]:
         cells = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
     except (UnicodeDecodeError, csv.Error):
         raise BadInput(f"{file}: not text; give a CSV in UTF-8, JSON or Parquet.") from None
-    if len(cells) < 3:
-        raise BadInput(f"{file}: give a table with a header and at least two rows.")
-    for row, line in enumerate(cells[1:], start=1):
-        if len(line) != len(cells[0]):
-            raise BadInput(
-                f"{file}: row {row} has {len(line)} cells and the header {len(cells[0])}; correct"
-                f" or remove the row."
-            )
-    return {name: [line[i] for line in cells[1:]] for i, name in enumerate(cells[0])}
+    header, *filled = cells or [[]]
+    if twice := [name for name in header if header.count(name) > 1]:
+        raise BadInput(f"{file}: column {twice[0]!r} appears twice; rename or remove one.")
+    for row, line in enumerate(filled, start=1):
+        if len(line) != len(header):
+            said = f"row {row} has {len(line)} cells and the header {len(header)}"
+            raise BadInput(f"{file}: {said}; correct or remove the row.")
+    return Table(file, {name: [line[i] for line in filled] for i, name in enumerate(header)}, {})
 
 
 def _read_json(file: Path, rows: str | None) -> Table:
@@ -238,9 +241,8 @@ def _target(name: str) -> tuple[str, str]:
 
 def _column(table: Table, name: str, source: str) -> Sequence[Any]:
     if source not in table.columns:
-        raise BadInput(
-            f"{table.file}: column {source!r} (--map {name}) is missing; {_there(table.columns)}."
-        )
+        missing = f"column {source!r} (--map {name}) is missing"
+        raise BadInput(f"{table.file}: {missing}; {_there(table.columns)}.")
     return table.columns[source]
 
 
@@ -250,11 +252,9 @@ def _numbers(table: Table, name: str, values: Sequence[Any], gaps: bool) -> Arra
     empty = np.array([value is None or value == "" for value in values])
     bad = np.flatnonzero(~np.isfinite(found) & ~(empty & gaps))
     if bad.size:
-        row = int(bad[0])
-        raise BadInput(
-            f"{table.file}: column {name}, row {row + 1}: {values[row]!r} is not a finite number;"
-            f" correct or remove the row."
-        )
+        where = f"{table.file}: column {name}, row {bad[0] + 1}"
+        said = f"{values[bad[0]]!r} is not a finite number"
+        raise BadInput(f"{where}: {said}; correct or remove the row.")
     return found
 
 
