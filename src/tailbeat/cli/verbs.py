@@ -26,6 +26,12 @@ PANELS = {
             "tail --fish my-fish.toml --out commands",
         ),
         Verb(
+            "play",
+            "play:play",
+            "Play commands on the fish's servo and record shaft and, of swims, poses.",
+            "commands/fluid-*.csv --fish my-fish.toml --servo /dev/ttyUSB0 --out data",
+        ),
+        Verb(
             "record",
             "measure:record",
             "Play a protocol in the virtual pool and record it as a lab would.",

@@ -18,3 +18,12 @@ class Devices:
     receiver: Receiver
     socket: socket.socket
     station: tuple[str, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """The link to a station: what it sends, our socket, and its address."""
+
+    receiver: Receiver
+    socket: socket.socket
+    station: tuple[str, int]
