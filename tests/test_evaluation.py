@@ -297,6 +297,14 @@ def test_a_posterior_is_that_of_the_fish_inside_the_policy():
     assert evaluation._draws("pulley-fish-pool", older) is None
 
 
+def test_the_page_of_a_folder_is_of_the_fish_that_swam_there(tmp_path):
+    """Another fish's body was drawn on its angles, or the figures ended in a traceback."""
+    policy, config = load_policy(POLICY), EvaluationConfig(seed=5)
+    store.begin(tmp_path, evaluation.describe(policy, evaluation.pool_of(policy, config)))
+    with pytest.raises(BadInput, match="pulley-fish swam there, not crank-fish"):
+        of_folder(tmp_path, "crank-fish")
+
+
 def test_behind_a_path_every_swim_has_its_own_lab_and_other_tasks_stay_clean():
     policy, config = load_policy(POLICY), EvaluationConfig(seed=5, lab="rough")
     pool = evaluation.pool_of(policy, config)

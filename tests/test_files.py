@@ -32,6 +32,16 @@ def test_json_holds_numpy_and_no_nan(tmp_path):
     }
 
 
+def test_a_full_disk_is_one_sentence_and_nothing_stays(tmp_path):
+    with (
+        pytest.raises(BadInput, match=r"a\.json: No space left on device; free some space"),
+        new_file(tmp_path / "a.json"),
+        open("/dev/full", "w", encoding="utf-8") as full,
+    ):
+        full.write("x" * 100_000)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_place_that_cannot_be_written_is_one_sentence(tmp_path):
     (tmp_path / "file").write_text("")
     for target in (tmp_path, tmp_path / "file" / "a.json"):

@@ -1,5 +1,6 @@
 """Report bad input, and write files safely."""
 
+import errno
 import json
 import math
 import os
@@ -24,6 +25,8 @@ EXTRA_OF = {
     "websockets": "station",
     "ray": "cluster",
 }
+
+FULL = (errno.ENOSPC, errno.EDQUOT)  # of a disk, of a user's share of it
 
 
 class BadInput(ValueError):
@@ -81,6 +84,10 @@ def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     try:
         yield beside
         os.replace(beside, target)
+    except OSError as error:
+        if error.errno in FULL and not error.filename:
+            raise BadInput(f"{target}: {error.strerror}; free some space, then repeat.") from None
+        raise
     finally:
         beside.unlink(missing_ok=True)
 

@@ -17,6 +17,7 @@ from tailbeat.cli.options import (
 from tailbeat.files import need, refuse_existing, write_json
 
 if TYPE_CHECKING:
+    from tailbeat.control.measure import Measure
     from tailbeat.evaluate.margins import Margin, Margins
 
 
@@ -49,43 +50,50 @@ def margins(
     from tailbeat.report.margins import margins_figure
 
     config = MarginsConfig(fish, twin, targets, tuple(nuisance or ()), seed)
+    loaded = load_policy(policy)
     with progress.counting() as count:
         if address is None:
-            done = measure(load_policy(policy), config, out, count)
+            done = measure(loaded, config, out, count)
         else:
             done = margins_on(address, policy, config, out, count)
-    margins_figure(done, out / "margins.png", overwrite=True)
-    _print(done)
+    own = loaded.contract.measure
+    margins_figure(done, own, out / "margins.png", overwrite=True)
+    _print(done, own)
     output.say(f"figure: {out / 'margins.png'}")
     if json is not None:
         write_json(json, done)
 
 
-def _print(done: "Margins") -> None:
+def _print(done: "Margins", m: "Measure") -> None:
     """A row per nuisance, the thinnest first; then the three that matter most."""
+    from tailbeat.control.measure import centimetres
     from tailbeat.evaluate.advice import ADVICE
     from tailbeat.evaluate.margins import by_safety
 
     rows = by_safety(done.margins)
-    output.tables({"margins: sizes with fewer than 75 % reached": [_row(done, r) for r in rows]})
+    output.tables({"margins: sizes with fewer than 75 % reached": [_row(done, r, m) for r in rows]})
     rate = f"{100 * done.clean.arrived:.0f} and {100 * done.everyday.arrived:.0f} %"
-    output.say(f"reached in the clean pool, and with everything everyday: {rate} at 5 cm")
+    rate += f" within {centimetres(m.arrival)}"
+    output.say(f"reached in the clean pool, and with everything everyday: {rate}")
     for name in done.thinnest:
         output.say(f"{name}: {ADVICE[name]}")
 
 
-def _row(done: "Margins", row: "Margin") -> dict[str, Any]:
+def _row(done: "Margins", row: "Margin", m: "Measure") -> dict[str, Any]:
     """A nuisance: its everyday size, the lab's figure, and the four margins."""
+    from tailbeat.control.measure import centimetres
+
+    close, wide = centimetres(m.arrival), centimetres(m.near)
     own = {(one.rest, one.ring): one for one in done.margins if one.nuisance == row.nuisance}
     return {
         "nuisance": row.nuisance,
         "unit": row.unit,
         "everyday": row.everyday,
         "lab": row.lab,
-        "alone, 5 cm": _size(own["alone", "arrived"]),
-        "alone, 20 cm": _size(own["alone", "near"]),
-        "among others, 5 cm": _size(row),
-        "among others, 20 cm": _size(own["everyday", "near"]),
+        f"alone, {close}": _size(own["alone", "arrived"]),
+        f"alone, {wide}": _size(own["alone", "near"]),
+        f"among others, {close}": _size(row),
+        f"among others, {wide}": _size(own["everyday", "near"]),
         "safety": f"{row.safety:.1f}" if row.size is not None else f"> {row.safety:.1f}",
     }
 

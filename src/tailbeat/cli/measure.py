@@ -25,6 +25,8 @@ def protocol(
     json: JsonOption = None,
 ) -> None:
     """Write the commands that the test bench plays. docs/how-to/record.md has the steps."""
+    if json is not None:
+        refuse_existing(json)
     from tailbeat.identify.commands import write_protocol
 
     paths = write_protocol(kind, fish, out, speed)
@@ -47,6 +49,8 @@ def record(
     json: JsonOption = None,
 ) -> None:
     """Play a protocol in the virtual pool and record it as a lab would."""
+    if json is not None:
+        refuse_existing(json)
     from tailbeat.pool import record as recorder
 
     paths = recorder.record(kind, fish, out, seed, commands or (), mess)

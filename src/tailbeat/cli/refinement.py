@@ -34,6 +34,7 @@ def refinement(
     if json is not None:
         refuse_existing(json)
     need_training()
+    from tailbeat.control.measure import centimetres
     from tailbeat.control.policy import load_policy
     from tailbeat.evaluate.refinement import RefinementConfig
     from tailbeat.evaluate.refinement import refinement as swim
@@ -41,14 +42,15 @@ def refinement(
     config = RefinementConfig(
         fish, twin, mess, labs, targets, swims, rounds=rounds, walled=walls, seed=seed
     )
+    loaded = load_policy(policy)
     with progress.counting() as count:
-        done = swim(load_policy(policy), config, count)
-    _print(done)
+        done = swim(loaded, config, count)
+    _print(done, centimetres(loaded.contract.measure.arrival))
     if json is not None:
         write_json(json, done)
 
 
-def _print(done: "Refinement") -> None:
+def _print(done: "Refinement", ring: str) -> None:
     names = list(dict.fromkeys(_named(e) for lab in done.labs for e in lab.estimates))
     rows = [_row(number, one, names) for number, one in enumerate(done.labs)]
     output.tables({f"targets reached of {done.config.targets}": rows})
@@ -60,7 +62,7 @@ def _print(done: "Refinement") -> None:
         ("gain of true corrections", done.most),
     ):
         value, low, high = (100 * one for one in share)
-        output.say(f"{what}: {value:.0f} % of targets within 5 cm ({low:.0f} to {high:.0f} %)")
+        output.say(f"{what}: {value:.0f} % of targets within {ring} ({low:.0f} to {high:.0f} %)")
     held = [one.held for lab in done.labs for one in lab.estimates]
     output.say(f"95 % intervals that hold the lab's own value: {sum(held)} of {len(held)}")
 

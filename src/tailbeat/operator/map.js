@@ -73,7 +73,7 @@ function drawFish(fish) {
 function drawTrail(fish, trail) {
   const now = performance.now();
   if (trail) path = trail.map(([age, x, y]) => ({ time: now - 1000 * age, x, y }));
-  else if (fish && !(now - path.at(-1)?.time <= 150)) path.push({ time: now, x: fish.pose[0], y: fish.pose[1] });
+  else if (fish && fish.age < 0.3 && !(now - path.at(-1)?.time <= 150)) path.push({ time: now, x: fish.pose[0], y: fish.pose[1] });
   while (path.length && now - path[0].time > TRAIL) path.shift();
   const pieces = [];
   for (let k = 0; k + 1 < path.length; k += 20) {

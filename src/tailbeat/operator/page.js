@@ -36,16 +36,21 @@ function send(command) {
 function stop() {
   if (replay) return; // there is nothing to stop
   stopping = performance.now() + 3000;
-  if (socket?.readyState === WebSocket.OPEN) socket.send('{"do": "stop"}');
-  else fetch("stop", { method: "POST" }).catch(() => say("STOP not sent: no connection to the station", true));
+  sendStop(() => say("STOP not sent: no connection to the station", true));
+}
+
+// A socket that has been silent may be open and yet hold back what is sent: STOP goes both ways then.
+function sendStop(failed) {
+  const open = socket?.readyState === WebSocket.OPEN;
+  if (open) socket.send('{"do": "stop"}');
+  if (!open || performance.now() - heard > 1000 * SILENT) fetch("stop", { method: "POST" }).catch(failed);
 }
 
 // An order to stop that the fish has not followed is sent again.
 const moving = () => TORQUE.includes(now?.status?.state);
 setInterval(() => {
   if (performance.now() > stopping || !moving()) return;
-  if (socket?.readyState === WebSocket.OPEN) socket.send('{"do": "stop"}');
-  else fetch("stop", { method: "POST" }).catch(() => {});
+  sendStop(() => {});
 }, 300);
 
 let waiting = null, sentAt = 0;

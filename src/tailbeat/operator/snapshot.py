@@ -20,6 +20,7 @@ from tailbeat.link.status import Status
 from tailbeat.robot.safety import limits_for
 
 Array = NDArray[np.float64]
+OLD = 1.0  # s: an older frame is not shown as the present
 FIN = 0.005  # m, half of a fin's thickness in the drawing
 HEAD = ((0.1, 0.7), (0.35, 1.0), (0.7, 0.95))  # drawing: position from nose to hinge, width
 
@@ -64,15 +65,22 @@ def _fish(sender: Sender, fish: Fish, frame: Frame) -> dict[str, Any]:
 
 
 def _target(sender: Sender) -> tuple[float, float] | None:
-    """The target that is sent."""
-    newest = sender.frames[-1].target if sender.frames else None
-    return sender.target or newest
+    """The target that is sent; one that the camera sees only while it sees it."""
+    newest = _newest(sender)
+    return sender.target or (newest.target if newest else None)
+
+
+def _newest(sender: Sender) -> Frame | None:
+    """The newest frame, if it is new: without a camera the last one stays."""
+    newest = sender.frames[-1] if sender.frames else None
+    old = newest is None or sender.clock() - newest.captured > OLD * SECOND
+    return None if old else newest
 
 
 def _away(sender: Sender) -> float | None:
-    """Distance of the fish's tag from the target in the newest frame [m]; None if one is not in
-    it."""
-    newest = sender.frames[-1] if sender.frames else None
+    """Distance of the fish's tag from the target in the newest frame [m]; None if one is not in it,
+    or if it is old."""
+    newest = _newest(sender)
     if newest is None or newest.fish is None or newest.target is None:
         return None
     return math.dist(newest.fish[:2], newest.target)

@@ -1,6 +1,7 @@
 """What a lab prints before its first day at the pool: the fish, what its policy should reach, what
 it stands, how sure the twin is, and what to check on site. It reads what other verbs measured."""
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from tailbeat.control.measure import Measure, centimetres
 from tailbeat.control.policy import Policy, contract_digest
 from tailbeat.evaluate import evaluation, store
 from tailbeat.evaluate.advice import ADVICE
@@ -66,7 +68,7 @@ def write(policy: Policy, name: str, fish: Fish, known: Measured, out: Path) -> 
     facts = _facts(policy, name, fish)
     sections = [
         Section("Fish and policy", (html.figure(picture(fish), out, "fish"), html.values(facts))),
-        Section("Expected success", _success(known.messy)),
+        Section("Expected success", _success(known.messy, policy.contract.measure)),
         Section("What it stands", _margins(known.margins)),
         Section("How sure the twin is", _doubt(known.posterior)),
         Section("On site", _checks(name)),
@@ -122,16 +124,16 @@ def picture(fish: Fish) -> Figure:
     return figure
 
 
-def _success(rows: tuple[ConditionResult, ...] | None) -> tuple[Block, ...]:
-    """Success in the four levels, or what measures it."""
+def _success(rows: tuple[ConditionResult, ...] | None, m: Measure) -> tuple[Block, ...]:
+    """Success in the four levels, in the fish's measure, or what measures it."""
     if rows is None:
         return (_missing("tailbeat evaluate POLICY --tasks messy --out FOLDER", "--evaluation"),)
     table = [
         {
             "labs": row.condition.removeprefix("messy: "),
             "targets": row.swims,
-            "within 5 cm [%]": percent(row.arrived, row.arrived_interval),
-            "within 20 cm [%]": percent(row.near, row.near_interval),
+            f"within {centimetres(m.arrival)} [%]": percent(row.arrived, row.arrived_interval),
+            f"within {centimetres(m.near)} [%]": percent(row.near, row.near_interval),
         }
         for row in rows
     ]
@@ -178,7 +180,9 @@ def _checks(name: str) -> tuple[Block, ...]:
     rows = [
         {"check": check, "if it fails": do, "done": ""} for check, do in findings.ADVICE.items()
     ]
-    return Block("command", f"tailbeat doctor {name}"), html.table(rows)
+    words = shlex.join(["tailbeat", "doctor", "--policy", name])
+    ports = "--fish FISH --servo PORT --imu PORT --listen HOST:PORT --station HOST:PORT --key FILE"
+    return Block("command", f"{words} {ports}"), html.table(rows)
 
 
 def _missing(command: str, option: str) -> Block:

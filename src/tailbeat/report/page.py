@@ -17,7 +17,7 @@ from tailbeat.evaluate.reach import TRAINED, ReachResult
 from tailbeat.evaluate.trial import CHUNK
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
-from tailbeat.fish.store import load_fish
+from tailbeat.fish.store import digest, load_fish
 from tailbeat.report import figures, fresh_recordings, swim_figures
 from tailbeat.report.html import Block, Section, figure, picture, table, values, write
 from tailbeat.report.paper import arrived, beside_paper, near
@@ -54,6 +54,10 @@ def of_folder(
     if not out.is_dir() or not any(out.iterdir()):
         raise BadInput(f"{out}: folder is empty or missing; run `tailbeat evaluate` into it first.")
     described = load_fish(fish)
+    if store.has_runs(out):
+        swum = store.read_description(out)
+        if swum.fish_digest != digest(described):
+            raise BadInput(f"{out}: {swum.fish} swam there, not {fish}; give its file with --fish.")
     return report(out, described, trained_on(out, fish, twin), data)
 
 
