@@ -6,6 +6,7 @@ import pytest
 
 from tailbeat.evaluate.open_loop import beat, summary
 from tailbeat.files import BadInput
+from tailbeat.fish.description import Uncertain
 from tailbeat.fish.store import (
     Entry,
     fish_path,
@@ -16,9 +17,13 @@ from tailbeat.fish.store import (
     with_values,
     write_identified,
 )
+from tailbeat.fish.twin import Options, compile_twin
+from tailbeat.identify.fluid import fluid_space
+from tailbeat.pool.chain import build_chain
 from tailbeat.pool.water import Water, fingerprint
 
 PULLEY = "pulley-fish"
+FISH = load_fish(PULLEY)
 
 
 def changed(tmp_path, old: str, new: str, fish: str = PULLEY):
@@ -101,6 +106,18 @@ BAD = {
         "simulation.step = '3 ms': the step must divide the 20 ms of the robot's loop, as 1, 2",
     ),
     "a long step": ('step = "4 ms"', 'step = "15 ms"', "simulation.step = '15 ms': the step must"),
+    "a part's name twice": ('name = "tail1"', 'name = "tail0"', "part 'tail0' stands there twice"),
+    "a range that falls": ('"-80 80 deg"', '"80 -80 deg"', "motor.range must rise"),
+    "no stiffness": (
+        "k_eff = { value = 0.98",
+        "k_eff = { value = 0",
+        "tail.k_eff",
+    ),
+    "inertias of no body": (
+        "[head]",
+        '[head]\ninertial = { mass = "1 kg", centre = "0 0 0 mm", inertia = "1 1 3 kg m^2" }',
+        "no larger than the other two sum",
+    ),
     "not TOML": ("[motor]", "[motor", "not valid TOML"),
 }
 
@@ -112,6 +129,27 @@ def test_bad_descriptions_are_one_sentence(tmp_path, case):
         load_fish(changed(tmp_path, old, new))
     message = str(caught.value)
     assert complaint in message and "f.toml" in message and "\n" not in message
+
+
+def test_a_fish_that_the_engine_refuses_is_one_sentence(tmp_path):
+    mesh = '[head]\nmesh = { file = "nowhere.stl" }'
+    fish = load_fish(changed(tmp_path, "[head]", mesh))
+    with pytest.raises(BadInput, match=r"the engine refuses it: .*nowhere\.stl"):
+        compile_twin(fish, Options(looks=True))
+
+
+@pytest.mark.parametrize(
+    ("field", "low", "said"),
+    [
+        ("tendons.slak", 0.1, "uncertain field 'tendons.slak' is no number of the fish"),
+        ("tag", 0.1, "uncertain field 'tag' is no number of the fish"),
+        ("tail.friction", 0.0, "is searched by its logarithm"),
+    ],
+)
+def test_an_uncertain_field_must_be_a_number_that_can_be_searched(field, low, said):
+    listed = Uncertain(field=field, unit="1", low=low, high=1.0, spread=0.5)
+    with pytest.raises(BadInput, match=said):
+        fluid_space(load_fish(PULLEY).model_copy(update={"uncertain": (listed,)}), 1)
 
 
 def test_values_are_set_by_path_and_checked():
@@ -157,3 +195,23 @@ def test_template_is_a_fish_that_compiles_and_swims_forward(tmp_path):
     assert summary(done).speed_m_s > 0.005
     with pytest.raises(BadInput, match="exists already"):
         new_fish(tmp_path / "mine.toml")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"tendons": {"head_guides": ()}}, "tendons.head_guides is missing"),
+        ({"head": "dry"}, "no part of the head outside zone fin has a zone"),
+    ],
+)
+def test_a_fish_that_the_plant_would_swim_otherwise_is_refused(changes, said):
+    """Without the hole in the head, the first hinge had no tendon, and nobody was told."""
+    parts = tuple(one.model_copy(update={"zone": None}) for one in FISH.head.parts)
+    update = {
+        name: FISH.head.model_copy(update={"parts": parts})
+        if name == "head"
+        else FISH.tendons.model_copy(update=held)
+        for name, held in changes.items()
+    }
+    with pytest.raises(BadInput, match=said):
+        build_chain(FISH.model_copy(update=update))

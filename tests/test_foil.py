@@ -168,3 +168,13 @@ def test_finite_span():
     slope, heave, pitch = fin_factors(0.1, 0.2)
     assert slope == pytest.approx(2 / (2 + np.sqrt(8)))
     assert (heave, pitch) == (0.757, 0.92)  # the plate table at aspect ratio 2
+
+
+def test_a_fin_that_is_longer_than_high_is_a_plate_of_its_shorter_side():
+    """DNV's table is by the longer side. Clamped at a square's, a fin of half its chord had 1.5
+    times the added mass; turned by a quarter, a plate must weigh the same."""
+    for chord, height in ((0.1, 0.05), (0.06, 0.04), (0.08, 0.08)):
+        ours, turned = (
+            c**2 * h * float(fin_factors(c, h)[1]) for c, h in ((chord, height), (height, chord))
+        )
+        assert ours == pytest.approx(turned, rel=1e-12)

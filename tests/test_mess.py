@@ -33,6 +33,8 @@ from tailbeat.recording import Recording
 
 FISH = load_fish("pulley-fish-pool")
 SOFT = load_fish("pulley-fish")  # its tendons are springs
+SPRINGS = {"stiffness": 2e4, "damping": 20.0, "two_way": True}
+BOTH_WAYS = SOFT.model_copy(update={"tendons": SOFT.tendons.model_copy(update=SPRINGS)})
 STILL = Settings(sensors=quiet(), physics=randomize.none())
 NOISY = replace(STILL, sensors=SensorModel())
 CALM, NEW = (Surroundings(),), (Wear(),)
@@ -183,7 +185,7 @@ def test_slack_is_the_turn_of_the_shaft_that_moves_no_tail():
     """A slow shaft within its slack bends nothing; beyond, the tail follows by the rest."""
     slow = 0.5 * np.minimum(np.arange(4000) / 3000, 1.0)
     held = [Surroundings(held=True)]
-    for fish in (FISH, SOFT):
+    for fish in (FISH, SOFT, BOTH_WAYS):
         tight, loose = (played(slow, [Wear(slack=s)], held, fish).q[0] for s in (0.0, 0.2))
         within = (tight[:, 3] > 0.05) & (loose[:, 3] < 0.15)
         assert np.abs(loose[within, 4:].sum(axis=1)).max() < 0.02

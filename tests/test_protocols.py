@@ -19,7 +19,7 @@ from tailbeat.identify import posterior
 from tailbeat.identify.chain import Ahead, ChainPaths, Folder, _keys, identify_all, read_folder
 from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.job import FluidConfig
-from tailbeat.identify.manoeuvres import FULL
+from tailbeat.identify.manoeuvres import FULL, manoeuvres
 from tailbeat.identify.protocol import fluid_runs, limits, servo_commands
 from tailbeat.identify.search import Effort
 from tailbeat.identify.tail import identify_tail
@@ -230,6 +230,46 @@ def test_given_commands_are_played_and_checked(tmp_path):
     with pytest.raises(BadInput, match=r"fluid-wild: column command_rad, row \d+: .* outside"):
         record("fluid", "pulley-fish", tmp_path / "two", 0, [tmp_path / "fluid-wild.csv"])
     assert not list((tmp_path / "two").glob("*"))
+
+
+def test_given_commands_may_begin_at_any_time_of_day_and_names_are_checked_first(tmp_path):
+    """Times of a log made a traceback of a billion steps, or held the first command for hours."""
+    time = np.arange(0, 3, 0.02)
+    sine = 0.4 * np.sin(2 * np.pi * 1.5 * time)
+    for name, begin in (("a", 0.0), ("b", 1.7e9), ("c", -5.0)):
+        one = Recording(name, begin + time, {"command_rad": sine})
+        write_recording(one, tmp_path / name / "servo-mine.csv")
+    found = []
+    for name in "abc":
+        (path,) = record("servo", "pulley-fish", tmp_path / f"out-{name}", 0,
+                         [tmp_path / name / "servo-mine.csv"])  # fmt: skip
+        found.append(read_recording(path).columns["angle_rad"])
+    assert np.allclose(found[0], found[2]) and np.allclose(found[0], found[1], atol=2e-3)
+    both = [tmp_path / name / "servo-mine.csv" for name in "ab"]
+    made = record("servo", "pulley-fish", tmp_path / "both", 0, both)
+    assert [path.name for path in made] == ["a-servo-mine.csv", "b-servo-mine.csv"]
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "x.csv").write_text("mine")
+    write_recording(Recording("x", time, {"command_rad": sine}), tmp_path / "x.csv")
+    with pytest.raises(BadInput, match=r"x\.csv: exists already"):
+        record("servo", "pulley-fish", tmp_path / "taken", 0, [both[0], tmp_path / "x.csv"])
+    assert [path.name for path in (tmp_path / "taken").iterdir()] == ["x.csv"]
+
+
+@pytest.mark.parametrize("degrees", [45, 60, 70, 80])
+def test_turning_swims_beat_however_narrow_the_motor_s_range(degrees):
+    """Their centres were 0.8 rad for every fish: one of 45 degrees held its tail aside."""
+    ends = (-np.radians(degrees), np.radians(degrees))
+    one = load_fish("pulley-fish")
+    fish = one.model_copy(update={"motor": one.motor.model_copy(update={"range": ends})})
+    limit = limits(fish)
+    for name, made in manoeuvres(fish, limit).items():
+        command = made.columns["command_rad"]
+        assert np.abs(command).max() <= limit.angle + 1e-9
+        if name.endswith("turn"):
+            late = command[len(command) // 2 :]
+            assert np.ptp(late) > 0.2 * limit.angle, name
+            assert abs(late.mean()) > 0.4 * limit.angle, name
 
 
 @pytest.mark.thorough

@@ -49,6 +49,8 @@ def emulate(
     are true: a messy lab's scale, rotation and lens are errors of its calibration."""
     if camera is None and (key is None or not robot):
         raise BadInput("emulate: give --key and --robot for poses, or --camera for pictures.")
+    if camera is not None and (key or robot or page):
+        raise BadInput("emulate: --camera sends pictures; leave --key, --robot and --page out.")
     need_robot()
     from tailbeat.emulators import serve
 

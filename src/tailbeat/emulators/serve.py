@@ -11,6 +11,7 @@ from typing import Any
 from tailbeat.emulators import rig as bench
 from tailbeat.emulators.camera_process import start_camera
 from tailbeat.emulators.film import filming_of
+from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.link.addresses import address
 from tailbeat.link.datagrams import read_key
@@ -81,11 +82,17 @@ def filmed_rig(devices: Emulated, camera: Path, say: Say) -> None:
     start, lab = _start(devices), devices.lab
     bench.imu_of(described, devices.imu)  # refused before the camera starts
     eye = start_camera(camera, filming_of(described, devices.pool, devices.seed))
-    made = bench.open_filmed_rig(described, eye, aim, devices.seed, devices.imu, lab, devices.pool)
-    if start is not None:
-        made.shaft.put(start)
-    ended = told_to_end()
-    _hurry(made)
+    try:
+        made = bench.open_filmed_rig(
+            described, eye, aim, devices.seed, devices.imu, lab, devices.pool
+        )
+        if start is not None:
+            made.shaft.put(start)
+        ended = told_to_end()
+        _hurry(made)
+    except BadInput:
+        eye.close()  # else its socket stays
+        raise
     say(json.dumps({"servo": made.ports[0], "imu": made.ports[1], "camera": eye.where}))
     try:
         bench.serve(made, lambda: bool(ended))

@@ -55,6 +55,13 @@ class Inertial(Model):
     inertia: u.Inertia3
     """Principal moments of inertia about x, y, z through the centre."""
 
+    @model_validator(mode="after")
+    def _real(self) -> "Inertial":
+        least, middle, most = sorted(self.inertia)
+        if least <= 0 or least + middle < most:
+            raise ValueError("inertia: each must be above 0, and no larger than the other two sum")
+        return self
+
 
 class Mesh(Model):
     """The user's own STL or OBJ, for pictures of a body."""
@@ -159,4 +166,13 @@ def chord_errors(bodies: Sequence[Body]) -> list[str]:
         f" {1e3 * SHORTEST:g} mm or more; give its length along x, or remove trailing_edge"
         for part in wet
         if part.size[0] < SHORTEST
+    ]
+
+
+def repeated(what: str, names: Sequence[str]) -> list[str]:
+    """A sentence for each name that stands twice: the engine knows things by their names."""
+    return [
+        f"{what} {name!r} stands there twice; rename one"
+        for name in dict.fromkeys(names)
+        if names.count(name) > 1
     ]

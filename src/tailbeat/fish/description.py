@@ -179,7 +179,7 @@ class Tendons(Model):
 class Tail(Model):
     """The chain of links."""
 
-    k_eff: u.AngularStiffness | None = None
+    k_eff: u.AngularStiffness | None = Field(default=None, gt=0)
     """Stiffness at the shaft that the hinges must give together."""
     stiffness_scale: u.Ratio = Field(default=1.0, gt=0)
     """Factor on the stiffness of every hinge."""
@@ -294,7 +294,8 @@ def length_of(fish: Fish) -> float:
 def _name_errors(fish: Fish) -> list[str]:
     """Names of zones, servos and links that do not exist."""
     zones, links = ", ".join(fish.zones), len(fish.tail.links)
-    found = []
+    found = b.repeated("part", [one.name for one in parts_of(fish) if one.zone is not None])
+    found += b.repeated("marker", [one.name for one in fish.markers])
     if fish.servo not in fish.servos:
         found.append(f"servo {fish.servo!r} is not one of {', '.join(fish.servos)}")
     for part in parts_of(fish):
@@ -324,6 +325,8 @@ def _geometry_errors(fish: Fish) -> list[str]:
         found.append(f"band {list(fish.band)} must rise from a frequency of 0 or more [Hz]")
     if fish.motor.kind == "pulley" and fish.motor.range is None:
         found.append("a pulley needs motor.range, within -85 to 85 deg")
+    if fish.motor.range is not None and not fish.motor.range[0] < fish.motor.range[1]:
+        found.append("motor.range must rise, as -80 80 deg does")
     if fish.motor.range is not None and max(map(abs, fish.motor.range)) > 1.4836:
         found.append(
             "motor.range must lie within -85 to 85 deg: beyond, the tendon leaves the pulley"

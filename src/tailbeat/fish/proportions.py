@@ -37,9 +37,9 @@ LARGEST_TAG = 150.0  # mm of the black square, with its white border on a sheet 
 # guides would meet in their full stroke: there the gap grows with the width.
 GAP = 0.2
 SLENDER = (0.5, 2.0)  # allowed ratio of width over length to the pulley fish's
-# Added mass of a rectangular plate broadside on, over that of the strip pi/4 chord^2 span, by span
-# over chord (DNV-RP-C205, appendix D).
-PLATE = ((0.0, 0.0), (1.0, 0.579), (1.5, 0.69), (2.0, 0.757), (2.5, 0.801), (3.0, 0.83),
+# Added mass of a rectangular plate broadside on, over that of the strip pi/4 short^2 long, by long
+# over short side (DNV-RP-C205, appendix D).
+PLATE = ((1.0, 0.579), (1.5, 0.69), (2.0, 0.757), (2.5, 0.801), (3.0, 0.83),
          (4.0, 0.872), (6.25, 0.917), (10.0, 0.947))  # fmt: skip
 
 
@@ -196,8 +196,9 @@ def _box(x: float, size: tuple[float, float, float], mass: float) -> Box:
 def _fin(given: Given, scale: float) -> Box:
     chord, span = given.fin or (70e-3 * scale, 160e-3 * scale)
     rear = -420e-3 * scale
-    end = np.interp(span / chord, [row[0] for row in PLATE], [row[1] for row in PLATE])
-    water = WATER * math.pi / 4 * chord**2 * span * float(end)
+    short, long = sorted((chord, span))  # the table is by the longer side
+    end = np.interp(long / short, [row[0] for row in PLATE], [row[1] for row in PLATE])
+    water = WATER * math.pi / 4 * short**2 * long * float(end)
     size = (chord, 2e-3 * scale, span)
     return Box(rear + chord / 2, size, SHARES["fin"] * given.mass, water)
 

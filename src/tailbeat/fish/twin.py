@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.files import BadInput
 from tailbeat.fish import edge, surge
 from tailbeat.fish.bodies import Body, Inertial
 from tailbeat.fish.description import Fish, Servo
@@ -92,9 +93,14 @@ def compile_twin(fish: Fish, options: Options = Options()) -> Twin:
     """Compile a description. With `replayed`, the motor is a heavy rotor that follows any angle.
 
     Some derived fields are changed after the engine's compilation. `mj_setConst` overwrites them;
-    after a call of it they must be restored (`randomize.refresh`).
+    after a call of it they must be restored (`randomize.refresh`). Raises BadInput for a fish that
+    the engine refuses, such as one with a mesh that is not there.
     """
-    model = build_spec(fish, options).compile()
+    try:
+        model = build_spec(fish, options).compile()
+    except ValueError as error:
+        said = " ".join(str(error).split())
+        raise BadInput(f"{fish.name}: the engine refuses it: {said}; correct the fish.") from None
     _set_slack(fish, model)
     twin = Twin(fish, options, model)
     model.tendon_invweight0 *= twin.taut_share

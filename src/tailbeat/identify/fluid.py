@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from tailbeat.files import BadInput
 from tailbeat.fish.description import COEFFICIENTS, Fish
 from tailbeat.fish.rollout import Swim
-from tailbeat.fish.store import value_at, with_values
+from tailbeat.fish.store import with_values
 from tailbeat.identify.gait import Track, measure_gait, surge
 from tailbeat.identify.runs import Cruise, Run, camera_track, last_beats, repeat
 from tailbeat.identify.space import Parameter, sensitivity
+from tailbeat.identify.uncertain import uncertain_parameters
 
 Array = NDArray[np.float64]
 
@@ -92,23 +92,7 @@ def fluid_space(fish: Fish, zones: int) -> tuple[Parameter, ...]:
     listed = [extra.field for extra in fish.uncertain]
     if fish.added_inertia > 0 and fish.added_along < 1 and ALONG_PRIOR.path not in listed:
         found.append(ALONG_PRIOR)
-    for extra in fish.uncertain:
-        prior = value_at(fish, extra.field)
-        _check_uncertain(fish, extra.field, extra.low, prior, extra.high)
-        found.append(
-            Parameter(
-                extra.field, extra.unit, extra.low, extra.high, prior, extra.spread, extra.log
-            )
-        )
-    return tuple(found)
-
-
-def _check_uncertain(fish: Fish, field: str, low: float, prior: float, high: float) -> None:
-    if not low <= prior <= high:
-        raise BadInput(
-            f"{fish.name}: uncertain field {field} = {prior:g} is outside its range"
-            f" {low:g}-{high:g} (SI); widen the range or correct the value."
-        )
+    return (*found, *uncertain_parameters(fish))
 
 
 def apply(fish: Fish, found: dict[str, float]) -> Fish:

@@ -7,7 +7,7 @@ beats near the band's end, and the fish is then twice as fast. There are three o
 multiple, so that holding out every third swim holds out some of each.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,7 @@ def manoeuvres(fish: Fish, limit: ServoLimits, first: int = 13) -> dict[str, Rec
     return made
 
 
+ASIDE = 0.73  # of the largest angle: at 70 deg and more the centres are those below
 SLOW = ((0.5, 1.0, 0.0), (0.3, 0.5, 0.6), (0.7, 0.8, -0.3))  # Hz, fraction of the stroke, rad
 
 
@@ -113,12 +114,19 @@ def _launched(limit: ServoLimits, surge: float, beat: Beat) -> tuple[Array, floa
 
 def _played(limit: ServoLimits, beats: list[Beat]) -> tuple[Array, float]:
     """The beats one after the other; strokes and centres follow with `LAG`."""
+    inside = [replace(b, centre=_centre(limit, b.centre)) for b in beats]
     rows = [
         [b.frequency, b.stroke * _largest(limit, b), b.centre]
-        for b in beats
+        for b in inside
         for _ in range(int(b.seconds * RATE))
     ]
     return _swung(np.array(rows)), 0.0
+
+
+def _centre(limit: ServoLimits, wanted: float) -> float:
+    """A centre [rad] that leaves room for a beat, however narrow the motor's range."""
+    most = ASIDE * limit.angle
+    return min(max(wanted, -most), most)
 
 
 def _largest(limit: ServoLimits, beat: Beat) -> float:
@@ -140,7 +148,7 @@ def wandering(
     rows: list[list[float]] = []
     while len(rows) < seconds * RATE:
         frequency = low + (high - low) * rng.uniform() ** 1.5
-        centre = 0.8 * rng.uniform(-1, 1)
+        centre = _centre(limit, 0.8) * rng.uniform(-1, 1)
         beat = Beat(rng.uniform(0.3, 1.5), frequency, rng.uniform(0.1, 1.0), centre)
         row = [frequency, beat.stroke * _largest(limit, beat), centre]
         rows += [row] * int(beat.seconds * RATE)

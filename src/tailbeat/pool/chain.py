@@ -87,6 +87,17 @@ def build_chain(fish: Fish) -> Chain:
         raise BadInput(
             f"{fish.name}: no part has zone fin; the virtual pool needs one. Set it in the file."
         )
+    front = [x + length / 2 for body, x, length, _ in strips if body == 0]
+    if not front:
+        raise BadInput(
+            f"{fish.name}: no part of the head outside zone fin has a zone; the virtual pool needs"
+            f" one. Set it in the file."
+        )
+    if fish.motor.kind == "pulley" and not fish.tendons.head_guides:
+        raise BadInput(
+            f"{fish.name}: tendons.head_guides is missing; the virtual pool needs the hole through"
+            f" which the tendon leaves the head. Set it in the file."
+        )
     chain = Chain(
         _bodies(bodies, hinges),
         np.array(strips, dtype=STRIP),
@@ -96,7 +107,7 @@ def build_chain(fish: Fish) -> Chain:
         _motor(fish),
         _tendon(fish),
         np.zeros(2),
-        max(x + length / 2 for body, x, length, _ in strips if body == 0),
+        max(front),
         fins[-1][1] - fins[-1][2] / 2,
     )
     return chain._replace(neutral=_neutral(chain))
@@ -159,8 +170,14 @@ def fin_factors(chord: ArrayLike, height: ArrayLike) -> tuple[Array, Array, Arra
     pitch, for fins of any number."""
     aspect = np.asarray(height, float) / np.asarray(chord, float)
     slope = np.asarray(aspect / (2 + np.sqrt(aspect**2 + 4)))
-    heave, pitch = np.interp(aspect, ASPECT, HEAVE), np.interp(aspect, ASPECT, PITCH)
-    return slope, np.asarray(heave), np.asarray(pitch)
+    return slope, plate_factor(aspect), np.asarray(np.interp(aspect, ASPECT, PITCH))
+
+
+def plate_factor(aspect: Array) -> Array:
+    """Added mass in heave of a plate over that of the strip pi/4 chord^2 span, by span over chord.
+    The table is by the longer side; where that is the chord, the strip counts it too often."""
+    longer = np.maximum(aspect, 1 / aspect)
+    return np.asarray(np.minimum(aspect, 1.0) * np.interp(longer, ASPECT, HEAVE))
 
 
 def _guides(fish: Fish, hinges: Array) -> Rows:

@@ -1,14 +1,15 @@
 """Play a test bench's protocol in the virtual pool and write its recordings."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from tailbeat.files import BadInput
+from tailbeat.files import BadInput, refuse_existing
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.protocol import present_name
 from tailbeat.pool.mess import lab_at
 from tailbeat.pool.protocols import record_check, record_fluid, record_servo, record_tail
-from tailbeat.recording import Recording, read_recording, write_recording
+from tailbeat.recording import Recording, read_recordings, write_recording
 
 RECORDERS: dict[str, Callable[..., Iterator[Recording]]] = {
     "tail": record_tail,
@@ -34,9 +35,20 @@ def record(
     if any(present_name(path.stem).startswith(f"{kind}-") for path in out.glob("*.csv")):
         raise BadInput(f"{out}: {kind} recordings exist already; give an empty folder.")
     paths = []
-    given = [read_recording(path) for path in commands]
+    given = [_from_zero(one) for one in read_recordings(commands)]
+    for one in given:
+        refuse_existing(_path(out, one))
     lab = lab_at(mess, seed)
     for recording in RECORDERS[kind](load_fish(fish), seed, commands=given, lab=lab):
-        paths.append(out / f"{recording.name}.csv")
+        paths.append(_path(out, recording))
         write_recording(recording, paths[-1])
     return paths
+
+
+def _from_zero(commands: Recording) -> Recording:
+    """Commands whose time begins at 0: a log's may begin at any time of day."""
+    return replace(commands, time=commands.time - commands.time[0])
+
+
+def _path(out: Path, recording: Recording) -> Path:
+    return out / f"{recording.name.replace('/', '-')}.csv"

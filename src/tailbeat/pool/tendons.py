@@ -79,9 +79,11 @@ def add_tendons(chain, work):  # type: ignore[no-untyped-def]
             _pull_tied(tendon, stretch, work)
         return
     for side in range(2):
-        stretch = lengths[side] - neutral[side] - tendon.slack
+        stretch = lengths[side] - neutral[side]
+        sign = -1.0 if tendon.two_way and stretch < 0 else 1.0  # a pair that pushes too
+        stretch = sign * max(sign * stretch - tendon.slack, 0.0)
         cut = tendon.left_cut if side == 0 else tendon.right_cut
-        if not cut and (stretch > 0 or tendon.two_way):
+        if not cut and stretch != 0.0:
             work.row[:] = work.pulls[side]
             _pull(tendon.stiffness, tendon.damping, stretch, work)
 
