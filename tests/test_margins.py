@@ -12,7 +12,7 @@ from support import complaint, tailbeat
 pytest.importorskip("gymnasium", reason="the train extra is not installed")
 
 from tailbeat.cluster.margins import CellsJob, swim_cells
-from tailbeat.control.policy import load_policy
+from tailbeat.control.policy import contract_digest, load_policy
 from tailbeat.evaluate import margin_cells as cells
 from tailbeat.evaluate import margins as measured
 from tailbeat.evaluate.margin_cells import (
@@ -179,9 +179,9 @@ def test_a_cell_swum_as_a_job_of_its_own_is_the_one_swum_among_others(monkeypatc
     policy, config = load_policy("pulley-fish-pool-generator"), MarginsConfig(targets=16)
     three = [BASES["everyday"], *(Cell("horn", rest, 2.0) for rest in RESTS)]
     pool = measured.pool_for(policy, config)
-    table = cells.swum(policy, pool, three, {})
+    table, digest = cells.swum(policy, pool, three, {}), contract_digest(policy.contract)
     for cell in three:
-        job = CellsJob("pulley-fish-pool-generator", config, (cell,), (Hits(),))
+        job = CellsJob("pulley-fish-pool-generator", digest, config, (cell,), (Hits(),))
         assert swim_cells(job) == {cell: table[cell]}
     assert all(len(hits.arrived) == 3 for hits in table.values())
 
