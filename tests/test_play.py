@@ -95,6 +95,50 @@ def test_a_stop_and_a_jammed_tail_turn_torque_off_at_once():
         player.servo.close()
 
 
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("register", "value", "said"), [(146, 76, "servo at 76 deg C"), (144, 97, "supply 9.7 V")]
+)
+def test_a_hot_servo_and_a_low_supply_end_it(register, value, said):
+    with servo_bench() as bench, watchdog.guard(bench.path) as watcher:
+        player = player_of(bench, watcher)
+
+        def spoil() -> None:
+            bench.device.faults.frozen = True
+            bench.device.put(register, value)
+
+        threading.Timer(0.6, spoil).start()
+        with pytest.raises(BadInput, match=said):
+            player.play(commands("servo-a", 20.0), 0.0, swim=False)
+        assert not bench.on
+        watcher.farewell()
+        player.servo.close()
+
+
+@pytest.mark.realtime
+def test_a_servo_that_is_silent_from_the_start_is_lost_and_torque_is_said_to_be_on(monkeypatch):
+    """Nothing had been read since arming, so nothing was late: it played to a dead servo."""
+    with servo_bench() as bench, watchdog.guard(bench.path) as watcher:
+        player = player_of(bench, watcher)
+        player.limits = replace(player.limits, servo_stop=0.5)
+        arm = player._arm
+
+        def mute(low: float, high: float) -> None:
+            arm(low, high)
+            bench.device.faults.mute = 10**6
+
+        monkeypatch.setattr(player, "_arm", mute)
+        began = time.monotonic()
+        with pytest.raises(BadInput, match="TORQUE MAY BE ON") as told:
+            player.play(commands("servo-a", 60.0), 0.0, swim=False)
+        assert "no servo for 0." in str(told.value.__context__)
+        assert time.monotonic() - began < 10.0
+        bench.device.faults.mute = 0
+        player.servo.close()
+        assert not bench.on
+        watcher.farewell()
+
+
 @pytest.mark.thorough
 @pytest.mark.realtime
 def test_what_was_played_before_ctrl_c_stays_and_nothing_is_half_written(tmp_path):

@@ -1,6 +1,7 @@
 """Training: stages as data, whole checkpoints, interruptions, and refusals."""
 
 import json
+import os
 import shutil
 from dataclasses import asdict, replace
 from functools import partial
@@ -151,8 +152,9 @@ def test_a_resumed_run_goes_on_where_it_was(run):
     assert after.updates > before.updates and after.decisions > before.decisions
     assert progress.seconds > before.progress.seconds
     assert progress.history[: len(before.progress.history)] == before.progress.history
-    ends = np.load(run / "checkpoint" / "buffer.npz")["episode"]
-    assert (np.diff(ends, axis=0) >= 0).all()  # no episode spans the interruption
+    ends, row = np.load(run / "checkpoint" / "buffer.npz")["episode"], before.buffer[0]
+    assert not after.buffer[1] and 0 < row < len(ends)
+    assert ends[row:].min() > ends[:row].max()  # no episode spans the interruption
 
 
 @pytest.mark.thorough
@@ -342,8 +344,41 @@ def test_networks_that_leave_the_finite_end_the_run_and_keep_the_checkpoint(run)
     model = learner(run, env)
     callback = TrainingCallback(run, Progress(), env, print)
     callback.init_callback(model)
-    callback._check_finite()
+    callback.due = dict.fromkeys(("report", "exam", "keep"), 0.0)
+    callback.keep()
+    kept = (run.out / "checkpoint" / "networks.pt").read_bytes()
     with torch.no_grad():
-        next(model.policy.parameters())[0] = float("nan")
-    with pytest.raises(BadInput, match="diverged before update 0"):
-        callback._check_finite()
+        next(model.critic.parameters())[0] = float("nan")
+    for write in (callback._tell, callback.keep):
+        with pytest.raises(BadInput, match="diverged before update 0"):
+            write()
+    assert (run.out / "checkpoint" / "networks.pt").read_bytes() == kept
+
+
+def test_a_run_that_is_killed_twice_while_it_writes_keeps_a_checkpoint(tmp_path, monkeypatch):
+    """The first kill left only the one before; the second came after that was removed."""
+    from tailbeat.train.train import environment, learner
+
+    run = planned_for(tmp_path)
+    env = environment(run)
+    model = learner(run, env)
+
+    def save() -> None:
+        checkpoint.save(tmp_path, model, env.world, Progress())
+
+    save()
+    (tmp_path / "checkpoint").rename(tmp_path / "checkpoint.old")
+    replace_ = os.replace
+
+    def killed(source: Path, target: Path) -> None:
+        if Path(target).name == "checkpoint":
+            raise KeyboardInterrupt
+        replace_(source, target)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(checkpoint.os, "replace", killed)
+        save()
+    assert checkpoint.find(tmp_path) == tmp_path / "checkpoint.old"
+    save()
+    assert checkpoint.find(tmp_path) == tmp_path / "checkpoint"
+    assert not (tmp_path / "checkpoint.old").exists()

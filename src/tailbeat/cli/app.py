@@ -21,7 +21,7 @@ LISTS = {
     "--check": "identify",
     "--commands": "record",
 }
-LISTS |= {"--servo": "speed-map", "--tasks": "evaluate", "--only": "faults zoo"}
+LISTS |= {"--servo": "speed-map", "--tasks": "evaluate", "--only": "compare faults zoo"}
 LISTS |= {"--against": "coverage", "--fitted-on": "predict", "--nuisances": "margins"}
 LISTS |= {"--log": "refine"}
 

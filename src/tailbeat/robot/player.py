@@ -58,6 +58,7 @@ class Player:
     currents: deque[float] = field(default_factory=lambda: deque(maxlen=HALF_SECOND))
     travelled: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=HALF_SECOND))
     poses: Poses | None = None
+    armed: float = 0.0  # s, monotonic
 
     def play(self, commands: Recording, rest: float, swim: bool) -> Recording:
         """Move to the first command, wait `rest` [s] there, play all, move back to straight, turn
@@ -74,7 +75,9 @@ class Player:
             self._move(0.0, 0.0)
         finally:
             self.off()
-        return recorded(commands, np.array(rows), self.seen if self.poses else None, began)
+        return recorded(
+            commands, np.array(rows, float).reshape(-1, 3), self.seen if self.poses else None, began
+        )
 
     def off(self) -> None:
         """Turn torque off; tries for two seconds. Raises BadInput if the servo does not confirm it:
@@ -102,7 +105,7 @@ class Player:
                     raise BadInput(f"arming failed: {fault}; run `tailbeat doctor`.") from None
         self.servo.deadline = usual
         self.travelled.clear()
-        self.state = None
+        self.state, self.armed = None, time.monotonic()
 
     def _move(self, angle: float, rest: float) -> None:
         """Move slowly to an angle [rad], and stay there so long [s]."""
@@ -158,7 +161,7 @@ class Player:
             age = math.inf if known is None else known
         return Health(
             pose_age=age,
-            servo_age=0.0 if state is None else now - state.time,
+            servo_age=now - (self.armed if state is None else state.time),
             temperature=state.temperature if state else 25.0,
             voltage=state.voltage if state else self.limits.voltage_high,
             current=float(np.mean(np.abs(self.currents))) if self.currents else 0.0,

@@ -242,7 +242,8 @@ class TrainingCallback(BaseCallback):
         export(self.model, self.run, self.seen, training, self.run.out / "policy.onnx")
 
     def keep(self) -> None:
-        """Write a checkpoint now."""
+        """Write a checkpoint now. Raises BadInput if the networks are not finite."""
+        self._check_finite()
         checkpoint.save(self.run.out, self.model, self.env.world, self.progress)
         self.due["keep"] = time.monotonic() + 60 * self.run.checkpoint_minutes
 

@@ -61,8 +61,8 @@ def save(folder: Path, model: SAC, world: World, progress: Progress) -> None:
     counters = {"decisions": model.num_timesteps, "updates": model._n_updates, "buffer": place}
     write_json(new / "state.json", asdict(progress) | counters)
     write_json(new / "random.json", _random(world))
-    shutil.rmtree(old, ignore_errors=True)
-    if last.exists():
+    if last.exists():  # if not, `old` is all that an earlier kill has left
+        shutil.rmtree(old, ignore_errors=True)
         os.replace(last, old)
     os.replace(new, last)
     shutil.rmtree(old, ignore_errors=True)
