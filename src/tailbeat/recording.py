@@ -52,11 +52,11 @@ def read_recordings(paths: Sequence[str | Path]) -> list[Recording]:
     files = [Path(path) for path in paths]
     stems = [file.stem for file in files]
     for number, file in enumerate(files):
-        if file.resolve() in [one.resolve() for one in files[:number]]:
+        if file.absolute() in [one.absolute() for one in files[:number]]:
             raise BadInput(f"{file}: given twice; give each recording once.")
     found = [read_recording(file) for file in files]
     return [
-        replace(one, name=f"{file.resolve().parent.name}/{one.name}")
+        replace(one, name=f"{file.absolute().parent.name}/{one.name}")
         if stems.count(file.stem) > 1
         else one
         for one, file in zip(found, files, strict=True)

@@ -13,7 +13,7 @@ Config = TypeVar("Config", bound=Any)  # frozen data with `fish` and `twin`
 
 def absolute(name: str) -> str:
     """The absolute path of a file, because nodes work in other folders; a shipped name as it is."""
-    return str(Path(name).resolve()) if Path(name).is_file() else name
+    return str(Path(name).absolute()) if Path(name).is_file() else name
 
 
 def with_absolute(config: Config) -> Config:

@@ -157,7 +157,7 @@ def _entrant(name: str, twin: str | None, fish: Fish) -> Entrant:
 def _label(policy: str) -> str:
     """A policy's name: the run's folder if the file has the name that every run gives it; if that
     folder too has the name that a sweep or a zoo gives every run, the folder above it."""
-    path = Path(policy).resolve()
+    path = Path(policy).absolute()
     if path.name != "policy.onnx":
         return path.stem
     return path.parents[1].name if path.parent.name in ("run", "train") else path.parent.name

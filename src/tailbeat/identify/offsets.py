@@ -22,7 +22,7 @@ BLOCK = 500  # samples of a block of the bootstrap: 10 s, as long as eddies last
 DRAWS = 200
 SLOW = (40, 60, 90)  # samples over which a beat is averaged: each is tried
 FAST = ((6, 50), (10, 50), (10, 80))  # samples: noise is averaged over the first, beats pass
-FEWEST = 3  # blocks
+FEWEST = 2  # blocks
 USUAL = 15  # blocks of three swims of a minute, with which the widths in `KINDS` were set
 GAP = 0.25  # s without a pose: it is not bridged
 
