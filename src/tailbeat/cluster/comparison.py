@@ -36,7 +36,7 @@ def compare(
     the cells are swum on a Ray cluster, whose nodes must see `out` under the same path. Raises
     BadInput if a policy does not fit, or if a cell on disk is another policy's."""
     paths = tuple(map(absolute, config.policies))
-    config, out = with_absolute(replace(config, policies=paths)), out.resolve()
+    config, out = with_absolute(replace(config, policies=paths)), out.absolute()
     digests = digests_of(config)
     jobs = [
         CellJob(config, *one, digests[one[0]], cell_path(out, *one))
