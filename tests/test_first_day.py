@@ -53,8 +53,8 @@ def test_the_page_names_what_nobody_measured_and_every_check(tmp_path):
     assert all(check in text for check in findings.ADVICE)
     (command,) = re.findall(r"tailbeat doctor .*", text)
     words = command.replace("HOST:PORT", "127.0.0.1:1").split()
-    said = complaint(*words[1:], cwd=tmp_path)  # it is understood, and asks for what a lab has
-    assert "FISH: no such" in said or "PORT: no such" in said, said
+    answer = complaint(*words[1:], cwd=tmp_path)  # it is understood, and asks for what a lab has
+    assert "FISH: no such" in answer or "PORT: no such" in answer, answer
     said = re.search(r"numbers that the recordings decide\s+(\d+) of 18", text)
     held = json.loads(report.read_text())
     assert said and int(said[1]) == held["decided"] and len(held["twin"]) == 18

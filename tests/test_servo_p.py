@@ -153,9 +153,12 @@ def test_what_its_memory_holds_is_not_written_at_every_arming(monkeypatch):
         servo = connect(bench.path, PM42, deadline=PATIENT)
         servo.prepare(-1.4, 1.4)
         write, written = bench.device.table.write, list[int]()
-        monkeypatch.setattr(
-            bench.device.table, "write", lambda at, data: (written.append(at), write(at, data))[1]
-        )
+
+        def noted(at: int, data: bytes) -> int:
+            written.append(at)
+            return int(write(at, data))
+
+        monkeypatch.setattr(bench.device.table, "write", noted)
         servo.prepare(-1.4, 1.4)
         assert bench.device.get(52, True) < 0
         assert written and not {9, 11, 48, 52} & set(written)

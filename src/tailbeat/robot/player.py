@@ -8,6 +8,7 @@ import contextlib
 import math
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -213,7 +214,7 @@ class Player:
 def recorded(
     commands: Recording,
     rows: Array,
-    seen: list[tuple[float, ...]] | None,
+    seen: Sequence[tuple[float, ...]] | None,
     began: float,
 ) -> Recording:
     """A recording of `rows` (n, 3) of time, command and angle, with the poses `seen` (m, 4) at
