@@ -232,15 +232,10 @@ def recorded(
         columns |= {
             name: np.interp(time_, at, one) for name, one in zip(names, place.T, strict=True)
         }
-    labels = {
-        name: words[np.searchsorted(commands.time - commands.time[0], time_, side="right") - 1][
-            kept
-        ]
-        for name, words in commands.labels.items()
-    }
-    meta = {
-        name: text for name, text in commands.meta.items() if name != "launch"
-    }  # as it was asked
+    in_force = np.searchsorted(commands.time - commands.time[0], time_[kept], side="right") - 1
+    labels = {name: words[in_force] for name, words in commands.labels.items()}
+    # the asked launch is not the one that the fish had
+    meta = {name: text for name, text in commands.meta.items() if name != "launch"}
     return Recording(
         commands.name, time_[kept], {k: v[kept] for k, v in columns.items()}, meta, labels
     )
