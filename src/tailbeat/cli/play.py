@@ -39,12 +39,11 @@ def play(
     from tailbeat.robot import play as player
     from tailbeat.robot import timing
 
-    timing.claim()  # real-time priority, if it is allowed
-
     if json is not None:
         refuse_existing(json)
     if not 0 <= rest <= 3600:
         raise BadInput(f"--rest {rest:g}: give 0 to 3600 s.")
+    timing.claim()  # real-time priority, if it is allowed
     if emulated:
         done = _emulated(fish, seed, commands, out, rest)
     else:
