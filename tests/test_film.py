@@ -17,6 +17,7 @@ from tailbeat.control.measure import arrival_of
 from tailbeat.evaluate import motion as motions
 from tailbeat.evaluate import swim
 from tailbeat.evaluate.motion import Motion, Span, of_log, of_tour
+from tailbeat.files import BadInput
 from tailbeat.fish.description import length_of
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import Options, compile_twin
@@ -26,7 +27,8 @@ from tailbeat.report import film_frames as rendering
 from tailbeat.report import tour as page
 from tailbeat.report.film_frames import NoPicture, Shot, camera_of, rendered
 from tailbeat.report.pool_scene import View, build_scene
-from tailbeat.robot.log import start
+from tailbeat.robot.log import read_rows, start
+from tailbeat.robot.logged import fish_in
 
 FISH = load_fish("pulley-fish")
 SMALL = View(480, 270)
@@ -43,7 +45,7 @@ def row(time: float, angle: float, pose: tuple[float, float, float], target=(1.0
 
 
 def write_log(path: Path, rows: list[dict]) -> Path:
-    log = start(path, {"policy": "none"})
+    log = start(path, {"policy": "none", "fish": FISH.model_dump_json()})
     for one in rows:
         log.put(one)
     log.close()
@@ -219,6 +221,40 @@ def test_an_animated_picture_is_as_good_as_fits(log, tmp_path, monkeypatch, end)
     monkeypatch.setattr(films, "LIMIT", 100)
     done = tailbeat("film", log, "--seconds", "0.5", "--out", none)
     assert done.returncode == 2 and "fewer --seconds" in done.stderr and not none.exists()
+
+
+def _first_frame(log: Path) -> np.ndarray:
+    out = log.with_suffix(".mp4")
+    films.film(films.FilmConfig(log, out, Span(0.5)), lambda *_: None)
+    return imageio.mimread(out)[0].astype(float)
+
+
+def test_a_film_shows_the_fish_that_its_log_tells(log, tmp_path):
+    shell, *rest = FISH.head.parts
+    parts = (shell.model_copy(update={"size": (0.22, 0.03, 0.11)}), *rest)
+    thin = FISH.model_copy(update={"head": FISH.head.model_copy(update={"parts": parts})})
+    notes = {"own": {"fish": thin.model_dump_json()}, "policy": {"contract": "pulley-fish-pool"}}
+    for name, head in notes.items():
+        made = start(tmp_path / f"{name}.mcap", head)
+        for one in read_rows(log):
+            made.put(one)
+        made.close()
+    assert fish_in(log) == FISH and fish_in(tmp_path / "own.mcap") == thin
+    assert fish_in(tmp_path / "policy.mcap") == load_fish("pulley-fish-pool")
+    seen = [_first_frame(path) for path in (log, tmp_path / "own.mcap")]
+    assert (np.abs(seen[0] - seen[1]).max(axis=2) > 60).sum() > 100
+
+
+def test_a_log_that_tells_no_fish_asks_for_it(log, tmp_path):
+    heads = {"none": {"policy": "p"}, "text": {"fish": "[1"}, "zero": {"fish": "{}"}}
+    for name, head in heads.items():
+        start(tmp_path / f"{name}.mcap", head).close()
+    with pytest.raises(BadInput, match="none.mcap: it does not tell which fish swam; .*--fish"):
+        fish_in(tmp_path / "none.mcap")
+    with pytest.raises(BadInput, match="text.mcap: the fish in its head is no JSON object"):
+        fish_in(tmp_path / "text.mcap")
+    with pytest.raises(BadInput, match="fish without a name: field name is missing"):
+        fish_in(tmp_path / "zero.mcap")
 
 
 def test_an_arrival_is_told_once_for_each_target():

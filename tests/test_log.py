@@ -20,6 +20,7 @@ from mcap.reader import make_reader
 
 from support import tailbeat, until
 from tailbeat.files import BadInput
+from tailbeat.fish.store import fish_of, load_fish
 from tailbeat.recording import read_recording, write_recording
 from tailbeat.robot import log as logs
 from tailbeat.robot import log_salvage
@@ -127,12 +128,13 @@ def test_a_recording_carries_what_its_log_s_head_tells(tmp_path):
     from tailbeat.control.policy import load_policy
     from tailbeat.robot.session import notes
 
-    policy = "pulley-fish-pool-generator"
+    policy, fish = "pulley-fish-pool-generator", load_fish("pulley-fish")
     told = {
-        **notes(policy, load_policy(policy).contract),
+        **notes(policy, load_policy(policy).contract, fish),
         "yaw_rate": "a",
         "sign_test": "two\nlines",
     }
+    assert fish_of(json.loads(told.pop("fish"))) == fish  # for the log's head alone
     assert set(told) == set(NOTED) and "unknown" in told["calibration"] and told["git"]
     log = start(tmp_path / "a.mcap", {**told, "gain": "7"})  # nothing that an identification reads
     log.put(row(0))

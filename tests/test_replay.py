@@ -56,7 +56,7 @@ def row(k: int) -> dict[str, Any]:
 
 
 def write_log(path: Path, rows: list[dict[str, Any]]) -> Path:
-    log = start(path, {"policy": "p"})
+    log = start(path, {"policy": "p", "fish": FISH.model_dump_json()})
     for one in rows:
         until(lambda: log.waiting.qsize() < 400)
         log.put(one)

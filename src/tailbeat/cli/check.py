@@ -235,8 +235,9 @@ def film(
         typer.Option(help="Begin this time after the log's start [s]; default: where it swims."),
     ] = None,
     fish: Annotated[
-        str, typer.Option("--fish", help="Fish that swam: a TOML file or a shipped fish's name.")
-    ] = "pulley-fish",
+        str | None,
+        typer.Option("--fish", help="Fish that swam, a TOML file or a name; default: the log's."),
+    ] = None,
     pool: Annotated[
         str, typer.Option("--pool", help="Length,width of the pool [m].")
     ] = f"{LENGTH:g},{WIDTH:g}",

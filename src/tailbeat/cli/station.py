@@ -48,8 +48,12 @@ def station(
         float, typer.Option(help="Time from the end of the exposure to the time stamp [s].")
     ] = 0.0,
     fish: Annotated[
-        str, typer.Option("--fish", help="Fish to draw: a TOML file or a shipped fish's name.")
-    ] = "pulley-fish",
+        str | None,
+        typer.Option(
+            "--fish",
+            help="Fish to draw, a TOML file or a name; default: the paper's, or a log's own.",
+        ),
+    ] = None,
     targets: Annotated[
         int, typer.Option("--tour", help="Number of random targets to lead the fish to.")
     ] = 0,
@@ -74,6 +78,7 @@ def station(
     if key is None or not (robot and listen):
         raise BadInput("station: give --robot, --key and --listen, or a log to --replay.")
     from tailbeat.control.policy import measure_in
+    from tailbeat.fish.store import PAPER
     from tailbeat.operator import station as work
     from tailbeat.operator.leader import chosen_leader
 
@@ -86,7 +91,7 @@ def station(
     with work.open_tracker(*eye) as tracker:
         room = work.pool_of(tracker, lambda _: None)
         leader = chosen_leader(targets, seed, begin, room, measure_in(policy), asked)
-        work.work(work.StationConfig(*ends, key, page, fish), tracker, leader, output.say)
+        work.work(work.StationConfig(*ends, key, page, fish or PAPER), tracker, leader, output.say)
     _end_of_tour(leader, json)
 
 
@@ -116,7 +121,7 @@ def _end_of_tour(leader: "Leader | None", json: Path | None) -> None:
         raise typer.Exit(1)
 
 
-def _replay(log: Path, page: str, fish: str, pool: str, given: list[str]) -> None:
+def _replay(log: Path, page: str, fish: str | None, pool: str, given: list[str]) -> None:
     """Serve the operator page with a log behind it; `given` are options that need a fish."""
     if given:
         raise BadInput(f"{given[0]}: a replay has no fish and no camera; leave it out.")

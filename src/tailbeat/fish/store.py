@@ -63,7 +63,8 @@ def fish_of(content: Mapping[str, Any]) -> Fish:
     try:
         return Fish.model_validate(content)
     except ValidationError as error:
-        named = content.get("name") if isinstance(content, Mapping) else "that is no table"
+        told = isinstance(content, Mapping)
+        named = content.get("name", "without a name") if told else "that is no table"
         raise BadInput(f"fish {named}: {_sentence(error)}") from None
 
 

@@ -26,6 +26,7 @@ from tailbeat.operator.messages import NO_COMMAND, accepted, is_number, messages
 from tailbeat.operator.replay import Run, read_run, snapshot
 from tailbeat.operator.server import add_pages
 from tailbeat.processes import told_to_end
+from tailbeat.robot.logged import fish_in
 
 NO_ORDERS = "refused: this is the replay of a log; no fish is connected"
 
@@ -89,18 +90,20 @@ async def _tell(browser: WebSocket, words: dict[str, Any]) -> None:
 
 @dataclass(frozen=True)
 class ReplayConfig:
-    """The log to show, host:port of the page, the fish as drawn (a file or a name), and length and
-    width of the pool [m]."""
+    """The log to show, host:port of the page, the fish as drawn (a file or a name, None: the one
+    that the log tells), and length and width of the pool [m]."""
 
     log: Path
     page: str
-    fish: str = "pulley-fish"
+    fish: str | None = None
     pool: tuple[float, float] = POOL
 
 
 def replay(config: ReplayConfig, say: Callable[[str], None]) -> None:
     """Serve the replay of a log until Ctrl-C or SIGTERM. Raises BadInput."""
-    shown = Shown(read_run(config.log), load_fish(config.fish), config.pool)
+    run = read_run(config.log)
+    fish = load_fish(config.fish) if config.fish else fish_in(config.log)
+    shown = Shown(run, fish, config.pool)
     with listen(address(config.page, "--page")) as listening:
         for line in announce(shown.run, listening.getsockname()):
             say(line)

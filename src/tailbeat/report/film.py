@@ -36,14 +36,14 @@ LONGEST = 600.0  # s
 @dataclass(frozen=True)
 class FilmConfig:
     """Film the run of `log` as `out`, whose suffix gives the format: MP4, WebP or GIF. `side` is
-    the camera's position; `fish` names the fish that swam; `pool` is the pool's length and width
-    [m]."""
+    the camera's position; `fish` names the fish that swam, None is the one that the log tells;
+    `pool` is the pool's length and width [m]."""
 
     log: Path
     out: Path
     span: Span = field(default_factory=Span)
     side: Side = "follow"
-    fish: str = "pulley-fish"
+    fish: str | None = None
     pool: tuple[float, float] = POOL
 
 
@@ -68,13 +68,14 @@ def film(config: FilmConfig, progress: Progress) -> Film:
     WebP and GIF, and for a path that cannot be written. Also if no GL library renders.
     """
     from tailbeat.robot.log import is_whole  # needs the extra
+    from tailbeat.robot.logged import fish_in
 
     began, rate = time.monotonic(), rate_of(config.out)
     if not 0.5 <= config.span.seconds <= LONGEST:
         raise BadInput(f"--seconds {config.span.seconds:g}: allowed are 0.5 to {LONGEST:g}.")
     if config.span.start is not None and not config.span.start >= 0:
         raise BadInput(f"--start {config.span.start:g}: give 0 or more.")
-    fish = load_fish(config.fish)
+    fish = load_fish(config.fish) if config.fish else fish_in(config.log)
     motion = of_log(config.log, fish, config.span, rate)
     width, height = SIZES[config.out.suffix]
     shot = Shot(fish, motion, config.side, View(width, height, config.pool))

@@ -1,12 +1,16 @@
-"""Read a robot's logs for what its swims alone tell (`identify.offsets`)."""
+"""Read a robot's logs for what its swims alone tell (`identify.offsets`), and for its fish."""
 
 import hashlib
+import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tailbeat.files import BadInput
+from tailbeat.fish.description import Fish
+from tailbeat.fish.store import fish_of, load_fish, shipped
 from tailbeat.identify.offsets import Logged, Offsets, offsets
 from tailbeat.robot.log import read_log, read_notes
 
@@ -40,6 +44,27 @@ def logged(path: Path) -> Logged:
     table = table[np.argsort(table[:, 0], kind="stable")]
     time, x, y, yaw, age, *rest = table.T
     return Logged(time, time - age, np.column_stack([x, y, yaw]), *rest)
+
+
+def fish_in(path: Path) -> Fish:
+    """The fish that a log tells in its head; of an earlier log, the shipped fish that its policy
+    was trained on. Raises BadInput if it tells neither."""
+    notes = read_notes(path)
+    if "fish" in notes:
+        return fish_of(_content(path, notes["fish"]))
+    named = notes.get("contract", "")
+    if named not in shipped():
+        raise BadInput(f"{path}: it does not tell which fish swam; give it with --fish.")
+    return load_fish(named)
+
+
+def _content(path: Path, text: str) -> dict[str, Any]:
+    try:
+        return dict(json.loads(text))
+    except (ValueError, TypeError):
+        raise BadInput(
+            f"{path}: the fish in its head is no JSON object; give the fish with --fish."
+        ) from None
 
 
 def check_swum_by(paths: Sequence[Path], policy: Path) -> None:

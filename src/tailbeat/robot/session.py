@@ -95,7 +95,7 @@ def drive(config: DriveConfig, say: Say, each: Each = lambda loop: None) -> Driv
     with _open_devices(config, secret, hardware) as devices:
         found = yaw_source(devices, hardware, config.force_camera)
         say(f"        yaw rate: {found}")
-        noted = notes(config.policy, loaded.contract) | {"yaw_rate": found}
+        noted = notes(config.policy, loaded.contract, fish) | {"yaw_rate": found}
         noted["sign_test"] = _sign_test(config, loaded, say)
         with contextlib.closing(log_file.start(config.log, noted)) as written:
             limits = safety.limits_for(hardware)
@@ -119,15 +119,16 @@ def _that_drives(config: DriveConfig, policy: Policy) -> Fish:
     return fish
 
 
-def notes(policy: str, contract: Contract) -> dict[str, str]:
-    """What the head of a log tells of a drive: its date, what swam, and with which versions. The
-    camera's calibration is the station's, which tells it later; see `_noting`."""
+def notes(policy: str, contract: Contract, fish: Fish) -> dict[str, str]:
+    """What the head of a log tells of a drive: its date, what swam, and with which versions. `fish`
+    is the description of the fish that drives, in SI. The camera's calibration is the station's, which tells it later; see `_noting`."""
     return {
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "policy": policy,
         "policy_sha256": hashlib.sha256(policy_path(policy).read_bytes()).hexdigest(),
         "contract": contract.fish,
         "fish_digest": contract.fish_digest,
+        "fish": fish.model_dump_json(),
         "calibration": "unknown: no station told it",
         "tailbeat": __version__,
         "git": git_describe(),
