@@ -249,11 +249,11 @@ def test_a_log_that_tells_no_fish_asks_for_it(log, tmp_path):
     heads = {"none": {"policy": "p"}, "text": {"fish": "[1"}, "zero": {"fish": "{}"}}
     for name, head in heads.items():
         start(tmp_path / f"{name}.mcap", head).close()
-    with pytest.raises(BadInput, match="none.mcap: it does not tell which fish swam; .*--fish"):
+    with pytest.raises(BadInput, match=r"none.mcap: it does not tell which fish swam; .*--fish"):
         fish_in(tmp_path / "none.mcap")
-    with pytest.raises(BadInput, match="text.mcap: the fish in its head is no JSON object"):
+    with pytest.raises(BadInput, match=r"text.mcap: the fish in its head is no JSON object"):
         fish_in(tmp_path / "text.mcap")
-    with pytest.raises(BadInput, match="fish without a name: field name is missing"):
+    with pytest.raises(BadInput, match=r"fish without a name: field name is missing"):
         fish_in(tmp_path / "zero.mcap")
 
 

@@ -121,7 +121,8 @@ def _that_drives(config: DriveConfig, policy: Policy) -> Fish:
 
 def notes(policy: str, contract: Contract, fish: Fish) -> dict[str, str]:
     """What the head of a log tells of a drive: its date, what swam, and with which versions. `fish`
-    is the description of the fish that drives, in SI. The camera's calibration is the station's, which tells it later; see `_noting`."""
+    is the description of the fish that drives, in SI. The camera's calibration is the station's,
+    which tells it later; see `_noting`."""
     return {
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "policy": policy,
