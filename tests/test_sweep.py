@@ -365,6 +365,14 @@ def test_more_cores_are_as_the_arithmetic_says():
     assert usual[0].efficiency > 0.99 and usual[0].most_cores == 12_000
 
 
+def test_a_core_is_idle_once_no_trial_is_left():
+    """Three trials on two cores: the third starts at 10 s, and its neighbour ends at 14 s."""
+    spans = [(0.0, 10.0), (0.0, 14.0), (10.0, 21.0)]
+    assert sweeps.idle(spans, 2) == pytest.approx(7.0)
+    assert sweeps.idle(spans[:1], 2) == pytest.approx(10.0)
+    assert sweeps.idle([(0.0, 10.0), (10.5, 20.0)], 1) == 0.0
+
+
 @pytest.mark.slow
 def test_a_sweep_is_measured_against_one_training_after_the_other():
     row = sweeps.sweep_bench(trials=2)

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from tailbeat.cluster import connection, plan, tune
 from tailbeat.cluster.plan import Sweep, Trial
-from tailbeat.cluster.trial import process_seconds
+from tailbeat.cluster.trial import process_span
 from tailbeat.processes import ALONE, cores
 
 TRIALS = 8
@@ -42,7 +42,8 @@ CORES = (10, 100, 1000, 10_000)
 class SweepRow:
     """`trials` in a sweep, a core each, and one after the other with every core each: times [s],
     and the first over the second. `start_s` is Ray's own start. Per trial [s]: the process, what
-    the sweep adds, and the driver's processor time."""
+    the sweep adds, and the driver's processor time. `idle_s`: for how long [s] cores, added up, had
+    no trial left while the last ones swam; it is not in what the sweep adds."""
 
     trials: int
     cores: int
@@ -53,6 +54,7 @@ class SweepRow:
     trial_s: float
     overhead_s: float
     driver_s: float
+    idle_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -101,11 +103,21 @@ def _swept(asked: Sweep, made: Sequence[Trial], out: Path, in_turn: float) -> Sw
         connection.disconnect()
     assert not failed, failed
     whole, driver = time.monotonic() - began, time.process_time() - used
-    trial = sum(process_seconds(out / "trials" / one.name) for one in made) / len(made)
-    slots = min(cores(), len(made))
-    added = (slots * (whole - start)) / len(made) - trial
-    ratio, driver = whole / in_turn, driver / len(made)
-    return SweepRow(len(made), cores(), whole, in_turn, ratio, start, trial, added, driver)
+    spans = [process_span(out / "trials" / one.name) for one in made]
+    count, slots = len(made), min(cores(), len(made))
+    trial = sum(ended - started for started, ended in spans) / count
+    left = idle(spans, slots)
+    added = (slots * (whole - start) - left) / count - trial
+    ratio, driver = whole / in_turn, driver / count
+    return SweepRow(count, cores(), whole, in_turn, ratio, start, trial, added, driver, left)
+
+
+def idle(spans: Sequence[tuple[float, float]], slots: int) -> float:
+    """For how long [s] `slots` cores, added up, had no trial left before the last one ended.
+    `spans` are the trials' starts and ends."""
+    last, end = max(one for one, _ in spans), max(one for _, one in spans)
+    swimming = [one for _, one in spans if one > last]
+    return (slots - len(swimming)) * (end - last) + sum(end - one for one in swimming)
 
 
 def more_cores(row: SweepRow, trials: int = MANY) -> tuple[MoreCoresRow, ...]:

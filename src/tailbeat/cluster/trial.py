@@ -103,9 +103,12 @@ def swim(folder: Path) -> None:
     write_json(folder / RESULT, result, overwrite=True)
 
 
-def process_seconds(folder: Path) -> float:
-    """How long the process that ended a trial lived [s], with its start and imports."""
-    return float(json.loads((folder / RESULT).read_text(encoding="utf-8"))["process_s"])
+def process_span(folder: Path) -> tuple[float, float]:
+    """When the process that ended a trial was started, with its imports, and when it had its result
+    [s since 1970]."""
+    path = folder / RESULT
+    ended = path.stat().st_mtime
+    return ended - float(json.loads(path.read_text(encoding="utf-8"))["process_s"]), ended
 
 
 def _train(run: RunConfig, folder: Path) -> None:
