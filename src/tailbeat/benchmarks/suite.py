@@ -29,8 +29,8 @@ class VisionBenchmark:
 class Benchmark:
     """Speeds on a `machine`: step of each fish, pool, vision, `messy` labs, ways to step the
     physics, environment by number of fish and compared with SB3's (`peers`), training updates, the
-    robot's `loop` alone and beside busy programs, and if asked for a `sweep` and what `more_cores`
-    would give. Empty or None where an extra is missing."""
+    robot's `loop` alone and beside busy programs; or a `sweep` and what `more_cores` would give.
+    Empty or None where not measured, or where an extra is missing."""
 
     machine: str
     fish: tuple[StepRow, ...]
@@ -46,23 +46,22 @@ class Benchmark:
     more_cores: "tuple[MoreCoresRow, ...]" = ()
 
 
-def benchmark(env: bool = True, sweep: bool = False) -> Benchmark:
-    """Measure this machine; environment and updates only if `env` is set, a sweep if `sweep` is."""
+def benchmark(env: bool = True) -> Benchmark:
+    """Measure this machine; environment and updates only if `env` is set."""
     found = Benchmark(step.machine(), step.step_bench(), step.pool_bench())
     if find_spec("cv2") and find_spec("pyapriltags"):
         found = _with_vision(found)
     if env and find_spec("stable_baselines3"):
         found = _with_learning(found)
-    if sweep:
-        found = _with_sweep(found)
     return _with_loop(found) if find_spec("serial") and find_spec("mcap") else found
 
 
-def _with_sweep(found: Benchmark) -> Benchmark:
+def sweep_benchmark() -> Benchmark:
+    """Measure a sweep on this machine, and nothing else."""
     from tailbeat.benchmarks.sweeps import more_cores, sweep_bench
 
     row = sweep_bench()
-    return replace(found, sweep=row, more_cores=more_cores(row))
+    return Benchmark(step.machine(), (), (), sweep=row, more_cores=more_cores(row))
 
 
 def _with_loop(found: Benchmark) -> Benchmark:

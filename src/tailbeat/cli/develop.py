@@ -99,7 +99,8 @@ def benchmark(
         bool, typer.Option(help="Also measure environment and updates, and compare with SB3.")
     ] = True,
     sweep: Annotated[
-        bool, typer.Option("--sweep", help="Also measure a sweep of eight short trainings.")
+        bool,
+        typer.Option("--sweep", help="Measure a sweep of eight short trainings alone."),
     ] = False,
     json: JsonOption = None,
 ) -> None:
@@ -112,7 +113,7 @@ def benchmark(
         need("sweeps", "ray")
     from tailbeat.benchmarks import suite
 
-    result = suite.benchmark(env, sweep)
+    result = suite.sweep_benchmark() if sweep else suite.benchmark(env)
     results.benched(result)
     if json is not None:
         write_json(json, result)

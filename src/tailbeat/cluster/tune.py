@@ -105,7 +105,12 @@ def _swim(sweep: Sweep, space: dict[str, Any], report: Report) -> dict[str, str]
     tuner = tune.Tuner(
         tune.with_resources(_work, {"cpu": sweep.cores, "gpu": sweep.gpus}),
         param_space=space,
-        tune_config=tune.TuneConfig(scheduler=_scheduler(sweep.scheduler)),
+        tune_config=tune.TuneConfig(
+            scheduler=_scheduler(sweep.scheduler),
+            # A worker takes seconds to start. One whose trial was ended early cannot be taken
+            # again: Ray waits for the trial's function, and then fails the next one.
+            reuse_actors=sweep.scheduler == "none",
+        ),
         run_config=tune.RunConfig(
             name="ray",
             storage_path=str(Path(space["out"]) / ".tune"),
