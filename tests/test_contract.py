@@ -167,8 +167,8 @@ def test_a_network_that_is_not_the_contract_s_is_refused(
         load_policy(signed(tmp_path / "p.onnx", as_text(CONTRACT), tmp_path / "layer.onnx"))
 
 
-def test_three_policies_are_shipped_and_others_are_kept_as_evidence():
-    names = ("follow-rule", "follow", "generator")
+def test_four_policies_are_shipped_and_others_are_kept_as_evidence():
+    names = ("course", "follow-rule", "follow", "generator")
     assert list(shipped()) == [f"pulley-fish-pool-{one}" for one in names]
     assert len(POLICIES) == 24
 

@@ -124,7 +124,7 @@ PANELS = {
             "policy diff",
             "learn:diff",
             "List the fields in which two policies' contracts differ.",
-            "runs/mine/policy.onnx pulley-fish-pool-generator",
+            "runs/mine/policy.onnx pulley-fish-pool-course",
         ),
         Verb(
             "policy try",
