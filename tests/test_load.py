@@ -166,7 +166,7 @@ def test_one_cut_tendon_is_told_where_it_had_something_to_pull(side):
     """One that has nothing to pull, of a fish that turns to the other side, cannot be told."""
     rows = toured(cut(side == 0, side == 1), "everyday", 11)
     found, asked = told(rows, motor()), loaded(rows, side)
-    assert asked.sum() >= 8
+    assert asked.sum() >= 6
     assert np.array(found)[asked].sum() >= asked.sum() - 1
 
 

@@ -16,8 +16,9 @@ WANDER = 5.0  # m within a second that a target may go to and fro: a hand that d
 # more (`tailbeat margins`), and a fish that held for it would swim in no everyday lab (chosen).
 BIAS = 0.2
 # Share of the stroke's lower bound: servos of everyday labs are weaker by a fifth, fade by a tenth
-# and have friction; 0.64 of the stroke was seen, where the bound is 0.74 (chosen).
-WEAKER = 0.75
+# and have friction. Beating far to one side such a servo made 0.42 of the stroke, where the bound
+# is 0.75 (chosen; an encoder that shows 0.3 is still told).
+WEAKER = 0.5
 # Factors of the upper bounds of stroke and recoil: everyday labs, whose servos are stronger and
 # tails softer, had 1.25 and 1.40 in 100 minutes, where the bounds are 1.23 and 1.25 (chosen).
 STRONGER, LIVELIER = 1.08, 1.15
