@@ -248,7 +248,9 @@ def test_a_film_shows_the_fish_that_its_log_tells(log, tmp_path):
 def test_a_log_that_tells_no_fish_asks_for_it(log, tmp_path):
     heads = {"none": {"policy": "p"}, "text": {"fish": "[1"}, "zero": {"fish": "{}"}}
     for name, head in heads.items():
-        start(tmp_path / f"{name}.mcap", head).close()
+        made = start(tmp_path / f"{name}.mcap", head)
+        made.put(row(0.0, 0.0, (0.0, 0.0, 0.0)))
+        made.close()
     with pytest.raises(BadInput, match=r"none.mcap: it does not tell which fish swam; .*--fish"):
         fish_in(tmp_path / "none.mcap")
     with pytest.raises(BadInput, match=r"text.mcap: the fish in its head is no JSON object"):

@@ -112,6 +112,12 @@ PathSeconds = Annotated[
     float | None,
     typer.Option("--seconds", help="Duration on the --path [s], instead of --laps."),
 ]
+DrawnFish = Annotated[
+    str | None,
+    typer.Option(
+        "--fish", help="Fish to draw, a TOML file or a name; default: the paper's, or a log's own."
+    ),
+]
 ReplayOption = Annotated[
     Path | None,
     typer.Option("--replay", help="Show this log on the operator page, without a fish: .mcap."),

@@ -8,6 +8,7 @@ import typer
 from tailbeat.cli import output
 from tailbeat.cli.extras import need_camera
 from tailbeat.cli.options import (
+    DrawnFish,
     PageOption,
     PathLaps,
     PathOption,
@@ -47,13 +48,7 @@ def station(
     latency: Annotated[
         float, typer.Option(help="Time from the end of the exposure to the time stamp [s].")
     ] = 0.0,
-    fish: Annotated[
-        str | None,
-        typer.Option(
-            "--fish",
-            help="Fish to draw, a TOML file or a name; default: the paper's, or a log's own.",
-        ),
-    ] = None,
+    fish: DrawnFish = None,
     targets: Annotated[
         int, typer.Option("--tour", help="Number of random targets to lead the fish to.")
     ] = 0,

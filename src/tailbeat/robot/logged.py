@@ -48,12 +48,13 @@ def logged(path: Path) -> Logged:
 
 def fish_in(path: Path) -> Fish:
     """The fish that a log tells in its head; of an earlier log, the shipped fish that its policy
-    was trained on. Raises BadInput if it tells neither."""
+    was trained on. Raises BadInput if it tells neither, or is no log."""
     notes = read_notes(path)
     if "fish" in notes:
         return fish_of(_content(path, notes["fish"]))
     named = notes.get("contract", "")
     if named not in shipped():
+        read_log(path)
         raise BadInput(f"{path}: it does not tell which fish swam; give it with --fish.")
     return load_fish(named)
 
