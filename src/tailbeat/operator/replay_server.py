@@ -17,7 +17,6 @@ from fastapi import FastAPI, Response, WebSocket, WebSocketDisconnect
 
 from tailbeat.files import plain
 from tailbeat.fish.description import Fish
-from tailbeat.fish.store import load_fish
 from tailbeat.link.addresses import address
 from tailbeat.link.places import POOL
 from tailbeat.operator.client import allowed_hosts, is_local, listen
@@ -102,8 +101,7 @@ class ReplayConfig:
 def replay(config: ReplayConfig, say: Callable[[str], None]) -> None:
     """Serve the replay of a log until Ctrl-C or SIGTERM. Raises BadInput."""
     run = read_run(config.log)
-    fish = load_fish(config.fish) if config.fish else fish_in(config.log)
-    shown = Shown(run, fish, config.pool)
+    shown = Shown(run, fish_in(config.log, config.fish), config.pool)
     with listen(address(config.page, "--page")) as listening:
         for line in announce(shown.run, listening.getsockname()):
             say(line)

@@ -14,7 +14,6 @@ from PIL import Image
 from tailbeat.evaluate.motion import Span, of_log
 from tailbeat.evaluate.trial import Progress
 from tailbeat.files import BadInput, new_file
-from tailbeat.fish.store import load_fish
 from tailbeat.link.places import POOL
 from tailbeat.report.film_frames import Shot, Side, frames
 from tailbeat.report.pool_scene import View
@@ -75,7 +74,7 @@ def film(config: FilmConfig, progress: Progress) -> Film:
         raise BadInput(f"--seconds {config.span.seconds:g}: allowed are 0.5 to {LONGEST:g}.")
     if config.span.start is not None and not config.span.start >= 0:
         raise BadInput(f"--start {config.span.start:g}: give 0 or more.")
-    fish = load_fish(config.fish) if config.fish else fish_in(config.log)
+    fish = fish_in(config.log, config.fish)
     motion = of_log(config.log, fish, config.span, rate)
     width, height = SIZES[config.out.suffix]
     shot = Shot(fish, motion, config.side, View(width, height, config.pool))

@@ -46,17 +46,20 @@ def logged(path: Path) -> Logged:
     return Logged(time, time - age, np.column_stack([x, y, yaw]), *rest)
 
 
-def fish_in(path: Path) -> Fish:
-    """The fish that a log tells in its head; of an earlier log, the shipped fish that its policy
-    was trained on. Raises BadInput if it tells neither, or is no log."""
+def fish_in(path: Path, named: str | None = None) -> Fish:
+    """The fish `named`, by file or name; None is the one that a log tells in its head. An earlier
+    log tells the shipped fish that its policy was trained on. Raises BadInput if it tells neither,
+    or is no log."""
+    if named:
+        return load_fish(named)
     notes = read_notes(path)
     if "fish" in notes:
         return fish_of(_content(path, notes["fish"]))
-    named = notes.get("contract", "")
-    if named not in shipped():
+    trained = notes.get("contract", "")
+    if trained not in shipped():
         read_log(path)
         raise BadInput(f"{path}: it does not tell which fish swam; give it with --fish.")
-    return load_fish(named)
+    return load_fish(trained)
 
 
 def _content(path: Path, text: str) -> dict[str, Any]:
