@@ -1,5 +1,5 @@
-"""Bands of the shipped fish hold in its water, and after ten check swims in eight others: for swims
-of the protocol, for other check swims, and for those of a policy. Slow."""
+"""Bands of the shipped fish hold in its water, and after check swims in eight others: for swims of
+the protocol, for other check swims, and for those of a policy. Slow."""
 
 from dataclasses import replace
 from functools import partial
@@ -49,7 +49,7 @@ def protocol(seed: int, water: Water, first: int):
 
 def of_policy(seed: int, water: Water, count: int):
     """Swims of the default policy to targets all around it."""
-    policy = load_policy("pulley-fish-pool-generator")
+    policy = load_policy("pulley-fish-pool-course")
     pool = pool_of(policy, EvaluationConfig(pool="full", episodes=count, seed=seed))
     found = conditions_of(replace(pool, waters=(water,)), ["reach"])
     (open_water,) = (one for one in found if one.name == "reach open")
@@ -76,16 +76,18 @@ def test_bands_hold_fresh_swims_in_the_fish_s_own_water(drawn):
     ):
         found = [b for one in swum(fishes, recordings) for b in bands(one, known.discrepancy)]
         judge(name, found, 0.75, FEW)
-    assert known.discrepancy is not None and known.discrepancy.swims == 10
+    assert known.discrepancy is not None and known.discrepancy.swims == 15
 
 
 @pytest.mark.slow
-def test_in_other_waters_ten_check_swims_make_the_bands_hold_again(drawn):
-    """Without them the bands of a fish from another water hold less often than they say."""
+def test_in_other_waters_check_swims_make_the_bands_hold_again(drawn):
+    """Without them the bands of a fish from another water hold less often than they say. With one
+    discrepancy for all kinds of swims, those of the protocol's speeds hold too seldom."""
     known, fishes = drawn
     stale: list[Band] = []
     renewed: list[Band] = []
     protocols: list[Band] = []
+    together: list[Band] = []
     policies: list[Band] = []
     for number, water in enumerate(WATERS):
         seen = discrepancy(swum(fishes, record_check(POOL, 40 + number, water=water)))
@@ -94,11 +96,14 @@ def test_in_other_waters_ten_check_swims_make_the_bands_hold_again(drawn):
         renewed += [band for one in fresh for band in bands(one, seen)]
         others = swum(fishes, protocol(80 + number, water, number % 3))
         protocols += [band for one in others for band in bands(one, seen)]
+        alike = replace(seen, steady=None)
+        together += [b for one in others for b in bands(one, alike) if b.quantity == "speed"]
         own = swum(fishes, of_policy(100 + number, water, 16))
         policies += [band for one in own for band in bands(one, seen)]
     held = np.mean([band.inside for band in stale])
     print(f"without check swims {100 * held:.0f} % hold")
     assert held < 0.8
     judge("renewed, check", renewed, least=0.88)
-    judge("renewed, protocol", protocols, least=0.8)
+    judge("renewed, protocol", protocols, least=0.88)
+    assert np.mean([band.inside for band in together]) < 0.88
     judge("renewed, policy", policies, least=0.88)

@@ -10,13 +10,13 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest, load_fish
 from tailbeat.fish.water import whole
 from tailbeat.identify import posterior as store
-from tailbeat.identify.bands import measure
 from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.job import FluidConfig, Identified, identify_fluid
 from tailbeat.identify.manoeuvres import manoeuvres
 from tailbeat.identify.next_swim import advise
 from tailbeat.identify.predict import LONG
 from tailbeat.identify.protocol import fluid_runs, limits
+from tailbeat.identify.quantities import measure
 from tailbeat.identify.runs import Run, as_runs, camera_track, repeat, twin_gait
 from tailbeat.identify.search import Effort
 from tailbeat.pool.protocols import record_check, record_fluid

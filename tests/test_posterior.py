@@ -15,12 +15,14 @@ from tailbeat.identify import bands as banded
 from tailbeat.identify import posterior as store
 from tailbeat.identify.bands import Discrepancy, Drawn, bands, count, discrepancy
 from tailbeat.identify.posterior import Posterior, coefficient_factors
+from tailbeat.identify.quantities import UNITS
 from tailbeat.identify.runs import as_run
 from tailbeat.recording import write_recording
 
 FISH = load_fish("pulley-fish")
 RUN = as_run(record(FISH, "a", 1.5, 0.5, seconds=3.0), FISH)
-KNOWN = Discrepancy(0.05, 0.05, 0.1, 0.1, 12, (12, 12, 9, 9))
+STEADY = Discrepancy(0.1, 0.1, 0.2, 0.2, 5, (5, 5, 5, 5))
+KNOWN = Discrepancy(0.05, 0.05, 0.1, 0.1, 12, (12, 12, 9, 9), STEADY)
 
 
 def posterior(fish=FISH, **changes) -> Posterior:
@@ -107,10 +109,10 @@ def swims(number: int, seed: int, true: float, spread: float = 0.01) -> list[Dra
 
 def test_the_discrepancy_is_what_the_draws_do_not_explain():
     found = discrepancy(swims(400, 0, true=0.05))
-    for name in banded.UNITS:
+    for name in UNITS:
         assert getattr(found, name) == pytest.approx(0.05, rel=0.15), name
     exact = discrepancy([replace(one, measured=one.centre) for one in swims(20, 1, true=0.0)])
-    assert max(getattr(exact, name) for name in banded.UNITS) == 0.0
+    assert max(getattr(exact, name) for name in UNITS) == 0.0
 
 
 @pytest.mark.thorough
@@ -144,6 +146,28 @@ def test_a_quantity_that_few_swims_told_has_wider_bands_and_one_that_none_told_h
     assert [b.quantity for b in bands(fresh, none)] == ["speed", "distance", "turn_rate"]
 
 
+def test_swims_with_a_steady_beat_have_their_own_discrepancy():
+    """One number for both would be too small for one kind and too large for the other."""
+    steady = swims(30, 0, true=0.2)
+    wandering = [as_wandering(one) for one in swims(30, 1, true=0.02)]
+    known = discrepancy([*steady, *wandering])
+    assert known.swims == 60 and known.steady is not None
+    fresh = [*swims(200, 2, true=0.2), *map(as_wandering, swims(200, 3, true=0.02))]
+    for kind in (fresh[:200], fresh[200:]):
+        held = np.mean([band.inside for one in kind for band in bands(one, known)])
+        assert 0.9 <= held <= 0.99
+    pooled = replace(known, steady=None)
+    assert np.mean([b.inside for one in fresh[:200] for b in bands(one, pooled)]) < 0.8
+    few = discrepancy([*steady[:2], *wandering])
+    assert few.steady is None and few.swims == 32
+    exact = discrepancy([*(replace(one, measured=one.centre) for one in steady), *wandering])
+    assert exact.steady is not None and exact.steady.speed == exact.speed > 0
+
+
+def as_wandering(one: Drawn) -> Drawn:
+    return replace(one, run=replace(RUN, gait=replace(RUN.gait, frequency=float("nan"))))
+
+
 def test_a_band_is_about_the_fish_where_its_draws_lie_on_one_side():
     """A number at an end of its range moves all its draws one way, and a band about their median
     would leave out the fish's own prediction."""
@@ -169,7 +193,7 @@ def test_a_draw_that_diverged_does_not_widen_a_band_and_many_make_it_endless():
 def test_bands_are_counted_by_quantity():
     found = [band for one in swims(50, 3, true=0.05) for band in bands(one, KNOWN)]
     rows = {row.quantity: row for row in count(found)}
-    assert list(rows) == list(banded.UNITS)
+    assert list(rows) == list(UNITS)
     for row in rows.values():
         own = [band for band in found if band.quantity == row.quantity]
         assert row.swims == 50 and row.inside == sum(b.low <= b.measured <= b.high for b in own)
@@ -203,7 +227,7 @@ def test_predict_gives_bands_from_the_posterior_beside_the_fish(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "speed: 1 of 1 swims inside" in done.stdout
     said = json.loads(out.read_text())
-    assert [row["quantity"] for row in said["bands"]] == list(banded.UNITS)
+    assert [row["quantity"] for row in said["bands"]] == list(UNITS)
     assert {row["quantity"]: row["inside"] for row in said["held"]}["speed"] == 1
 
 
@@ -239,7 +263,7 @@ def test_the_shipped_posterior_belongs_to_the_shipped_fish():
     assert known is not None and known.draws.shape == (100, len(known.paths))
     for path, value in zip(known.paths, known.draws[0], strict=True):
         assert value == pytest.approx(value_at(fish, path), rel=5e-6), path
-    assert known.discrepancy is not None and known.discrepancy.swims == 10
+    assert known.discrepancy is not None and known.discrepancy.swims == 15
     assert all(name.startswith("check-") for name in known.held_out)
     assert not {*known.fitted} & {*known.held_out}
 

@@ -100,7 +100,8 @@ def test_swims_start_at_rest_cover_the_band_and_stay_off_the_walls():
 def test_check_swims_stay_inside_the_limits_and_every_seed_has_others():
     limit = limits(FISH)
     made = check_swims(FISH, limit)
-    assert len(made) == 10
+    kinds = [name.split("-")[2] for name in made]
+    assert kinds == 10 * ["wander"] + 5 * ["steady"]
     for command in made.values():
         angle = command.columns["command_rad"] - limit.centre
         assert np.abs(angle).max() <= limit.angle + 1e-9
@@ -115,7 +116,7 @@ def test_check_swims_stay_inside_the_limits_and_every_seed_has_others():
 @pytest.mark.thorough
 def test_check_swims_judge_the_fit_and_are_never_fitted(folder):
     sorted_out = read_folder(folder)
-    assert len(sorted_out.check) == 10
+    assert len(sorted_out.check) == 15
     assert not {*sorted_out.check} & {*sorted_out.fluid_fit, *sorted_out.fluid_validate}
 
 

@@ -6,7 +6,7 @@ measured on swims that were not fitted, best on swims unlike the fitted ones.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,27 +16,30 @@ from scipy.optimize import brentq
 
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Swim
-from tailbeat.identify.gait import Track, way
-from tailbeat.identify.predict import JUDGED, LONG
+from tailbeat.identify.predict import LONG
+from tailbeat.identify.quantities import UNITS, measure
 from tailbeat.identify.runs import Run, camera_track, repeat, twin_gait
 
 Array = NDArray[np.float64]
-UNITS = {"speed": "m/s", "distance": "m", "heading": "deg", "turn_rate": "deg/s"}
 # The size of a swim, to which a discrepancy is in proportion: of speed and distance their own, but
 # at least this; of heading and turn rate their own plus this. All chosen: a fish that should swim
 # straight turns a little, whichever way. In proportion to all turns, to and fro, was tried: fewer
 # of a policy's headings lay in their bands (34 of 50 instead of 40).
 LEAST = {"speed": 0.02, "distance": 0.1, "heading": 10.0, "turn_rate": 1.0}
-AROUND = 0.1  # s before and after, over which a heading is averaged
 AT_ONCE = 512  # swims in one batch, of all fish: about 0.2 GB of samples
 MOST = 3.0  # largest discrepancy that is looked for, as a fraction of a swim's size
+FEWEST = 3  # swims with a steady beat, and without, for a discrepancy of each (chosen)
 
 
 @dataclass(frozen=True)
 class Discrepancy:
     """How far the twin is from `swims` held-out swims beyond its posterior: a standard deviation
     for each quantity, as a fraction of the swim's size (`Drawn.size`). NaN where no swim tells.
-    `told` says how many swims tell each; None in a posterior of releases up to 0.2.0: all."""
+    `told` says how many swims tell each; None in a posterior of releases up to 0.2.0: all.
+
+    `steady` is that of swims with a steady beat, where there are enough of both kinds: in other
+    water a twin may err more on these than on a policy's swims.
+    """
 
     speed: float
     distance: float
@@ -44,6 +47,7 @@ class Discrepancy:
     turn_rate: float
     swims: int
     told: tuple[int, ...] | None = None
+    steady: "Discrepancy | None" = None
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,11 @@ class Drawn:
     def swum(self) -> Array:
         """The predictions (m, 4) of the draws that did not diverge."""
         return np.asarray(self.predicted[~np.isinf(self.predicted).any(axis=1)])
+
+    @property
+    def steady(self) -> bool:
+        """Whether the swim has a steady beat."""
+        return bool(np.isfinite(self.run.gait.frequency))
 
     @property
     def centre(self) -> Array:
@@ -129,34 +138,32 @@ def _predicted(fish: Fish, run: Run, done: Swim) -> Array:
     return measure(camera_track(fish, run, done, marked=False), run, speed)
 
 
-def measure(track: Track, run: Run, speed: float) -> Array:
-    """Speed, distance, heading and turn rate (4,) of a track over the time of `run`; of a cruise
-    only the speed, without a heading only speed and distance."""
-    found = np.full(len(UNITS), np.nan)
-    found[0] = speed
-    if run.motor is None:
-        return found
-    end = float(run.track.time[-1] - run.track.time[0])
-    time = track.time - track.time[0]
-    whole = track.cut(0, int(np.searchsorted(time, end, side="right")))
-    found[1] = way(whole)
-    if run.track.has_heading:
-        at = min(JUDGED, end - AROUND)
-        turned = _yaw(whole, at) - whole.pose[0, 2]
-        later = _yaw(whole, end - AROUND) - _yaw(whole, end / 2)
-        found[2:] = np.degrees([turned, later / (end / 2 - AROUND)])
-    return found
-
-
-def _yaw(track: Track, at: float) -> float:
-    """Mean heading [rad] around a time since the start."""
-    near = np.abs(track.time - track.time[0] - at) <= AROUND
-    return float(track.pose[near, 2].mean())
-
-
 def discrepancy(swims: Sequence[Drawn]) -> Discrepancy:
     """The discrepancy with which errors and draws agree: the mean square of the errors, each over
-    its variance, is 1. It is 0 where the draws alone explain the errors."""
+    its variance, is 1. It is 0 where the draws alone explain the errors.
+
+    Swims with a steady beat have their own, if there are `FEWEST` with and `FEWEST` without. In no
+    quantity is it smaller than that of the others: a few steady beats show no launch and no turn on
+    the spot."""
+    steady = [one for one in swims if one.steady]
+    others = [one for one in swims if not one.steady]
+    if min(len(steady), len(others)) < FEWEST:
+        return _discrepancy(swims)
+    found = replace(_discrepancy(others), swims=len(swims))
+    return replace(found, steady=_larger(_discrepancy(steady), found))
+
+
+def _larger(one: Discrepancy, other: Discrepancy) -> Discrepancy:
+    """Of each quantity the larger discrepancy, with the number of swims that told it."""
+    assert one.told is not None and other.told is not None
+    mine, theirs = _measured(one), _measured(other)
+    own = np.isnan(theirs) | (mine >= theirs)
+    speed, distance, heading, turn_rate = np.where(own, mine, theirs).tolist()
+    told = tuple(np.where(own, one.told, other.told).tolist())
+    return Discrepancy(speed, distance, heading, turn_rate, one.swims, told)
+
+
+def _discrepancy(swims: Sequence[Drawn]) -> Discrepancy:
     error = np.array([one.measured - one.centre for one in swims])
     spread = np.array([one.spread for one in swims])
     size = np.array([one.size for one in swims])
@@ -182,10 +189,10 @@ def _extra(error: Array, spread: Array, size: Array) -> float:
 
 
 def bands(swim: Drawn, known: Discrepancy | None, share: float = 0.95) -> list[Band]:
-    """The bands of one swim: Student's t, with as many degrees of freedom as swims gave the
-    discrepancy of the quantity. Left out are quantities that the recording does not tell, and those
-    that no held-out swim told: the draws alone would be too sure."""
-    centre, spread = swim.centre, swim.spread
+    """The bands of one swim: Student's t, with as many degrees of freedom as swims of its kind gave
+    the discrepancy of the quantity. Left out are quantities that the recording does not tell, and
+    those that no held-out swim told: the draws alone would be too sure."""
+    centre, spread, known = swim.centre, swim.spread, of_kind(known, swim)
     reach = stats.t.ppf(0.5 + share / 2, _freedom(known)) * np.hypot(
         spread, shares(known) * swim.size
     )
@@ -200,6 +207,11 @@ def bands(swim: Drawn, known: Discrepancy | None, share: float = 0.95) -> list[B
         )
         if np.isfinite(measured) and not (known and np.isnan(getattr(known, name)))
     ]
+
+
+def of_kind(known: Discrepancy | None, swim: Drawn) -> Discrepancy | None:
+    """The discrepancy of swims of this one's kind."""
+    return known.steady if known is not None and known.steady and swim.steady else known
 
 
 def _freedom(known: Discrepancy | None) -> Array:
@@ -223,7 +235,11 @@ def shares(known: Discrepancy | None) -> Array:
     """The discrepancy's fractions (4,) in the order of `UNITS`, 0 where nothing is known."""
     if known is None:
         return np.zeros(len(UNITS))
-    return np.nan_to_num(np.array([getattr(known, name) for name in UNITS]))
+    return np.nan_to_num(_measured(known))
+
+
+def _measured(known: Discrepancy) -> Array:
+    return np.array([getattr(known, name) for name in UNITS])
 
 
 @dataclass(frozen=True)

@@ -44,11 +44,11 @@ def manoeuvres(fish: Fish, limit: ServoLimits, first: int = 13) -> dict[str, Rec
     short = min(length_of(fish) / LENGTH, 1.0)  # a longer fish has no larger pool
     kinds = [
         *(("launch", _launched(limit, short * v, b)) for v, b in _launches(low, middle, high)),
-        *(("brake", _played(limit, one)) for one in _stops(low, middle, high)),
-        *(("slow", _played(limit, [Beat(SECONDS, *one)])) for one in SLOW),
-        *(("turn", _played(limit, [Beat(SECONDS, *one)])) for one in _turns(low, middle, high)),
+        *(("brake", played(limit, one)) for one in _stops(low, middle, high)),
+        *(("slow", played(limit, [Beat(SECONDS, *one)])) for one in SLOW),
+        *(("turn", played(limit, [Beat(SECONDS, *one)])) for one in _turns(low, middle, high)),
         *(("wander", _wandered(fast(limit), (0.0, high), seed)) for seed in range(6)),
-        *(("sprint", _played(fast(limit, FULL), [one])) for one in _sprints(high)),
+        *(("sprint", played(fast(limit, FULL), [one])) for one in _sprints(high)),
         *(
             ("dash", _wandered(fast(limit, FULL), (0.6 * high, high), seed))
             for seed in range(6, 12)
@@ -109,11 +109,12 @@ def fast(limit: ServoLimits, times: float = FASTEST) -> ServoLimits:
 
 
 def _launched(limit: ServoLimits, surge: float, beat: Beat) -> tuple[Array, float]:
-    return _played(limit, [beat])[0], surge
+    return played(limit, [beat])[0], surge
 
 
-def _played(limit: ServoLimits, beats: list[Beat]) -> tuple[Array, float]:
-    """The beats one after the other; strokes and centres follow with `LAG`."""
+def played(limit: ServoLimits, beats: list[Beat]) -> tuple[Array, float]:
+    """Command (k,) [rad] about the range's middle of beats one after the other, whose strokes and
+    centres follow with `LAG`; and the surge of its launch [m/s], none."""
     inside = [replace(b, centre=_centre(limit, b.centre)) for b in beats]
     rows = [
         [b.frequency, b.stroke * _largest(limit, b), b.centre]

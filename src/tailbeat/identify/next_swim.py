@@ -17,13 +17,14 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, swim
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import compile_twin
-from tailbeat.identify.bands import UNITS, Discrepancy, Drawn, shares, swim_all
+from tailbeat.identify.bands import Discrepancy, Drawn, of_kind, shares, swim_all
 from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.gait import Gait, Track
 from tailbeat.identify.launch import launch_of
 from tailbeat.identify.manoeuvres import manoeuvres
 from tailbeat.identify.posterior import Posterior, fishes, needed
 from tailbeat.identify.protocol import RATE, fluid_runs, limits
+from tailbeat.identify.quantities import UNITS
 from tailbeat.identify.runs import Run
 from tailbeat.recording import Recording
 
@@ -138,7 +139,7 @@ def _minutes(swim: Drawn) -> float:
 
 def _seen(swim: Drawn, known: Discrepancy | None) -> Array:
     """What a recording of the swim would show of each draw (n, 4), in units of its error."""
-    return np.asarray(swim.predicted / np.hypot(SEEN, shares(known) * swim.size))
+    return np.asarray(swim.predicted / np.hypot(SEEN, shares(of_kind(known, swim)) * swim.size))
 
 
 def spread_after(goals: Array, seen: Sequence[Array]) -> float:

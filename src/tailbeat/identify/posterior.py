@@ -7,7 +7,7 @@ twin is from held-out swims beyond the draws (`Discrepancy`).
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -165,7 +165,7 @@ def _facts(posterior: Posterior) -> dict[str, Any]:
         "units": posterior.units,
         "fitted": posterior.fitted,
         "held_out": posterior.held_out,
-        "discrepancy": None if known is None else vars(known),
+        "discrepancy": None if known is None else asdict(known),
         "versions": f"mujoco {mujoco.__version__}, tailbeat {version('tailbeat')}",
     }
 
@@ -195,8 +195,9 @@ def _wrong(column: Array) -> bool:
 
 
 def _discrepancy(known: Mapping[str, Any]) -> Discrepancy:
-    told = known.get("told")
-    return Discrepancy(**{**known, "told": None if told is None else tuple(told)})
+    told, steady = known.get("told"), known.get("steady")
+    kept = {**known, "told": None if told is None else tuple(told)}
+    return Discrepancy(**{**kept, "steady": None if steady is None else _discrepancy(steady)})
 
 
 def _from(frame: pl.DataFrame, facts: Mapping[str, Any]) -> Posterior:

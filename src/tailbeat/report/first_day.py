@@ -21,8 +21,8 @@ from tailbeat.fish import render
 from tailbeat.fish.description import Fish, length_of
 from tailbeat.fish.show import read_back
 from tailbeat.fish.twin import compile_twin
-from tailbeat.identify.bands import UNITS
 from tailbeat.identify.posterior import Posterior, estimates
+from tailbeat.identify.quantities import UNITS
 from tailbeat.report import html
 from tailbeat.report.html import Block, Section
 from tailbeat.report.style import styled
