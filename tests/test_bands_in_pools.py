@@ -81,13 +81,13 @@ def test_bands_hold_fresh_swims_in_the_fish_s_own_water(drawn):
 
 @pytest.mark.slow
 def test_in_other_waters_check_swims_make_the_bands_hold_again(drawn):
-    """Without them the bands of a fish from another water hold less often than they say. With one
-    discrepancy for all kinds of swims, those of the protocol's speeds hold too seldom."""
+    """Without them the bands of a fish from another water hold less often than they say. With the
+    discrepancy of wandering swims for all, those of the protocol's speeds hold too seldom."""
     known, fishes = drawn
     stale: list[Band] = []
     renewed: list[Band] = []
     protocols: list[Band] = []
-    together: list[Band] = []
+    wandering: list[Band] = []
     policies: list[Band] = []
     for number, water in enumerate(WATERS):
         seen = discrepancy(swum(fishes, record_check(POOL, 40 + number, water=water)))
@@ -97,7 +97,7 @@ def test_in_other_waters_check_swims_make_the_bands_hold_again(drawn):
         others = swum(fishes, protocol(80 + number, water, number % 3))
         protocols += [band for one in others for band in bands(one, seen)]
         alike = replace(seen, steady=None)
-        together += [b for one in others for b in bands(one, alike) if b.quantity == "speed"]
+        wandering += [b for one in others for b in bands(one, alike) if b.quantity == "speed"]
         own = swum(fishes, of_policy(100 + number, water, 16))
         policies += [band for one in own for band in bands(one, seen)]
     held = np.mean([band.inside for band in stale])
@@ -105,5 +105,5 @@ def test_in_other_waters_check_swims_make_the_bands_hold_again(drawn):
     assert held < 0.8
     judge("renewed, check", renewed, least=0.88)
     judge("renewed, protocol", protocols, least=0.88)
-    assert np.mean([band.inside for band in together]) < 0.88
+    assert np.mean([band.inside for band in wandering]) < 0.88
     judge("renewed, policy", policies, least=0.88)

@@ -147,7 +147,7 @@ def test_a_quantity_that_few_swims_told_has_wider_bands_and_one_that_none_told_h
 
 
 def test_swims_with_a_steady_beat_have_their_own_discrepancy():
-    """One number for both would be too small for one kind and too large for the other."""
+    """That of the wandering swims alone would be too small for them."""
     steady = swims(30, 0, true=0.2)
     wandering = [as_wandering(one) for one in swims(30, 1, true=0.02)]
     known = discrepancy([*steady, *wandering])
@@ -156,8 +156,8 @@ def test_swims_with_a_steady_beat_have_their_own_discrepancy():
     for kind in (fresh[:200], fresh[200:]):
         held = np.mean([band.inside for one in kind for band in bands(one, known)])
         assert 0.9 <= held <= 0.99
-    pooled = replace(known, steady=None)
-    assert np.mean([b.inside for one in fresh[:200] for b in bands(one, pooled)]) < 0.8
+    alike = replace(known, steady=None)
+    assert np.mean([b.inside for one in fresh[:200] for b in bands(one, alike)]) < 0.8
     few = discrepancy([*steady[:2], *wandering])
     assert few.steady is None and few.swims == 32
     exact = discrepancy([*(replace(one, measured=one.centre) for one in steady), *wandering])

@@ -155,6 +155,8 @@ def test_cells_show_signs_intervals_and_missing_numbers():
     assert result_cells.per_cent(0.0312) == "3.1 %" and result_cells.per_cent(None) == "–"
     assert result_cells.off(0.98, 1.0) == result_cells.off(1.02, 1.0) == "2.0 %"
     assert result_cells.error(0.0081, "m/s") == "8.1 mm/s"
+    never = {"size": None, "interval": (76.24, None), "most": 300}
+    assert result_cells.margin(never) == "over 300 (76.2 – over 300)"
     rows = [{"s": 0.3}, {"s": 0.1}]
     assert (result_cells.smallest(rows, "s"), result_cells.largest(rows, "s")) == (0.1, 0.3)
     assert result_cells.largest([*rows, {"s": None}], "s") is None  # never is worse than late

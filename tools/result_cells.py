@@ -117,6 +117,13 @@ def pick(rows: Any, **wanted: Any) -> Any:
     return found[0]
 
 
+def margin(row: Any) -> str:
+    """A margin and its interval, each "over" the largest size tried where fewer never arrived."""
+    most = f"over {sig(row['most'])}"
+    size, low, high = (most if x is None else sig(x) for x in (row["size"], *row["interval"]))
+    return f"{size} ({low} – {high})"
+
+
 def largest(rows: Any, name: str) -> float | None:
     """Largest value of a column; None where one is missing, which is worse than any number."""
     found = [row[name] for row in rows]
@@ -165,6 +172,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
         made,
         stale,
         error,
+        margin,
         largest,
         smallest,
         total,

@@ -164,6 +164,7 @@ def _larger(one: Discrepancy, other: Discrepancy) -> Discrepancy:
 
 
 def _discrepancy(swims: Sequence[Drawn]) -> Discrepancy:
+    """One discrepancy of all these swims."""
     error = np.array([one.measured - one.centre for one in swims])
     spread = np.array([one.spread for one in swims])
     size = np.array([one.size for one in swims])

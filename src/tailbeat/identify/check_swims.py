@@ -28,13 +28,15 @@ def check_swims(fish: Fish, limit: ServoLimits, seed: int = 0) -> dict[str, Reco
     made = {}
     for number in range(WANDER + STEADY):
         rng = np.random.default_rng([seed, number])
-        kind = "wander" if number < WANDER else "steady"
-        if kind == "wander":
+        if number < WANDER:
+            kind, begin = "wander", "middle"
             command = wandering(fast(limit, FULL), (0.0, fish.band[1]), SECONDS, rng)
         else:
+            kind, begin = "steady", "end"
             command = played(limit, [_beat(fish, rng, number - WANDER)])[0]
         name = f"check-{number + 1:02d}-{kind}"
-        made[name] = _from_rest(name, command, limit)
+        meta = {"purpose": kind, "rate_hz": f"{RATE:g}", BEGIN: begin}
+        made[name] = _from_rest(name, command, limit, meta)
     return made
 
 
@@ -45,11 +47,8 @@ def _beat(fish: Fish, rng: np.random.Generator, number: int) -> Beat:
     return Beat(SECONDS, frequency, rng.uniform(0.5, 1.0), ASIDE * rng.uniform(-1, 1))
 
 
-def _from_rest(name: str, command: Array, limit: ServoLimits) -> Recording:
+def _from_rest(name: str, command: Array, limit: ServoLimits, meta: dict[str, str]) -> Recording:
     time = np.arange(int(SECONDS * RATE)) / RATE
     inside = np.clip(command[: time.size], -limit.angle, limit.angle)
     grown = inside * np.minimum(time / RAMP, 1.0) + limit.centre
-    kind = name.split("-")[2]
-    begin = "middle" if kind == "wander" else "end"
-    meta = {"purpose": kind, "rate_hz": f"{RATE:g}", BEGIN: begin}
     return Recording(name, time, {"command_rad": grown}, meta)
