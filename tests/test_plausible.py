@@ -64,15 +64,33 @@ def test_a_pose_must_be_where_a_fish_can_come(new, follows):
     assert pose_follows(frame(0.0, 0.0, 0.0), new, BOUNDS) is follows
 
 
+def readings(asked: list[float], seen: list[float], period: float = 0.02):
+    return [(3.0 + period * k, *pair) for k, pair in enumerate(zip(asked, seen, strict=True))]
+
+
 def test_a_shaft_that_is_asked_to_move_must():
-    asked = [0.05 * k for k in range(20)]
-    assert not shaft_follows(asked, [0.1] * 20, BOUNDS)
-    assert shaft_follows(asked, [0.04 * k for k in range(20)], BOUNDS)
-    assert shaft_follows([0.3] * 20, [0.1] * 20, BOUNDS)  # held: nothing is asked
-    assert shaft_follows([], [], BOUNDS)
-    sudden = [0.0] * 22 + [0.2, 0.4, 0.6]  # a beat that begins: nothing could follow yet
-    assert shaft_follows(sudden, [0.0] * 25, BOUNDS)
-    assert not shaft_follows(sudden + [0.6] * 8, [0.0] * 33, BOUNDS)
+    asked = [0.05 * k for k in range(30)]
+    assert not shaft_follows(readings(asked, [0.1] * 30), BOUNDS)
+    assert shaft_follows(readings(asked, [0.04 * k for k in range(30)]), BOUNDS)
+    assert shaft_follows(readings([0.3] * 30, [0.1] * 30), BOUNDS)  # held: nothing is asked
+    assert shaft_follows([], BOUNDS)
+    assert shaft_follows(readings(asked[:24], [0.1] * 24), BOUNDS)  # not yet half a second
+    sudden = [0.0] * 27 + [0.2, 0.4, 0.6]  # a beat that begins: nothing could follow yet
+    assert shaft_follows(readings(sudden, [0.0] * 30), BOUNDS)
+    assert not shaft_follows(readings(sudden + [0.6] * 8, [0.0] * 38), BOUNDS)
+
+
+@pytest.mark.parametrize("kept", [0.2, 0.4, 0.9])
+def test_lost_readings_hide_no_jam_and_make_none(kept):
+    """A jam was told from 25 readings, whatever time they took."""
+    random = np.random.default_rng(5)
+    at = 0.02 * np.flatnonzero(random.random(400) < kept)
+    asked, late = (0.5 * np.sin(2 * np.pi * 2.0 * (at - delay)) for delay in (0.0, 0.06))
+    swims = list(zip(at, asked, late, strict=True))
+    jammed = list(zip(at, asked, np.where(at < 3.0, late, 0.2), strict=True))
+    told = [at[k] for k in range(len(at)) if not shaft_follows(jammed[: k + 1], BOUNDS)]
+    assert all(shaft_follows(swims[: k + 1], BOUNDS) for k in range(len(at)))
+    assert 3.3 < told[0] < (3.7 if kept > 0.4 else 5.0)
 
 
 def test_a_step_of_the_clock_is_told_from_slow_echoes_and_drift():

@@ -13,7 +13,12 @@ from tailbeat.link.datagrams import Frame
 Echo = tuple[int, int, int]  # received at, offset, round trip [ns], as in `link.Clock`
 
 
-GRACE = 8  # periods, 0.16 s: the servo's delay and the start of a tail at rest (chosen)
+GRACE = 0.16  # s: the servo's delay and the start of a tail at rest (chosen)
+FOLLOWING = 0.5  # s within which the shaft must follow its setpoint
+FEWEST = 10  # readings that judge a shaft, where so many are lost that half a second has fewer
+READINGS = 50  # readings that are kept to judge it
+
+Travel = tuple[float, float, float]  # time [s], setpoint and angle [rad] of one reading
 
 
 @dataclass(frozen=True)
@@ -71,13 +76,20 @@ def pose_follows(last: Frame, new: Frame, bounds: Bounds) -> bool:
     )
 
 
-def shaft_follows(asked: Sequence[float], seen: Sequence[float], bounds: Bounds) -> bool:
-    """Whether the shaft follows its setpoints; setpoints and angles [rad] of the same periods. The
-    last `GRACE` setpoints are left out: the shaft has not had time to follow them."""
-    settled = asked[:-GRACE]
-    if not settled or not seen:
+def shaft_follows(readings: Sequence[Travel], bounds: Bounds) -> bool:
+    """Whether the shaft follows its setpoints; `readings` since torque came on, oldest first.
+
+    Judged are the last half second's, and at least `FEWEST`; until there are so many it is True.
+    The setpoints of the last `GRACE` are left out: the shaft has not had time to follow them.
+    """
+    if len(readings) < FEWEST or readings[-1][0] - readings[0][0] < FOLLOWING:
         return True
-    travel = max(settled) - min(settled)
+    newest = readings[-1][0]
+    recent = [one for one in readings if one[0] >= newest - FOLLOWING]
+    judged = recent if len(recent) >= FEWEST else list(readings)[-FEWEST:]
+    settled = [asked for when, asked, _ in judged if when <= newest - GRACE]
+    seen = [angle for *_, angle in judged]
+    travel = max(settled) - min(settled) if settled else 0.0
     return travel < bounds.travel_asked or max(seen) - min(seen) >= bounds.travel_seen
 
 

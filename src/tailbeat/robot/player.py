@@ -21,7 +21,7 @@ from tailbeat.link.reasons import Reason
 from tailbeat.recording import Recording
 from tailbeat.robot import plausible, safety
 from tailbeat.robot.devices import Line
-from tailbeat.robot.plausible import Bounds
+from tailbeat.robot.plausible import READINGS, Bounds, Travel
 from tailbeat.robot.poses import Poses
 from tailbeat.robot.safety import Health, SafetyLimits
 from tailbeat.robot.servo import PATIENCE, Servo, ServoFault, ServoState
@@ -57,7 +57,7 @@ class Player:
     state: ServoState | None = None
     seen: list[tuple[float, ...]] = field(default_factory=list)
     currents: deque[float] = field(default_factory=lambda: deque(maxlen=HALF_SECOND))
-    travelled: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=HALF_SECOND))
+    travelled: deque[Travel] = field(default_factory=lambda: deque(maxlen=READINGS))
     poses: Poses | None = None
     armed: float = 0.0  # s, monotonic
 
@@ -140,7 +140,7 @@ class Player:
         with contextlib.suppress(ServoFault):
             self.state, fresh = self.servo.read(), True
             self.currents.append(self.state.current)
-            self.travelled.append((self.torque.sent, self.state.angle))
+            self.travelled.append((self.state.time, self.torque.sent, self.state.angle))
         self.torque.check(self.servo, bool(self.state and self.state.alert))
         health = self.health()
         rule = safety.first_broken(RULES, health, self.limits)
@@ -154,8 +154,6 @@ class Player:
     def health(self) -> Health:
         """What is known for the safety rules. Without poses those of the camera hold."""
         now, state = time.monotonic(), self.state
-        whole = len(self.travelled) == HALF_SECOND
-        asked, seen = zip(*self.travelled, strict=True) if whole else ((), ())
         age = 0.0
         if self.poses is not None:
             known = self.poses.age(time.monotonic_ns())
@@ -170,7 +168,7 @@ class Player:
             hardware=self.torque.hardware,
             torque_lost=self.torque.lost,
             watchdog=self.torque.watchdog,
-            follows=plausible.shaft_follows(asked, seen, Bounds()),
+            follows=plausible.shaft_follows(self.travelled, Bounds()),
             guarded=self.watcher.beat(self.torque.on),
             stop_asked=self.stop_asked,
         )

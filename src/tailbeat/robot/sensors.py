@@ -11,12 +11,11 @@ from tailbeat.control.band import Monitor, Shares
 from tailbeat.robot import plausible
 from tailbeat.robot.imu import ImuFault, YawRate
 from tailbeat.robot.imus import YawSensor
-from tailbeat.robot.plausible import Bounds, Gate
+from tailbeat.robot.plausible import READINGS, Bounds, Gate, Travel
 from tailbeat.robot.poses import Poses
 from tailbeat.robot.servo import Servo, ServoFault, ServoState
 
 CURRENT_TIME = 0.5  # s over which the servo's current is averaged
-FOLLOWING = 0.5  # s within which the shaft must follow its setpoint
 REOPEN_EVERY = 0.5  # s between two tries to open an unplugged port again
 NEVER = YawRate(-math.inf, 0.0)
 UNKNOWN = Shares(math.nan, math.nan, math.nan)
@@ -54,12 +53,11 @@ class Sensors:
     reopened: float = -math.inf  # s, the last try
     currents: deque[float] = field(init=False)  # A, of the last half second
     volts: deque[float] = field(init=False)  # V, as long
-    travelled: deque[tuple[float, float]] = field(init=False)  # rad: setpoint, angle
+    travelled: deque[Travel] = field(default_factory=lambda: deque(maxlen=READINGS))
 
     def __post_init__(self) -> None:
         self.currents = deque(maxlen=round(CURRENT_TIME / self.period))
         self.volts = deque(maxlen=round(CURRENT_TIME / self.period))
-        self.travelled = deque(maxlen=round(FOLLOWING / self.period))
 
     def read(self, servo: Servo, imu: "YawSensor | CameraYaw", sent: float) -> None:
         """Read both devices; `sent` [rad] is the last setpoint. A missing reply shows in a
@@ -79,7 +77,7 @@ class Sensors:
         self.currents.append(reading.current)
         self.volts.append(reading.voltage)
         self.monitor.add(reading.time, reading.angle)
-        self.travelled.append((sent, reading.angle))
+        self.travelled.append((reading.time, sent, reading.angle))
 
     def _believe(self, yaw: YawRate | None) -> None:
         if yaw is None:
@@ -98,11 +96,8 @@ class Sensors:
         return float(np.median(self.volts)) if self.volts else 12.0
 
     def follows(self) -> bool:
-        """Whether the shaft follows its setpoints; True until half a second of readings is
-        there."""
-        whole = len(self.travelled) == self.travelled.maxlen
-        asked, seen = zip(*self.travelled, strict=True) if whole else ((), ())
-        return plausible.shaft_follows(asked, seen, self.bounds)
+        """Whether the shaft follows its setpoints."""
+        return plausible.shaft_follows(self.travelled, self.bounds)
 
     def look_at_band(self) -> None:
         """Compute in which frequencies the tail's power is; takes longer than a decision."""
