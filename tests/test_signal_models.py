@@ -90,6 +90,21 @@ def test_the_turning_is_the_camera_s_less_the_imu_s() -> None:
     assert math.isnan(at.drifting(rows[-round(7 / PERIOD) :]))  # under 5 s came before
 
 
+def test_a_late_camera_does_not_seem_to_turn_when_the_fish_begins_to() -> None:
+    """40 ms more than its stamps say. Tours in everyday labs warned of this for whole minutes."""
+    rows = window(20.0)
+    time, lag = rows[:, at.TIME], 0.04
+    rows[:, at.RATE] = np.where(time > 18.5, 1.5, 0.0) + np.sin(2 * np.pi * 1.5 * time)
+    turned = np.concatenate([[0.0], np.cumsum((rows[1:, at.RATE] + rows[:-1, at.RATE]) / 2)])
+    rows[:, at.TURNED] = PERIOD * turned
+    rows[:, at.YAW] = np.interp(rows[:, at.STAMP] - lag, time, rows[:, at.TURNED])
+    half = rows[time <= 17.5], rows[time > 17.5]
+    assert abs(at.turning(half[1]) - at.turning(half[0])) > 0.02  # what was taken for a drift
+    assert at.drifting(rows) == pytest.approx(0.0, abs=3e-3)
+    rows[:, at.YAW] += 0.02 * np.maximum(rows[:, at.STAMP] - 17.5, 0.0)
+    assert at.drifting(rows) == pytest.approx(0.02, abs=3e-3)
+
+
 def test_the_stroke_is_compared_with_the_shaft_s_own_before() -> None:
     rows, expected = window(10.0), expecting()
     rows[:, at.ANGLE] *= 0.8

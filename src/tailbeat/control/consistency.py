@@ -41,12 +41,12 @@ class Signs:
     """Statistics of a window; NaN where there is nothing to compare.
 
     `turning` [rad/s]: the camera's turning minus the IMU's. `drifting` [rad/s]: the same in the
-    newest 2.5 s, minus its value before. `stroke`: motor angle over the modelled one; `weakening`:
-    the same in the newest 2 s, over its value before. `recoil`: yaw rate over the one that the
-    motor angle predicts. `progress` [m]: speed over the rms of the motor velocity. `same`: newest
-    camera frames in a row with equal poses. `wander` [m]: the target's path within a second,
-    without its displacement. `course` [rad]: the direction in which the tag moves, seen from its
-    heading, positive to the left; NaN while the fish is slow.
+    newest 2.5 s, minus its value before, without the camera's lag. `stroke`: motor angle over the
+    modelled one; `weakening`: the same in the newest 2 s, over its value before. `recoil`: yaw rate
+    over the one that the motor angle predicts. `progress` [m]: speed over the rms of the motor
+    velocity. `same`: newest camera frames in a row with equal poses. `wander` [m]: the target's
+    path within a second, without its displacement. `course` [rad]: the direction in which the tag
+    moves, seen from its heading, positive to the left; NaN while the fish is slow.
     """
 
     turning: float = float("nan")
@@ -105,12 +105,25 @@ def turning(window: Array) -> float:
 
 def drifting(window: Array) -> float:
     """`turning` in the newest 2.5 s, minus the same before, which leaves a steady bias of the IMU
-    out. NaN until 5 s came before."""
+    out. NaN until 5 s came before, or with fewer than ten frames in either part.
+
+    A camera that is later than its stamps say differs from the IMU by its lag times the yaw rate.
+    One lag of the whole window is fitted with the two lines, and left out.
+    """
     begin = window[-1, TIME] - NEWEST
     if begin - window[0, TIME] < EARLIER:
         return float("nan")
-    new = window[:, TIME] > begin
-    return turning(window[new]) - turning(window[~new])
+    frames = distinct(window)
+    stamp = frames[:, STAMP]
+    frames, stamp = frames[stamp >= window[0, TIME]], stamp[stamp >= window[0, TIME]]
+    new = stamp > begin
+    if min(new.sum(), (~new).sum()) < FEWEST:
+        return float("nan")
+    turned, rate = (np.interp(stamp, window[:, TIME], window[:, k]) for k in (TURNED, RATE))
+    at = stamp - begin
+    model = np.column_stack([new, ~new, new * at, ~new * at, rate])
+    fitted = np.linalg.lstsq(model, frames[:, YAW] - turned, rcond=None)[0]
+    return float(fitted[2] - fitted[3])
 
 
 def stroke(window: Array, expected: Expected) -> float:

@@ -67,5 +67,6 @@ CHECKS = (
     Check("course", lambda x, lim, m: abs(x) > ASIDE,
           "the fish swims {x:.1f} rad off its heading: its tag is turned, or the picture mirrored"),
     Check("drifting", lambda x, lim, m: abs(x) > lim.drifting,
-          "the camera turns by {x:.3f} rad/s: check that it is fixed", holds=False),
+          "the camera turns by {x:.3f} rad/s against the IMU: check that it is fixed; a cold IMU"
+          " drifts too", holds=False),
 )  # fmt: skip
