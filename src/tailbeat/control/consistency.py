@@ -97,10 +97,8 @@ def turning(window: Array) -> float:
     frames = distinct(window)
     if len(frames) < FEWEST:
         return float("nan")
-    turned = np.interp(frames[:, STAMP], window[:, TIME], window[:, TURNED])
-    inside = frames[:, STAMP] >= window[0, TIME]
-    apart = frames[:, YAW] - turned
-    return slope(frames[inside, STAMP], apart[inside])
+    stamp, apart = _apart(frames, window)
+    return slope(stamp, apart)
 
 
 def drifting(window: Array) -> float:
@@ -113,17 +111,22 @@ def drifting(window: Array) -> float:
     begin = window[-1, TIME] - NEWEST
     if begin - window[0, TIME] < EARLIER:
         return float("nan")
-    frames = distinct(window)
-    stamp = frames[:, STAMP]
-    frames, stamp = frames[stamp >= window[0, TIME]], stamp[stamp >= window[0, TIME]]
+    stamp, apart = _apart(distinct(window), window)
     new = stamp > begin
     if min(new.sum(), (~new).sum()) < FEWEST:
         return float("nan")
-    turned, rate = (np.interp(stamp, window[:, TIME], window[:, k]) for k in (TURNED, RATE))
-    at = stamp - begin
+    at, rate = stamp - begin, np.interp(stamp, window[:, TIME], window[:, RATE])
     model = np.column_stack([new, ~new, new * at, ~new * at, rate])
-    fitted = np.linalg.lstsq(model, frames[:, YAW] - turned, rcond=None)[0]
+    fitted = np.linalg.lstsq(model, apart, rcond=None)[0]
     return float(fitted[2] - fitted[3])
+
+
+def _apart(frames: Array, window: Array) -> tuple[Array, Array]:
+    """Capture times [s] of the frames that were taken within the window, and their yaw minus the
+    integrated yaw rate then [rad]."""
+    inside = frames[frames[:, STAMP] >= window[0, TIME]]
+    turned = np.interp(inside[:, STAMP], window[:, TIME], window[:, TURNED])
+    return inside[:, STAMP], inside[:, YAW] - turned
 
 
 def stroke(window: Array, expected: Expected) -> float:

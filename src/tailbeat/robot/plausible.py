@@ -85,8 +85,8 @@ def shaft_follows(readings: Sequence[Travel], bounds: Bounds) -> bool:
     if len(readings) < FEWEST or readings[-1][0] - readings[0][0] < FOLLOWING:
         return True
     newest = readings[-1][0]
-    recent = [one for one in readings if one[0] >= newest - FOLLOWING]
-    judged = recent if len(recent) >= FEWEST else list(readings)[-FEWEST:]
+    recent = sum(when >= newest - FOLLOWING for when, *_ in readings)
+    judged = list(readings)[-max(recent, FEWEST) :]
     settled = [asked for when, asked, _ in judged if when <= newest - GRACE]
     seen = [angle for *_, angle in judged]
     travel = max(settled) - min(settled) if settled else 0.0
