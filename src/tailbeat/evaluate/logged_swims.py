@@ -65,8 +65,8 @@ def swims(
 def _swum(
     world: World, policy: Policy, rng: np.random.Generator, walls: tuple[float, float] | None
 ) -> Array:
-    """Rows (k, 9, n): what the loops of n robots read and sent in every step."""
-    choose, rows = partial(decide, policy), []
+    """Rows (k, 9, n): what the loops of n robots read in every step, and what they then sent."""
+    choose, rows, sent = partial(decide, policy), [], []
     wait = PATIENCE * policy.contract.measure.time
     seen, due = world.reset(), np.zeros(world.count)
     for step in range(world.steps_per_episode - 1):
@@ -77,10 +77,11 @@ def _swum(
         due = np.where(new, step + wait / PERIOD, np.where(done.reached, step, due))
         read = world.read
         frame = np.array(read.frames[:, 0])
-        sent = act.setpoint(world.space, world.state) + zero(world.settings.corrections)
+        sent.append(act.setpoint(world.space, world.state) + zero(world.settings.corrections))
         row = [np.full(world.count, now), now - frame[:, 5], *frame[:, :3].T, read.yaw_rate]
-        rows.append(np.array([*row, read.motor_angle, read.motor_velocity, sent]))
-    return np.array(rows)
+        rows.append(np.array([*row, read.motor_angle, read.motor_velocity]))
+    # a step's setpoint was sent before its readings, so it is in the row before them
+    return np.concatenate([np.array(rows)[:-1], np.array(sent)[1:, None]], axis=1)
 
 
 def _targets(
