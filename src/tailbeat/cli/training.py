@@ -82,6 +82,14 @@ TrainedActions = Annotated[
     typer.Option(help="generator, direct or filtered; of a crank turning. Default: the first."),
 ]
 
+StartOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of a run with whose networks to begin, in the last stage: for a newer"
+        " identification of its fish."
+    ),
+]
+
 ContinuedStage = Annotated[
     str | None, typer.Option(help="Stage to continue in; default: the checkpoint's.")
 ]
@@ -112,6 +120,7 @@ def train(
     velocities: SeesVelocities = False,
     averages: SeesAverages = False,
     normalised: Normalised = None,
+    start: StartOption = None,
     stage: ContinuedStage = None,
     json: JsonOption = None,
 ) -> None:
@@ -134,7 +143,7 @@ def train(
         told = described, out, chosen, space, seed, hours, device
         run = RunConfig(*told, velocities=velocities, averages=averages)
         run = replace(run, draws=_draws(fish, physics), yaw_rate=source(imu) or "imu")
-        run = replace(run, errors=_wrong(mess), build=_built(build))
+        run = replace(run, errors=_wrong(mess), build=_built(build), start=start)
         output.say(f"replay buffer: {run.buffer_bytes / 1e6:.0f} MB, in every checkpoint too")
         course = learn(run, resume, report, stage)
     courses({f"{space.kind}, seed {seed}": course.history}, out / "curve.png")

@@ -43,7 +43,7 @@ class TrainingCallback(BaseCallback):
     def __init__(self, run: RunConfig, progress: Progress, env: FishVecEnv, report: Report) -> None:
         super().__init__()
         self.run, self.progress, self.env, self.report = run, progress, env, report
-        self.stop = False
+        self.stop, self.due = False, dict[str, float]()
         self.tried: tuple[int, int] | None = None  # updates and episodes at the last verdict
         size = env.num_envs, env.world.steps_per_episode, run.recipe.window
         self.episodes = Episodes(progress, *size)
@@ -162,7 +162,7 @@ class TrainingCallback(BaseCallback):
         progress, last = self.progress, len(self.run.recipe.stages) - 1
         progress.promotions.append(replace(self._tell(), greedy=greedy))
         self.write_policy()
-        shutil.copyfile(self.run.out / "policy.onnx", self._kept())
+        shutil.copyfile(self.run.out / "policy.onnx", self.kept())
         if progress.stage == last:
             progress.passed_at, progress.leapt = self.model._n_updates, None
             self._set_pace()
@@ -179,13 +179,13 @@ class TrainingCallback(BaseCallback):
         progress.recent.clear()
         self._enter()
 
-    def _kept(self) -> Path:
+    def kept(self) -> Path:
         """The policy that passed this stage."""
         return self.run.out / f"stage-{self.progress.stage + 1:02d}.onnx"
 
     def _finish(self) -> None:
         """Hand over what the polish made, unless it reaches its targets later than before."""
-        before, now = self._kept(), self.run.out / "policy.onnx"
+        before, now = self.kept(), self.run.out / "policy.onnx"
         if self.run.recipe.polish:
             self.write_policy()
             earlier = self._lateness(partial(decide, load_policy(before)))

@@ -120,6 +120,31 @@ def load(place: Path, model: SAC, world: World) -> Saved:
     return state
 
 
+def load_networks(folder: Path, model: SAC) -> None:
+    """Load what the run in `folder` has learnt into a new model: networks, optimisers, entropy;
+    not its buffer, whose swims may be another fish's. Raises BadInput."""
+    place = find(folder)
+    if place is None:
+        raise BadInput(
+            f"{folder}: no checkpoint to start from; give the folder of a run of `tailbeat train`."
+        )
+    try:
+        _learn_again(model, torch.load(place / "networks.pt", "cpu", weights_only=True))
+    except RuntimeError as error:  # of torch: a shape, or a broken archive
+        raise BadInput(
+            f"{place}/networks.pt: these networks do not fit this run (observed numbers, actions,"
+            f" width), or are damaged; start from a run with the same options."
+        ) from error
+
+
+def _learn_again(model: SAC, learned: dict[str, Any]) -> None:
+    model.policy.load_state_dict(learned["policy"])
+    for name, optimizer in _optimizers(model).items():
+        optimizer.load_state_dict(learned[name])
+    if model.log_ent_coef is not None:
+        model.log_ent_coef.data = learned["log_ent_coef"].to(model.device)
+
+
 def _load(place: Path, model: SAC, world: World, state: Saved) -> None:
     buffer = model.replay_buffer
     assert buffer is not None
@@ -133,11 +158,7 @@ def _load(place: Path, model: SAC, world: World, state: Saved) -> None:
         buffer.begin_after(int(buffer.episode.max()))
     buffer.pos, buffer.full = state.buffer
     learned = torch.load(place / "networks.pt", map_location="cpu", weights_only=True)
-    model.policy.load_state_dict(learned["policy"])
-    for name, optimizer in _optimizers(model).items():
-        optimizer.load_state_dict(learned[name])
-    if model.log_ent_coef is not None:
-        model.log_ent_coef.data = learned["log_ent_coef"].to(model.device)
+    _learn_again(model, learned)
     torch.set_rng_state(learned["torch"])
     _restore(json.loads((place / "random.json").read_text(encoding="utf-8")), world)
 

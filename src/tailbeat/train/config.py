@@ -35,7 +35,13 @@ OPTIONS = {
     "actions.offset": "--centre", "recipe": "--recipe or --task",
     "recipe.normalised": "--normalised or --no-normalised", "seed": "--seed",
     "physics": "--physics", "yaw_rate": "--imu", "errors": "--mess", "build": "--build",
-    "velocities": "--velocities", "averages": "--averages",
+    "velocities": "--velocities", "averages": "--averages", "start": "--start",
+}  # fmt: skip
+# What older runs had, whose `run.json` does not say so.
+EARLIER = {
+    "errors": None, "velocities": False, "averages": False, "recipe.normalised": False,
+    "build": None, "start": None, "physics": "ranges", "yaw_rate": "imu",
+    **{f"measure.{name}": ratio for name, ratio in vars(PAPER).items()},
 }  # fmt: skip
 WORKING_SET = 1.5e9  # bytes for torch, engine and 64 fish without the buffer (measured: 1.1e9)
 
@@ -44,7 +50,8 @@ WORKING_SET = 1.5e9  # bytes for torch, engine and 64 fish without the buffer (m
 class RunRecord:
     """Contents of `run.json`: the fish's name and digest, action space, recipe, seed, what the
     physics are drawn from (`ranges` or `posterior` with its digest), the fish's measure, the
-    source of the yaw rate, and the half widths of what a robot has wrong (None: nothing)."""
+    source of the yaw rate, the half widths of what a robot has wrong (None: nothing), and the run
+    whose networks it started with (None: none)."""
 
     fish: str
     fish_digest: str
@@ -58,6 +65,7 @@ class RunRecord:
     velocities: bool = False
     averages: bool = False
     build: Randomisation | None = None
+    start: str | None = None
 
 
 @dataclass(frozen=True)
@@ -72,7 +80,8 @@ class RunConfig:
     `errors` are half widths of what each episode's robot has wrong, in full once all noise is; None
     without. `build` are half widths of the physics; None takes the usual ones. With `velocities`
     the policy also observes filtered velocities, its own and the target's, as a policy that follows
-    always does; with `averages` slow averages too, which takes the velocities along.
+    always does; with `averages` slow averages too, which takes the velocities along. `start` is the
+    folder of a run with whose networks it begins, as if they had passed the last stage.
     """
 
     fish: Fish
@@ -90,6 +99,7 @@ class RunConfig:
     velocities: bool = False
     averages: bool = False
     build: Randomisation | None = None
+    start: Path | None = None
 
     @property
     def discount(self) -> float:
@@ -123,10 +133,9 @@ class RunConfig:
 
     def record(self) -> RunRecord:
         """What must be equal when the run is resumed."""
-        fish = self.fish
         return RunRecord(
-            fish.name,
-            digest(fish),
+            self.fish.name,
+            digest(self.fish),
             self.space(),
             self.recipe,
             self.seed,
@@ -137,12 +146,27 @@ class RunConfig:
             self.velocities,
             self.averages,
             self.build,
+            None if self.start is None else str(self.start),
         )
 
 
 def measured_run(run: RunConfig) -> RunConfig:
-    """The run in its fish's own measure. Raises BadInput for a fish that hardly swims."""
-    return replace(run, measure=measure_of(run.fish))
+    """The run in its fish's own measure; of a run with a `start`, in that run's, by which its
+    networks see. Raises BadInput for a fish that hardly swims."""
+    if run.start is None:
+        return replace(run, measure=measure_of(run.fish))
+    return replace(run, measure=_measure_of_run(run.start))
+
+
+def _measure_of_run(folder: Path) -> Measure:
+    """The measure in which a run was trained. Raises BadInput."""
+    path = folder / RUN
+    try:
+        return Measure(**json.loads(path.read_text(encoding="utf-8")).get("measure", {}))
+    except (OSError, ValueError, TypeError, AttributeError):
+        raise BadInput(
+            f"{path}: missing or unreadable; give the folder of a run of `tailbeat train`."
+        ) from None
 
 
 def _physics(draws: Array | None) -> str:
@@ -248,17 +272,9 @@ def _check_same(run: RunConfig) -> None:
         raise BadInput(f"{path}: not readable JSON; the run cannot be resumed.") from None
     if held.get("actions.kind") == "generator":
         held.setdefault("actions.floor", 0.0)  # older runs have no floor
-    held.setdefault("errors", None)
-    held.setdefault("velocities", False)
-    held.setdefault("averages", False)
-    held.setdefault("recipe.normalised", False)
-    held.setdefault("build", None)
-    held.setdefault("physics", "ranges")  # and no posterior
-    held.setdefault("yaw_rate", "imu")  # and an IMU
+    held = EARLIER | held
     for name in ("greedy", "promising", "between", "leap", "polish", "late_rate"):
-        held.setdefault(f"recipe.{name}", getattr(run.recipe, name))  # and other verdicts
-    for name, ratio in vars(PAPER).items():
-        held.setdefault(f"measure.{name}", ratio)  # and the paper's measure
+        held.setdefault(f"recipe.{name}", getattr(run.recipe, name))
     asked = leaves("", json.loads(json.dumps(asdict(run.record()))))
     names = {name for name in set(held) | set(asked) if held.get(name) != asked.get(name)}
     if names:

@@ -33,8 +33,9 @@ class QuickSAC(SAC):
     """SAC with critics and actor updated in parallel.
 
     Takes SAC's arguments. `memory` is the correlation of the exploration noise from one control
-    step to the next. `rounded` updates multiply matrices in bfloat16 if the processor supports it,
-    on a GPU in TF32. `normalised` critics (`normalised.py`) need no targets.
+    step to the next. Once it is `taught` by another run, it explores with its policy from the
+    start, not at random. `rounded` updates multiply matrices in bfloat16 if the processor supports
+    it, on a GPU in TF32. `normalised` critics (`normalised.py`) need no targets.
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class QuickSAC(SAC):
         **rest: Any,
     ) -> None:
         self.memory, self.rounded, self.normalised = memory, rounded, normalised
+        self.taught = False
         super().__init__(*args, **rest)
 
     def _setup_model(self) -> None:
@@ -64,11 +66,11 @@ class QuickSAC(SAC):
     def _sample_action(
         self, learning_starts: int, action_noise: Any = None, n_envs: int = 1
     ) -> tuple[Any, Any]:
-        """Exploration actions (n, size): uniform before learning starts, then from the policy's
-        distribution with correlated noise."""
+        """Exploration actions (n, size): uniform before learning starts, unless it is taught; then
+        from the policy's distribution with correlated noise."""
         fresh = torch.randn(self.noise.shape)
         self.noise = self.memory * self.noise + (1 - self.memory**2) ** 0.5 * fresh
-        if self.num_timesteps < learning_starts:
+        if self.num_timesteps < learning_starts and not self.taught:
             action = torch.erf(self.noise / 2**0.5)
         else:
             seen = torch.as_tensor(self._last_obs, device=self.device)

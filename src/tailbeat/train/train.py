@@ -1,5 +1,6 @@
 """Train a policy for a fish: build, resume, learn, write."""
 
+import shutil
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -41,7 +42,8 @@ def train(
 
     A run that was killed before its first checkpoint is resumed from the start.
     With a `stage` the run continues in that stage, whatever it has passed. A stage that has stalled
-    gets the time of another budget when it is resumed; without `again` it does not. However it
+    gets the time of another budget when it is resumed; without `again` it does not. A run with a
+    `start` begins with the networks of that run, in the last stage, and only polishes. However it
     ends, it writes `policy.onnx`, a checkpoint and `curve.json` into the folder. Raises BadInput
     for a bad config before anything is built, and if the disk is full.
     """
@@ -56,6 +58,8 @@ def train(
     model = learner(run, env)
     progress = Progress()
     if place is None:
+        if run.start is not None:
+            _taught(run.start, run, model, progress)
         config.begin(run)
     else:
         progress = _restored(place, model, env, again)
@@ -66,6 +70,10 @@ def train(
     env.world.change(run.settings(progress.stage))  # before the first reset
     callback = TrainingCallback(run, progress, env, report)
     model.set_logger(configure(str(run.out / "tensorboard"), ["tensorboard"]))
+    if place is None and run.start is not None:
+        callback.model = model
+        callback.write_policy()
+        shutil.copyfile(run.out / "policy.onnx", callback.kept())  # what the polish must beat
     with _stopped_by_signals(callback):
         model.learn(
             FOREVER, callback=callback, log_interval=FOREVER, reset_num_timesteps=place is None
@@ -168,6 +176,15 @@ def _restored(place: Path, model: SAC, env: FishVecEnv, again: bool) -> Progress
     if progress.stalled and again:
         progress.stage_began, progress.stalled = progress.seconds, False
     return progress
+
+
+def _taught(start: Path, run: RunConfig, model: SAC, progress: Progress) -> None:
+    """Begin with another run's networks, as if they had passed the last stage. Raises BadInput."""
+    if not isinstance(model, QuickSAC):
+        raise BadInput(f"--start: recipe {run.recipe.name} has no warm start; take quick or smoke.")
+    checkpoint.load_networks(start, model)
+    model.taught = True
+    progress.stage, progress.passed_at = len(run.recipe.stages) - 1, 0
 
 
 def _put_into(stage: str, run: RunConfig, progress: Progress) -> None:
