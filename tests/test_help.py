@@ -102,7 +102,7 @@ def test_what_is_not_understood_is_one_sentence(words, answer):
     ("typed", "offered"),
     [
         ("dr", "drive"),
-        ("identify ", "tail\nservo\nfluid\nposterior\nnext\nall"),
+        ("identify ", "tail\nservo\nfluid\nlogs\nposterior\nnext\nall"),
         ("drive --em", "--emulated"),
     ],
 )

@@ -1,17 +1,22 @@
-"""Correct a policy from the logs of its own swims."""
+"""Correct a policy from the logs of its own swims, and train it again."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tailbeat.cli import output
+from tailbeat.cli import output, progress
 from tailbeat.cli.extras import need_training
-from tailbeat.cli.offsets import say_swims
+from tailbeat.cli.learn import expect_or_say
+from tailbeat.cli.offsets import say_built, say_swims
 from tailbeat.cli.options import JsonOption, PolicyFile
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.cli.training import StartOption
+from tailbeat.files import BadInput, refuse_existing, write_json
 
 if TYPE_CHECKING:
+    from tailbeat.robot.refit import Refitted
+    from tailbeat.train.again import Again, AgainConfig
     from tailbeat.train.refine import Change
 
 
@@ -21,21 +26,72 @@ def refine(
         list[Path], typer.Option("--log", help="Logs of its swims on one robot, .mcap.")
     ],
     out: Annotated[Path, typer.Option("--out", help="Folder of the corrected policy.")],
+    retrain: Annotated[
+        bool, typer.Option(help="Also refit the twin to the logs, and train again in it.")
+    ] = False,
+    fish: Annotated[
+        str | None,
+        typer.Option(help="With --retrain: the fish it was trained on, a TOML file or a name."),
+    ] = None,
+    start: StartOption = None,
+    hours: Annotated[float, typer.Option(help="With --retrain: longest training time [h].")] = 0.5,
     json: JsonOption = None,
 ) -> None:
     """Correct a policy by what its robot's swims show to be constant and wrong. These are the
     tag, the shaft and the gyro. The network stays; the new file corrects readings and setpoints, on
-    this robot alone. Of what the swims do not tell well, a part is corrected, and said."""
+    this robot alone. Of what the swims do not tell well, a part is corrected, and said. With
+    --retrain a second policy is trained in a twin that is refitted to the logs. Exit code 1 if that
+    one is no better."""
     if json is not None:
         refuse_existing(json)
+    if (fish is None) == retrain or (start is not None and not retrain):
+        raise BadInput("--retrain and --fish go together, and --start only with them.")
     need_training()
+    from tailbeat.train.again import AgainConfig
     from tailbeat.train.refine import refine as make
 
     done = make(policy, logs, out)
     say_swims(done.seconds, [_row(one) for one in done.changes], done.untold)
     output.say(f"policy for this robot alone: {done.policy}")
+    more: dict[str, Any] = {}
+    if fish is not None:
+        refit, trained = _retrained(done.policy, logs, AgainConfig(fish, out, start, hours))
+        more = {"refitted": refit, "retrained": trained}
     if json is not None:
-        write_json(json, done)
+        write_json(json, asdict(done) | more)
+    if fish is not None and (trained is None or not trained.better):
+        raise typer.Exit(1)
+
+
+def _retrained(
+    policy: str, logs: list[Path], config: "AgainConfig"
+) -> "tuple[Refitted, Again | None]":
+    """Refit the twin and train in it; no training where the new twin is no better."""
+    from tailbeat.control.policy import load_policy
+    from tailbeat.train.again import refitted, train_again
+
+    parent = load_policy(policy)
+    with progress.counting() as told:
+        found, run = refitted(parent, logs, config, told)
+    say_built(found)
+    if not found.built.better:
+        output.say("nothing was trained.")
+        return found, None
+    with progress.training() as report:
+        trained = train_again(parent, run, report)
+    _say_trained(trained)
+    return found, trained
+
+
+def _say_trained(trained: "Again") -> None:
+    rows = [
+        {"policy": name, "reached [%]": 100 * one.reached, "median time [s]": one.median_seconds}
+        for name, one in (("as corrected", trained.before), ("trained again", trained.after))
+    ]
+    output.tables({"in the refitted twin, same targets": rows})
+    expect_or_say(trained.policy, "quick")
+    keep = "drive with it" if trained.better else "it is no better: keep the corrected one"
+    output.say(f"trained again: {trained.policy}; {keep}")
 
 
 def _row(one: "Change") -> dict[str, Any]:

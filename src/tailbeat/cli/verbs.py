@@ -76,6 +76,12 @@ PANELS = {
             "--fish servo.toml --fit swim1.csv swim2.csv --validate swim3.csv --out mine.toml",
         ),
         Verb(
+            "identify logs",
+            "offsets:identify_logs",
+            "Fit servo, tail and water of a fish to logged swims of one robot.",
+            "swim1.mcap swim2.mcap --fish mine.toml --out this-robot.toml",
+        ),
+        Verb(
             "identify posterior",
             "identify:identify_posterior",
             "Write the posterior of a fish that is identified already.",

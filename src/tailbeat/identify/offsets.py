@@ -96,7 +96,7 @@ KINDS = (
 UNTOLD = (
     "tag ahead: it cannot be told from where the fish turns about",
     "scale of the camera: it cannot be told from how fast the fish is",
-    "slack, stiffness and servo: record the test bench",
+    "slack, stiffness and servo: `identify logs` fits some of it, the test bench tells more",
 )
 
 

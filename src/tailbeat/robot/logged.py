@@ -25,7 +25,7 @@ SWIMS = "run"  # state in which the policy swims
 def offsets_of(paths: Sequence[Path]) -> Offsets:
     """Offsets of one robot from its logs. Raises BadInput for logs of two robots, without poses, or
     too short."""
-    _check_same(paths)
+    check_same(paths)
     return offsets([logged(path) for path in paths])
 
 
@@ -83,7 +83,7 @@ def check_swum_by(paths: Sequence[Path], policy: Path) -> None:
             )
 
 
-def _check_same(paths: Sequence[Path]) -> None:
+def check_same(paths: Sequence[Path]) -> None:
     """Raises BadInput if logs are of different fish, policies or calibrations."""
     first = read_notes(paths[0])
     for path in paths[1:]:
