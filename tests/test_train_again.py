@@ -84,6 +84,7 @@ def test_a_training_is_read_from_its_contract(tmp_path):
     assert run.averages and run.actions == contract.actions and run.recipe.name == "quick"
     plain = run_again(load_policy("pulley-fish-pool-generator").contract, WEAK, tmp_path, None)
     assert plain.errors is None and plain.build is None and not plain.averages
+    assert run.measured and run.measure == contract.measure  # the same task for the same robot
     odd = replace(contract, training={**contract.training, "errors": "horn much"})
     with pytest.raises(BadInput, match="which this tailbeat cannot read"):
         run_again(odd, WEAK, tmp_path, None)

@@ -16,7 +16,8 @@ from tailbeat.files import BadInput, refuse_existing, write_json
 
 if TYPE_CHECKING:
     from tailbeat.robot.refit import Refitted
-    from tailbeat.train.again import Again, AgainConfig
+    from tailbeat.train.again import Again
+    from tailbeat.train.config import RunConfig
     from tailbeat.train.refine import Change
 
 
@@ -47,15 +48,16 @@ def refine(
     if (fish is None) == retrain or (start is not None and not retrain):
         raise BadInput("--retrain and --fish go together, and --start only with them.")
     need_training()
-    from tailbeat.train.again import AgainConfig
+    from tailbeat.train.again import AgainConfig, planned
     from tailbeat.train.refine import refine as make
 
+    run = planned(policy, logs, AgainConfig(fish, out, start, hours)) if fish else None
     done = make(policy, logs, out)
     say_swims(done.seconds, [_row(one) for one in done.changes], done.untold)
     output.say(f"policy for this robot alone: {done.policy}")
     more: dict[str, Any] = {}
-    if fish is not None:
-        refit, trained = _retrained(done.policy, logs, AgainConfig(fish, out, start, hours))
+    if fish is not None and run is not None:
+        refit, trained = _retrained(done.policy, run, logs, fish)
         more = {"refitted": refit, "retrained": trained}
     if json is not None:
         write_json(json, asdict(done) | more)
@@ -64,7 +66,7 @@ def refine(
 
 
 def _retrained(
-    policy: str, logs: list[Path], config: "AgainConfig"
+    policy: str, run: "RunConfig", logs: list[Path], fish: str
 ) -> "tuple[Refitted, Again | None]":
     """Refit the twin and train in it; no training where the new twin is no better."""
     from tailbeat.control.policy import load_policy
@@ -72,7 +74,7 @@ def _retrained(
 
     parent = load_policy(policy)
     with progress.counting() as told:
-        found, run = refitted(parent, logs, config, told)
+        found, run = refitted(parent, run, logs, fish, told)
     say_built(found)
     if not found.built.better:
         output.say("nothing was trained.")

@@ -22,10 +22,12 @@ from tailbeat.env.world import World
 from tailbeat.files import BadInput, refuse_existing
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import load_fish
+from tailbeat.identify.log_pieces import pieces
 from tailbeat.identify.logs import Progress
 from tailbeat.robot.fits import twin_of
+from tailbeat.robot.logged import logged
 from tailbeat.robot.refit import Refitted, refit
-from tailbeat.train.config import RunConfig, check, measured_run
+from tailbeat.train.config import RunConfig, check
 from tailbeat.train.progress import Report
 from tailbeat.train.recipes import RECIPES, recipe_of
 from tailbeat.train.refine import write
@@ -60,26 +62,33 @@ class Again:
     better: bool
 
 
-def refitted(
-    parent: Policy, logs: Sequence[Path], config: AgainConfig, told: Progress
-) -> tuple[Refitted, RunConfig]:
-    """Refit the fish to logs, freed of the parent's corrections; also the training with it. Writes
-    `NAME-refitted.toml` and its report into the folder. Raises BadInput, also for a training that
-    would be refused."""
-    fish = twin_of(parent, config.fish)
-    twin = config.out / f"{fish.name}-refitted.toml"
+def planned(policy: str, logs: Sequence[Path], config: AgainConfig) -> RunConfig:
+    """The training, before anything is fitted or written. Raises BadInput for a training that would
+    be refused, or logs that are too short."""
+    contract = load_policy(policy).contract
     refuse_existing(config.out / RETRAINED)
-    run = run_again(parent.contract, fish, config.out / "train", config.start)
-    run = replace(run, hours=config.hours)
-    check(measured_run(run), resume=False)
-    found = refit(config.fish, fish, logs, twin, parent.contract.corrections, told)
-    own = load_fish(str(twin)).model_copy(update={"servo": fish.servo})
+    fish = twin_of(load_policy(policy), config.fish)
+    run = run_again(contract, fish, config.out / "train", config.start)
+    check(replace(run, hours=config.hours), resume=False)
+    pieces([logged(path) for path in logs])
+    return replace(run, hours=config.hours)
+
+
+def refitted(
+    parent: Policy, run: RunConfig, logs: Sequence[Path], source: str, told: Progress
+) -> tuple[Refitted, RunConfig]:
+    """Refit the fish of the file `source` to logs, freed of the parent's corrections; also the
+    training with it. Writes `NAME-refitted.toml` and its report beside the run's folder. Raises
+    BadInput."""
+    twin = run.out.parent / f"{run.fish.name}-refitted.toml"
+    found = refit(source, run.fish, logs, twin, parent.contract.corrections, told)
+    own = load_fish(str(twin)).model_copy(update={"servo": run.fish.servo})
     return found, replace(run, fish=own)
 
 
 def run_again(contract: Contract, fish: Fish, out: Path, start: Path | None) -> RunConfig:
-    """The training of a contract's policy, with another twin of its fish. Raises BadInput for a
-    policy that was not trained, or with a posterior."""
+    """The training of a contract's policy, in the same measure, with another twin of its fish.
+    Raises BadInput for a policy that was not trained, or with a posterior."""
     told = contract.training
     name, physics = str(told.get("recipe", "")), str(told.get("physics", "ranges"))
     if name not in RECIPES or physics != "ranges":
@@ -98,6 +107,8 @@ def run_again(contract: Contract, fish: Fish, out: Path, start: Path | None) -> 
         errors=_widths(Errors(), told.get("errors")),
         build=_widths(randomize.none(), told.get("build")),
         start=start,
+        measure=contract.measure,
+        measured=True,
     )
 
 
@@ -133,9 +144,8 @@ def surely_less(some: Array, others: Array) -> bool:
 
 
 def _swum(run: RunConfig, policy: Policy) -> Swims:
-    """Greedy swims in the run's last stage, with the measure of the policy."""
-    own = replace(run, measure=policy.contract.measure)
-    settings = own.settings(len(run.recipe.stages) - 1)
+    """Greedy swims in the run's last stage."""
+    settings = run.settings(len(run.recipe.stages) - 1)
     return assess(partial(decide, policy), partial(World, run.fish, settings), TARGETS, SEED)
 
 

@@ -24,7 +24,7 @@ from tailbeat.env.task import Settings, check_settings
 from tailbeat.files import BadInput, leaves, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest
-from tailbeat.train.progress import RUN, begun
+from tailbeat.train.progress import RUN, begun, measure_of_run
 from tailbeat.train.recipes import Recipe, quick
 
 Array = NDArray[np.float64]
@@ -75,8 +75,9 @@ class RunConfig:
     `out` is its folder. `actions` None are the motor's own up to the fish's band, bound as the
     recipe says. `draws` are a posterior's coefficients (`Settings.draws`), None for ranges. `hours`
     is the most time of this session, `checkpoint_minutes` the time between two checkpoints.
-    `device` is cpu or cuda. `measure` is that of the fish; `measured_run` takes it. `yaw_rate` is
-    the source of the yaw rate that the policy sees: imu, or camera for a robot without an IMU.
+    `device` is cpu or cuda. `measure` is that of the fish, by `measured_run`, or given
+    (`measured`). `yaw_rate` is the source of the yaw rate that the policy sees: imu, or camera for
+    a robot without an IMU.
     `errors` are half widths of what each episode's robot has wrong, in full once all noise is; None
     without. `build` are half widths of the physics; None takes the usual ones. With `velocities`
     the policy also observes filtered velocities, its own and the target's, as a policy that follows
@@ -100,6 +101,7 @@ class RunConfig:
     averages: bool = False
     build: Randomisation | None = None
     start: Path | None = None
+    measured: bool = False
 
     @property
     def discount(self) -> float:
@@ -151,22 +153,12 @@ class RunConfig:
 
 
 def measured_run(run: RunConfig) -> RunConfig:
-    """The run in its fish's own measure; of a run with a `start`, in that run's, by which its
-    networks see. Raises BadInput for a fish that hardly swims."""
-    if run.start is None:
-        return replace(run, measure=measure_of(run.fish))
-    return replace(run, measure=_measure_of_run(run.start))
-
-
-def _measure_of_run(folder: Path) -> Measure:
-    """The measure in which a run was trained. Raises BadInput."""
-    path = folder / RUN
-    try:
-        return Measure(**json.loads(path.read_text(encoding="utf-8")).get("measure", {}))
-    except (OSError, ValueError, TypeError, AttributeError):
-        raise BadInput(
-            f"{path}: missing or unreadable; give the folder of a run of `tailbeat train`."
-        ) from None
+    """The run in its fish's own measure, unless one is given; of a run with a `start`, in that
+    run's, by which its networks see. Raises BadInput for a fish that hardly swims."""
+    if run.measured:
+        return run
+    found = measure_of(run.fish) if run.start is None else measure_of_run(run.start)
+    return replace(run, measure=found, measured=True)
 
 
 def _physics(draws: Array | None) -> str:
@@ -224,6 +216,8 @@ def check(run: RunConfig, resume: bool) -> None:
             f"recipe.normalised = true: recipe {run.recipe.name} has SB3's own update, which has no"
             f" such critics; leave it out, or take recipe quick or smoke."
         )
+    if run.start is not None and not run.recipe.quick:
+        raise BadInput(f"--start: recipe {run.recipe.name} has no warm start; take quick or smoke.")
     check_settings(run.fish, run.settings(0))
     _check_memory(run.buffer_bytes)
     if resume:

@@ -1,13 +1,16 @@
 """Progress of a training: its rows, its state between sessions, its result."""
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from tailbeat.control.measure import Measure
 from tailbeat.env.assess import Summary
 from tailbeat.env.curriculum import PROMOTED
+from tailbeat.files import BadInput
 
 RUN = "run.json"  # what a run is started with
 CURVE = "curve.json"  # written at the end of a session
@@ -17,6 +20,17 @@ RECENT = 24  # rows of the history from which the time to promotion is estimated
 def begun(folder: Path) -> bool:
     """Whether the folder holds a run to continue; before its first checkpoint it starts anew."""
     return (folder / RUN).is_file()
+
+
+def measure_of_run(folder: Path) -> Measure:
+    """The measure in which a run was trained. Raises BadInput."""
+    path = folder / RUN
+    try:
+        return Measure(**json.loads(path.read_text(encoding="utf-8")).get("measure", {}))
+    except (OSError, ValueError, TypeError, AttributeError):
+        raise BadInput(
+            f"{path}: missing or unreadable; give the folder of a run of `tailbeat train`."
+        ) from None
 
 
 @dataclass(frozen=True)

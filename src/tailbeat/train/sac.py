@@ -33,8 +33,8 @@ class QuickSAC(SAC):
     """SAC with critics and actor updated in parallel.
 
     Takes SAC's arguments. `memory` is the correlation of the exploration noise from one control
-    step to the next. Once it is `taught` by another run, it explores with its policy from the
-    start, not at random. `rounded` updates multiply matrices in bfloat16 if the processor supports
+    step to the next. One that is `taught` by another run explores with its policy from the start,
+    not at random. `rounded` updates multiply matrices in bfloat16 if the processor supports
     it, on a GPU in TF32. `normalised` critics (`normalised.py`) need no targets.
     """
 
@@ -44,10 +44,11 @@ class QuickSAC(SAC):
         memory: float = 0.0,
         rounded: bool = False,
         normalised: bool = False,
+        taught: bool = False,
         **rest: Any,
     ) -> None:
         self.memory, self.rounded, self.normalised = memory, rounded, normalised
-        self.taught = False
+        self.taught = taught
         super().__init__(*args, **rest)
 
     def _setup_model(self) -> None:

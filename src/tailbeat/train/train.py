@@ -59,7 +59,8 @@ def train(
     progress = Progress()
     if place is None:
         if run.start is not None:
-            _taught(run.start, run, model, progress)
+            checkpoint.load_networks(run.start, model)
+            progress.stage, progress.passed_at = len(run.recipe.stages) - 1, 0
         config.begin(run)
     else:
         progress = _restored(place, model, env, again)
@@ -144,7 +145,7 @@ def learner(run: RunConfig, env: FishVecEnv) -> SAC:
     if recipe.quick:
         shape["optimizer_kwargs"] = {"fused": True}
         more |= {"memory": recipe.memory, "rounded": recipe.rounded}
-        more["normalised"] = recipe.normalised
+        more |= {"normalised": recipe.normalised, "taught": run.start is not None}
     return kind(
         "MlpPolicy",
         env,
@@ -176,15 +177,6 @@ def _restored(place: Path, model: SAC, env: FishVecEnv, again: bool) -> Progress
     if progress.stalled and again:
         progress.stage_began, progress.stalled = progress.seconds, False
     return progress
-
-
-def _taught(start: Path, run: RunConfig, model: SAC, progress: Progress) -> None:
-    """Begin with another run's networks, as if they had passed the last stage. Raises BadInput."""
-    if not isinstance(model, QuickSAC):
-        raise BadInput(f"--start: recipe {run.recipe.name} has no warm start; take quick or smoke.")
-    checkpoint.load_networks(start, model)
-    model.taught = True
-    progress.stage, progress.passed_at = len(run.recipe.stages) - 1, 0
 
 
 def _put_into(stage: str, run: RunConfig, progress: Progress) -> None:
