@@ -77,7 +77,7 @@ def say_built(done: "Refitted") -> None:
     output.say(
         f"in {built.held_out} pieces that were not fitted the shaft errs by"
         f" {degrees(new.shaft):.2f} deg instead of {degrees(old.shaft):.2f}, the place by"
-        f" {1e3 * new.place:.0f} mm instead of {1e3 * old.place:.0f}"
+        f" {1e3 * new.place:.0f} mm instead of {1e3 * old.place:.0f}, as the fish was described"
     )
     output.say(f"refitted fish: {done.fish}")
 
