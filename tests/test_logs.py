@@ -170,6 +170,8 @@ def test_short_logs_and_wrong_names_are_refused(tmp_path):
     out = tmp_path / "robot.toml"
     said = complaint("identify", "logs", *logs, "--fish", TWIN.name, "--out", out)
     assert "give logs with 8 or more: about 44 s of swimming" in said
+    said = complaint("identify", "logs", *logs, "--fish", "crank-fish", "--out", out)
+    assert "its motor is a crank" in said
     wrong = tmp_path / "robot.txt"
     assert "TOML" in complaint("identify", "logs", *logs, "--fish", TWIN.name, "--out", wrong)
     assert not out.exists() and not out.with_suffix(".json").exists()

@@ -27,7 +27,8 @@ NEAR = 0.2  # s about a piece's start, over which its first velocity is fitted
 GAP = 0.25  # s without a pose that no piece holds
 FEWEST, MOST = 8, 32  # pieces
 SHAFT_STEP, PATH_STEP = 0.1, 0.2  # s between compared samples
-# rad, m, rad: about what a good twin errs by. The fit scales them all together.
+# rad, m, rad: about what a good twin of the paper's fish errs by. The fit scales them all together;
+# of a small fish the shaft thus counts more than the path.
 ANGLE, POSITION, YAW = 0.03, 0.03, 0.07
 FIRST = np.array([0.3, 0.3, 0.4])  # of these: errors of the pose from which a path is compared
 

@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.files import BadInput
 from tailbeat.fish.description import COEFFICIENTS, Fish
 from tailbeat.fish.store import value_at, with_values
 from tailbeat.identify import log_pieces
@@ -136,7 +137,12 @@ def fit_logs(
     fish: Fish, swims: Sequence[Logged], progress: Progress = lambda what, done, of: None
 ) -> Built:
     """Fit a fish to logged swims of one robot, whose tag, shaft and gyro are corrected already.
-    Raises BadInput for swims that are too short."""
+    Raises BadInput for swims that are too short, or a fish whose motor turns without end."""
+    if fish.motor.range is None:
+        raise BadInput(
+            f"{fish.name}: its motor is a {fish.motor.kind}, which no robot here drives; give the"
+            f" fish with a pulley whose robot wrote the logs."
+        )
     cut = log_pieces.pieces(swims)
     held = cut[HELD_OUT - 1 :: HELD_OUT]
     fitted = [one for i, one in enumerate(cut) if i % HELD_OUT != HELD_OUT - 1]
