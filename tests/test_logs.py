@@ -135,7 +135,6 @@ def test_servo_and_tail_of_a_lab_are_found_from_two_short_swims():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1800)
 def test_intervals_hold_in_labs_that_set_nothing():
     """Ten labs, four numbers each; the widths were set on ten others."""
     counts = [sum(check(number, seconds=60.0)[0].values()) for number in range(20, 30)]
