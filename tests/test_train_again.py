@@ -2,6 +2,7 @@
 its corrections, and says whether it got better; what does not fit is refused."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -103,6 +104,11 @@ def test_what_cannot_be_started_from_is_refused(parent, tmp_path):
         train(replace(run, start=tmp_path / "bare"))
     with pytest.raises(BadInput, match="do not fit this run"):
         train(replace(run, start=parent, averages=True))
+    broken = tmp_path / "broken"
+    shutil.copytree(parent, broken)
+    (broken / "checkpoint" / "networks.pt").write_bytes(b"no archive")
+    with pytest.raises(BadInput, match="or are damaged"):
+        train(replace(run, start=broken))
     slow = replace(paper(), fish=4, buffer=40_000)
     with pytest.raises(BadInput, match="recipe paper has no warm start"):
         train(replace(run, start=parent, recipe=slow))

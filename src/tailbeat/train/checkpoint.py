@@ -130,7 +130,7 @@ def load_networks(folder: Path, model: SAC) -> None:
         )
     try:
         _learn_again(model, torch.load(place / "networks.pt", "cpu", weights_only=True))
-    except RuntimeError as error:  # of torch: a shape, or a broken archive
+    except Exception as error:  # of torch: shapes, parameter groups, a broken archive
         raise BadInput(
             f"{place}/networks.pt: these networks do not fit this run (observed numbers, actions,"
             f" width), or are damaged; start from a run with the same options."
