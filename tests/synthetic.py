@@ -5,7 +5,7 @@ import numpy as np
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, replay_command, swim
 from tailbeat.fish.twin import Options, compile_twin
-from tailbeat.identify.runs import tracked_pose
+from tailbeat.identify.tag_pose import tracked_pose
 from tailbeat.recording import Recording
 
 

@@ -21,7 +21,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.description import length_of
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import Options, compile_twin
-from tailbeat.identify.runs import tracked_pose
+from tailbeat.identify.tag_pose import tracked_pose
 from tailbeat.report import film as films
 from tailbeat.report import film_frames as rendering
 from tailbeat.report import tour as page

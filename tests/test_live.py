@@ -24,7 +24,7 @@ from tailbeat.evaluate.live_swim import tour_of
 from tailbeat.files import BadInput
 from tailbeat.fish.outline import guessed_shape, outline
 from tailbeat.fish.store import load_fish
-from tailbeat.identify.runs import tracked_pose
+from tailbeat.identify.tag_pose import tracked_pose
 from tailbeat.link import datagrams as link
 from tailbeat.link.datagrams import Order
 from tailbeat.link.reasons import Reason

@@ -119,7 +119,7 @@ def check(number, **more):
     """Fit one lab: held-out pieces are nearer by far. Returns the intervals that hold."""
     lab, logged = made(number, **more)
     done = fit_logs(TWIN, logged)
-    old, new = done.described, done.refitted  # the naive predictor is the description
+    old, new = done.described, done.refitted  # the naive predictor: only what lies beside the fish
     assert done.better and new.shaft < 0.5 * old.shaft, done
     true, found = truth(lab), {one.name: one for one in done.numbers}
     return {k: found[k].interval[0] <= true[k] <= found[k].interval[1] for k in true}, found, true

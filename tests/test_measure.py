@@ -26,7 +26,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.first_draft import described
 from tailbeat.fish.proportions import Given, sketch
 from tailbeat.fish.store import load_fish, with_values
-from tailbeat.identify.runs import tracked_pose
+from tailbeat.identify.tag_pose import tracked_pose
 from tailbeat.operator.tour import draw_targets
 from tailbeat.pool.water import Water
 from tailbeat.train.config import RunConfig, action_space, measured_run

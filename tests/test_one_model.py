@@ -22,7 +22,8 @@ from tailbeat.fish.store import load_fish, shipped
 from tailbeat.fish.twin import Options, compile_twin
 from tailbeat.identify import runs as replayed
 from tailbeat.identify.predict import predict
-from tailbeat.identify.runs import as_run, tracked_pose
+from tailbeat.identify.runs import as_run
+from tailbeat.identify.tag_pose import tracked_pose
 from tailbeat.recording import Recording
 
 FISH = load_fish("pulley-fish-pool")

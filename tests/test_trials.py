@@ -28,7 +28,7 @@ from tailbeat.evaluate.runs import Runs, surge
 from tailbeat.evaluate.trial import Condition, Pool, chunks_of, swim, swim_all
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
-from tailbeat.identify.runs import tracked_pose
+from tailbeat.identify.tag_pose import tracked_pose
 from tailbeat.link.places import POOL
 from tailbeat.operator import paths
 from tailbeat.pool.water import Water

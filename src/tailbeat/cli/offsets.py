@@ -43,8 +43,8 @@ def identify_logs(
     ] = None,
 ) -> None:
     """Fit servo, tail and water of a fish to logged swims of one robot. Writes the fish and, beside
-    it, a report (.json). Numbers that the swims do not tell stay near the fish's. Exit code 1 if
-    the new twin is no better in pieces that were not fitted."""
+    it, a report (.json). Numbers that the swims do not tell are marked: do not rely on them. Exit
+    code 1 if the new twin is no better in pieces that were not fitted."""
     from tailbeat.control.policy import load_policy
     from tailbeat.fish.store import load_fish
     from tailbeat.robot.refit import refit

@@ -51,22 +51,23 @@ def refine(
     from tailbeat.train.again import AgainConfig, planned
     from tailbeat.train.refine import refine as make
 
-    run = planned(policy, logs, AgainConfig(fish, out, start, hours)) if fish else None
+    plan = None
+    if fish is not None:
+        plan = fish, planned(policy, logs, AgainConfig(fish, out, start, hours))
     done = make(policy, logs, out)
     say_swims(done.seconds, [_row(one) for one in done.changes], done.untold)
     output.say(f"policy for this robot alone: {done.policy}")
     more: dict[str, Any] = {}
-    if fish is not None and run is not None:
-        refit, trained = _retrained(done.policy, run, logs, fish)
-        more = {"refitted": refit, "retrained": trained}
+    if plan is not None:
+        more["refitted"], more["retrained"] = _retrained(done.policy, logs, *plan)
     if json is not None:
         write_json(json, asdict(done) | more)
-    if fish is not None and (trained is None or not trained.better):
+    if plan is not None and not (more["retrained"] and more["retrained"].better):
         raise typer.Exit(1)
 
 
 def _retrained(
-    policy: str, run: "RunConfig", logs: list[Path], fish: str
+    policy: str, logs: list[Path], fish: str, run: "RunConfig"
 ) -> "tuple[Refitted, Again | None]":
     """Refit the twin and train in it; no training where the new twin is no better."""
     from tailbeat.control.policy import load_policy
@@ -81,17 +82,17 @@ def _retrained(
         return found, None
     with progress.training() as report:
         trained = train_again(parent, run, report)
-    _say_trained(trained)
+    _say_trained(trained, run.recipe.name)
     return found, trained
 
 
-def _say_trained(trained: "Again") -> None:
+def _say_trained(trained: "Again", recipe: str) -> None:
     rows = [
         {"policy": name, "reached [%]": 100 * one.reached, "median time [s]": one.median_seconds}
         for name, one in (("as corrected", trained.before), ("trained again", trained.after))
     ]
     output.tables({"in the refitted twin, same targets": rows})
-    expect_or_say(trained.policy, "quick")
+    expect_or_say(trained.policy, recipe)
     keep = "drive with it" if trained.better else "it is no better: keep the corrected one"
     output.say(f"trained again: {trained.policy}; {keep}")
 

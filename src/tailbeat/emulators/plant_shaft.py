@@ -11,7 +11,7 @@ from tailbeat.emulators.mistakes import Mistakes
 from tailbeat.emulators.servo import Shaft
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
-from tailbeat.identify.runs import tracked_pose
+from tailbeat.identify.tag_pose import tracked_pose
 from tailbeat.link.places import POOL
 from tailbeat.pool.mess import in_lab
 from tailbeat.pool.plant import Surroundings, at_rest, build_plant, step_plant

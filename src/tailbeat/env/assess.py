@@ -47,6 +47,10 @@ class Swims:
     apart: Array
     seen: NDArray[np.float32]
 
+    def lateness(self, longest: float) -> Array:
+        """Time to each target (n,) [s]; a miss counts as the `longest`."""
+        return np.where(self.reached, self.seconds, longest)
+
     def summary(self) -> Summary:
         """Summarise all swims."""
         hits = self.reached

@@ -23,7 +23,7 @@ from tailbeat.env.simulator import Flags, Simulator, TwinSimulator
 from tailbeat.env.task import Scene, Settings, check_settings
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
-from tailbeat.identify.runs import tracked_pose
+from tailbeat.identify.tag_pose import tracked_pose
 
 Array = NDArray[np.float64]
 EVERY = slice(None)

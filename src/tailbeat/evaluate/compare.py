@@ -30,7 +30,7 @@ from tailbeat.evaluate.trial import CHUNK, Condition, part, pools, swim
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest, load_fish
-from tailbeat.identify.runs import tracked_pose
+from tailbeat.identify.tag_pose import tracked_pose
 from tailbeat.pool import mess
 from tailbeat.pool.water import ablations, ensemble, fingerprint
 from tailbeat.robot.fits import check_swims

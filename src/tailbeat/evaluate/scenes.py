@@ -11,7 +11,7 @@ from tailbeat.control.measure import PAPER, Measure
 from tailbeat.env.task import Scene
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
-from tailbeat.identify.runs import tracked_pose
+from tailbeat.identify.tag_pose import tracked_pose
 from tailbeat.operator.paths import Shape, even
 
 Array = NDArray[np.float64]

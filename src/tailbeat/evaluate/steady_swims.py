@@ -16,7 +16,7 @@ from tailbeat.evaluate.trial import Progress
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, swim
 from tailbeat.fish.twin import Twin, compile_twin
-from tailbeat.identify.runs import tracked_pose
+from tailbeat.identify.tag_pose import tracked_pose
 from tailbeat.pool.plant import at_rest, build_plant, step_plant
 from tailbeat.pool.water import Water
 

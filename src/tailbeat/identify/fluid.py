@@ -233,9 +233,10 @@ def _compare_poses(run: Run, track: Track, weigh_start: bool) -> Array:
     error = ((_at(time, track.time, track.pose) - measured) * weight).ravel()
     way = measured - run.track.pose[0]
     if run.track.has_heading:
-        return _without_first_pose(error, way, weight)
+        first = FIRST_POSITION, FIRST_POSITION, FIRST_YAW
+        return without_first_pose(error, way, weight, first)
     known = error.reshape(-1, 3)[:, :2].ravel()
-    return _without_first_pose(known, way, weight[:, :2], yaw=np.pi)
+    return without_first_pose(known, way, weight[:, :2], (FIRST_POSITION, FIRST_POSITION, np.pi))
 
 
 def _recorded(time: Array, when: Array) -> NDArray[np.bool_]:
@@ -245,17 +246,20 @@ def _recorded(time: Array, when: Array) -> NDArray[np.bool_]:
     return np.asarray(step[after - 1] < HOLE * np.median(step))
 
 
-def _without_first_pose(error: Array, way: Array, weight: Array, yaw: float | None = None) -> Array:
+def without_first_pose(
+    error: Array, way: Array, weight: Array, first: tuple[float, float, float]
+) -> Array:
     """Residuals after the best small shift and turn of the first pose, ridge-regularised.
 
-    The twin starts from one camera frame, and its noise would turn the whole path. `weight` has one
-    column per compared coordinate; `yaw` [rad] is the heading's standard error.
+    The twin starts from one camera frame, and its noise would turn the whole path. `error` is
+    weighted and flat, `way` (k, 2 or 3) the recorded path from its first pose; `weight` has one
+    column per compared coordinate; `first` [m, m, rad] are the first pose's standard errors.
     """
     zero, one = np.zeros(len(way)), np.ones(len(way))
     moves = [[one, zero, zero], [zero, one, zero], [-way[:, 1], way[:, 0], one]]
     columns = weight.shape[1]
     basis = np.stack([(np.stack(m[:columns], 1) * weight).ravel() for m in moves], axis=1)
-    prior = np.diag(1 / np.square([FIRST_POSITION, FIRST_POSITION, yaw or FIRST_YAW]))
+    prior = np.diag(1 / np.square(first))
     best = np.linalg.solve(basis.T @ basis + prior, basis.T @ error)
     return np.asarray(error - basis @ best)
 

@@ -15,8 +15,9 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.period import PERIOD
 from tailbeat.fish.rollout import Start, Swim, swim
 from tailbeat.fish.twin import compile_twin
+from tailbeat.identify.fluid import without_first_pose
 from tailbeat.identify.offsets import Logged
-from tailbeat.identify.runs import tracked_pose
+from tailbeat.identify.tag_pose import root_pose, tracked_pose
 
 Array = NDArray[np.float64]
 Found = Mapping[
@@ -26,11 +27,12 @@ WARM, SPAN = 1.5, 4.0  # s: not compared, compared (chosen)
 NEAR = 0.2  # s about a piece's start, over which its first velocity is fitted
 GAP = 0.25  # s without a pose that no piece holds
 FEWEST, MOST = 8, 32  # pieces
-SHAFT_STEP, PATH_STEP = 0.1, 0.2  # s between compared samples
+# s from a piece's start: the compared samples of the shaft and of the path
+SHAFT, PATH = np.arange(WARM, WARM + SPAN, 0.1), np.arange(WARM, WARM + SPAN - 0.2, 0.2)
 # rad, m, rad: about what a good twin of the paper's fish errs by. The fit scales them all together;
 # of a small fish the shaft thus counts more than the path.
 ANGLE, POSITION, YAW = 0.03, 0.03, 0.07
-FIRST = np.array([0.3, 0.3, 0.4])  # of these: errors of the pose from which a path is compared
+FIRST = (0.3 * POSITION, 0.3 * POSITION, 0.4 * YAW)  # of the pose from which a path is compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,11 +101,10 @@ def repeat(
 
 
 def _start(fish: Fish, piece: Piece, found: Found) -> Start:
-    (x, y, _), yaw = fish.tracked, piece.first[2]
-    aside = [x * np.cos(yaw) - y * np.sin(yaw), x * np.sin(yaw) + y * np.cos(yaw), 0.0]
     flow = [found["current x"], found["current y"], 0.0]
     angle, speed = piece.shaft
-    return Start(piece.first - aside, piece.velocity - flow, angle - found["encoder"], speed)
+    first = root_pose(fish, piece.first)
+    return Start(first, piece.velocity - flow, angle - found["encoder"], speed)
 
 
 def _sent(piece: Piece, zero: float, step: float) -> Array:
@@ -115,18 +116,21 @@ def _sent(piece: Piece, zero: float, step: float) -> Array:
 def errors(fish: Fish, piece: Piece, done: Swim, found: Found) -> tuple[Array, Array]:
     """Errors of the shaft (a,) [rad], and of the path (b, 3) [m, m, rad] from the pose that was
     recorded at `WARM`, the twin's turned onto it."""
-    now = np.arange(WARM, WARM + SPAN, SHAFT_STEP)
-    shaft = np.interp(now, done.time, done.qpos[:, done.twin.motor]) + found["encoder"]
-    measured = np.interp(now, np.arange(len(piece.angle)) * PERIOD, piece.angle)
+    shaft = np.interp(SHAFT, done.time, done.qpos[:, done.twin.motor]) + found["encoder"]
+    measured = np.interp(SHAFT, np.arange(len(piece.angle)) * PERIOD, piece.angle)
     track = tracked_pose(fish, done.qpos[:, :3])
     track[:, :2] += done.time[:, None] * [found["current x"], found["current y"]]
-    when = np.arange(WARM, WARM + SPAN - PATH_STEP, PATH_STEP)
-    seen = np.column_stack([np.interp(when, piece.pose_time, c) for c in piece.pose.T])
-    own = np.column_stack([np.interp(when - found["late"], done.time, c) for c in track.T])
+    seen = _seen(piece)
+    own = np.column_stack([np.interp(PATH - found["late"], done.time, c) for c in track.T])
     turn = seen[0, 2] - own[0, 2]
     onto = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     there = seen[0, :2] + (own[:, :2] - own[0, :2]) @ onto
     return shaft - measured, np.column_stack([there, own[:, 2] + turn]) - seen
+
+
+def _seen(piece: Piece) -> Array:
+    """The recorded path (b, 3) at the times that are compared."""
+    return np.column_stack([np.interp(PATH, piece.pose_time, c) for c in piece.pose.T])
 
 
 def residuals(fish: Fish, piece: Piece, done: Swim, found: Found) -> Array:
@@ -134,17 +138,8 @@ def residuals(fish: Fish, piece: Piece, done: Swim, found: Found) -> Array:
     first pose does. All infinite if the twin diverged."""
     with np.errstate(all="ignore"):
         shaft, path = errors(fish, piece, done, found)
-        scaled = path / [POSITION, POSITION, YAW]
-        rows = np.concatenate([shaft / ANGLE, _without_first(scaled, piece)])
+        weight = np.ones_like(path) / [POSITION, POSITION, YAW]
+        seen = _seen(piece)
+        rest = without_first_pose((path * weight).ravel(), seen - seen[0], weight, FIRST)
+        rows = np.concatenate([shaft / ANGLE, rest])
     return np.full_like(rows, np.inf) if done.diverged else rows
-
-
-def _without_first(scaled: Array, piece: Piece) -> Array:
-    when = np.arange(WARM, WARM + SPAN - PATH_STEP, PATH_STEP)
-    x, y = (np.interp(when, piece.pose_time, c) for c in piece.pose.T[:2])
-    zero, one, arm = np.zeros(len(when)), np.ones(len(when)), YAW / POSITION
-    turned = np.stack([-arm * (y - y[0]), arm * (x - x[0]), one], 1)
-    moves = [np.stack([one, zero, zero], 1), np.stack([zero, one, zero], 1), turned]
-    basis = np.stack([move.ravel() for move in moves], axis=1)
-    best = np.linalg.solve(basis.T @ basis + np.diag(FIRST**-2), basis.T @ scaled.ravel())
-    return np.asarray(scaled.ravel() - basis @ best)

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
@@ -35,6 +34,7 @@ from tailbeat.identify.gait import (
 from tailbeat.identify.glitches import Glitch
 from tailbeat.identify.launch import launch_of
 from tailbeat.identify.stretches import stretches
+from tailbeat.identify.tag_pose import root_pose, tracked_pose
 from tailbeat.recording import Recording, markers, require
 
 Array = NDArray[np.float64]
@@ -186,33 +186,11 @@ def _plan(twin: Twin, run: Run, cruise: Cruise) -> tuple[Start, Array]:
         # A cubic: linear interpolation at 60 frames/s loses half a percent of a 2 Hz beat.
         curve = CubicSpline(run.track.time - run.track.time[0], run.motor)
         angle = curve(np.minimum(time, run.track.time[-1] - run.track.time[0]))
-        start = Start(_shift(twin.fish, _first_pose(run), -1.0), _first_velocity(run))
+        start = Start(root_pose(twin.fish, _first_pose(run)), _first_velocity(run))
     rate = (angle[1] - angle[0]) / step
     return replace(start, motor=float(angle[0]), motor_speed=float(rate)), replay_command(
         twin, angle
     )
-
-
-def tracked_pose(fish: Fish, root: Array) -> Array:
-    """Pose (…, 3) x, y [m], yaw [rad] of the tracked point from that of the fish frame, `root`."""
-    return _shift(fish, root, 1.0)
-
-
-def _shift(fish: Fish, pose: Array, sign: float) -> Array:
-    x, y, _ = fish.tracked
-    return np.asarray(_moved(pose.reshape(-1, 3), sign * x, sign * y)).reshape(pose.shape)
-
-
-@njit(cache=True)
-def _moved(poses, x, y):  # type: ignore[no-untyped-def]
-    """Poses (n, 3) of a point at x, y of their frames."""
-    moved = np.empty((len(poses), 3))
-    for i in range(len(poses)):
-        yaw = poses[i, 2]
-        moved[i, 0] = poses[i, 0] + (x * np.cos(yaw) - y * np.sin(yaw))
-        moved[i, 1] = poses[i, 1] + (x * np.sin(yaw) + y * np.cos(yaw))
-        moved[i, 2] = yaw
-    return moved
 
 
 def _first_pose(run: Run) -> Array:

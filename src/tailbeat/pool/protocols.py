@@ -26,8 +26,8 @@ from tailbeat.identify.protocol import (
     tail_static,
     tail_sweep,
 )
-from tailbeat.identify.runs import tracked_pose
 from tailbeat.identify.shaft import mean_held
+from tailbeat.identify.tag_pose import tracked_pose
 from tailbeat.link.places import LENGTH, POOL, WIDTH
 from tailbeat.pool.mess import AS_DESCRIBED, Lab, in_lab, on_the_bench
 from tailbeat.pool.plant import (

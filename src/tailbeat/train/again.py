@@ -65,13 +65,13 @@ class Again:
 def planned(policy: str, logs: Sequence[Path], config: AgainConfig) -> RunConfig:
     """The training, before anything is fitted or written. Raises BadInput for a training that would
     be refused, or logs that are too short."""
-    contract = load_policy(policy).contract
+    parent = load_policy(policy)
     refuse_existing(config.out / RETRAINED)
-    fish = twin_of(load_policy(policy), config.fish)
-    run = run_again(contract, fish, config.out / "train", config.start)
-    check(replace(run, hours=config.hours), resume=False)
+    fish, out = twin_of(parent, config.fish), config.out / "train"
+    run = replace(run_again(parent.contract, fish, out, config.start), hours=config.hours)
+    check(run, resume=False)
     pieces([logged(path) for path in logs])
-    return replace(run, hours=config.hours)
+    return run
 
 
 def refitted(
@@ -133,7 +133,8 @@ def train_again(parent: Policy, run: RunConfig, report: Report = silent) -> Agai
         made, replace(load_policy(made).contract, corrections=parent.contract.corrections), policy
     )
     before, after = (_swum(run, one) for one in (parent, load_policy(policy)))
-    better = surely_less(_lateness(run, after), _lateness(run, before))
+    longest = run.settings(len(run.recipe.stages) - 1).task.seconds
+    better = surely_less(after.lateness(longest), before.lateness(longest))
     return Again(str(policy), before.summary(), after.summary(), better)
 
 
@@ -147,9 +148,3 @@ def _swum(run: RunConfig, policy: Policy) -> Swims:
     """Greedy swims in the run's last stage."""
     settings = run.settings(len(run.recipe.stages) - 1)
     return assess(partial(decide, policy), partial(World, run.fish, settings), TARGETS, SEED)
-
-
-def _lateness(run: RunConfig, swims: Swims) -> Array:
-    """Time to each target (n,) [s]; a miss counts as the longest."""
-    longest = run.settings(len(run.recipe.stages) - 1).task.seconds
-    return np.where(swims.reached, swims.seconds, longest)
