@@ -13,7 +13,15 @@ from tailbeat.fish.description import COEFFICIENTS
 from tailbeat.fish.store import digest, load_fish, value_at
 from tailbeat.identify import bands as banded
 from tailbeat.identify import posterior as store
-from tailbeat.identify.bands import Discrepancy, Drawn, bands, count, discrepancy
+from tailbeat.identify.bands import (
+    TRANSFER,
+    Deviation,
+    Discrepancy,
+    Drawn,
+    bands,
+    count,
+    discrepancy,
+)
 from tailbeat.identify.posterior import Posterior, coefficient_factors
 from tailbeat.identify.quantities import UNITS
 from tailbeat.identify.runs import as_run
@@ -21,8 +29,8 @@ from tailbeat.recording import write_recording
 
 FISH = load_fish("pulley-fish")
 RUN = as_run(record(FISH, "a", 1.5, 0.5, seconds=3.0), FISH)
-STEADY = Discrepancy(0.1, 0.1, 0.2, 0.2, 5, (5, 5, 5, 5))
-KNOWN = Discrepancy(0.05, 0.05, 0.1, 0.1, 12, (12, 12, 9, 9), STEADY)
+ONE, TWO = Deviation(0.9, 0.02, 0.05, 12), Deviation(1.0, 0.05, 1.5, 9)
+KNOWN = Discrepancy(ONE, ONE, TWO, TWO, 12)
 
 
 def posterior(fish=FISH, **changes) -> Posterior:
@@ -60,6 +68,15 @@ def test_another_fish_s_posterior_is_refused():
         store.fishes(other, posterior())
 
 
+def test_a_discrepancy_of_earlier_releases_is_left_out(tmp_path, monkeypatch):
+    """Its numbers were of another size, and would make bands too narrow."""
+    path = tmp_path / "f-posterior.parquet"
+    old = {"speed": 0.05, "distance": 0.05, "heading": 0.1, "turn_rate": 0.1, "swims": 12}
+    monkeypatch.setattr(store, "asdict", lambda known: {**old, "told": None, "steady": None})
+    store.write(path, posterior())
+    assert store.read(path).discrepancy is None
+
+
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
@@ -92,86 +109,88 @@ def rewrite(path, **changes):
 # ---- bands --------------------------------------------------------------------------------------
 
 
-def swims(number: int, seed: int, true: float, spread: float = 0.01) -> list[Drawn]:
-    """Swims of a twin whose predictions are off by the fraction `true` of each swim's size, beyond
-    draws of relative deviation `spread`."""
+LEFT = np.array([0.05, 0.05, 2.0, 2.0])  # in sizes of a swim
+
+
+def swims(number: int, seed: int, factor: float = 1.0, left: float = 1.0) -> list[Drawn]:
+    """Swims in water in which all is `factor` times as large as in the twin, with `left` times
+    `LEFT` beyond draws of 1 % of a usual swim."""
     rng = np.random.default_rng(seed)
     made = []
     for _ in range(number):
         predicted = np.array([0.3, 4.0, rng.uniform(-90, 90), rng.uniform(-20, 20)])
-        size = Drawn(RUN, predicted, predicted[None]).size
-        draws = predicted + spread * size * rng.normal(size=(64, 4))
+        draws = predicted + 0.01 * np.array([0.3, 4.0, 60.0, 10.0]) * rng.normal(size=(64, 4))
         draws[0] = predicted  # the fish
-        measured = predicted + np.hypot(true, spread) * size * rng.normal(size=4)
-        made.append(Drawn(RUN, measured, draws))
+        swum = Drawn(RUN, predicted, draws)
+        error = np.hypot(left * LEFT * swum.size, factor * swum.spread) * rng.normal(size=4)
+        made.append(replace(swum, measured=factor * predicted + error))
     return made
 
 
-def test_the_discrepancy_is_what_the_draws_do_not_explain():
-    found = discrepancy(swims(400, 0, true=0.05))
-    for name in UNITS:
-        assert getattr(found, name) == pytest.approx(0.05, rel=0.15), name
-    exact = discrepancy([replace(one, measured=one.centre) for one in swims(20, 1, true=0.0)])
-    assert max(getattr(exact, name) for name in UNITS) == 0.0
+@pytest.mark.parametrize("factor", [1.0, 0.7, 1.4])
+def test_the_discrepancy_is_a_factor_and_what_the_draws_do_not_explain(factor):
+    found = discrepancy(swims(400, 0, factor))
+    for one, left in zip(found.all, LEFT, strict=True):
+        assert one.left == pytest.approx(left, rel=0.15)
+        assert abs(one.factor - factor) < 3 * one.error < 0.03
+    exact = discrepancy([replace(one, measured=one.centre) for one in swims(20, 1)])
+    assert max(one.left for one in exact.all) == 0.0
+    assert [one.factor for one in exact.all] == pytest.approx([1.0] * 4)
+
+
+def test_a_factor_is_followed_as_far_as_swims_tell_it():
+    """One swim whose draws are as wide as its error tells nothing of the water."""
+    (one,) = swims(1, 0)
+    wide = replace(one, predicted=one.centre * np.linspace(1.0, 3.0, 64)[:, None])
+    told = discrepancy([replace(wide, measured=1.3 * wide.centre)]).speed
+    assert 1.0 < told.factor < 1.02 and told.error == pytest.approx(banded.FACTOR, rel=0.05)
+    many = discrepancy([replace(o, measured=1.3 * o.centre) for o in swims(20, 1)]).speed
+    assert many.factor == pytest.approx(1.3, abs=0.001)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("held_out", [4, 8, 13])
 def test_bands_hold_95_percent_of_fresh_swims(held_out):
-    """However few swims told the discrepancy. Draws alone hold a third."""
-    inside, alone = [], []
+    """However few swims told the water. Draws alone hold a third, and a discrepancy without the
+    factor has twice the width: both could have shown it needless."""
+    inside, alone, width, plain = [], [], [], []
+    rng = np.random.default_rng(held_out)
     for seed in range(150):
-        known = discrepancy(swims(held_out, seed, true=0.05))
-        for fresh in swims(4, 1000 + seed, true=0.05):
-            inside += [band.inside for band in bands(fresh, known)]
+        factor = 1 + 0.25 * rng.normal()
+        known = discrepancy(swims(held_out, seed, factor))
+        other = factor + TRANSFER * rng.normal()  # of another kind of swims
+        for fresh in swims(4, 1000 + seed, other):
+            found = bands(fresh, known)
+            inside += [band.inside for band in found]
             alone += [band.inside for band in bands(fresh, None)]
-    assert 0.92 <= np.mean(inside) <= 0.98
+            width.append(found[0].high - found[0].low)
+            plain.append(2 * 2.2 * abs(factor - 1) * fresh.centre[0])
+    assert 0.92 <= np.mean(inside) <= 0.985
     assert np.mean(alone) < 0.5
+    assert np.mean(width) < 0.8 * np.mean(plain)
 
 
 def test_a_quantity_that_few_swims_told_has_wider_bands_and_one_that_none_told_has_none():
     """It got a band of the draws alone, which hold a third, or as narrow as if all had told it."""
     blind = np.array([0, 0, np.nan, 0])
-    (fresh,), told = swims(1, 9, true=0.05), swims(10, 0, true=0.05)
+    (fresh,), told = swims(1, 9), swims(10, 0)
     some = discrepancy([*told[:2], *(replace(o, measured=o.measured + blind) for o in told[2:])])
-    assert some.told == (10, 10, 2, 10)
+    assert [one.swims for one in some.all] == [10, 10, 2, 10]
+    as_told = replace(some, heading=replace(some.heading, swims=10))
     wide, usual = (
-        {b.quantity: b.high - b.low for b in bands(fresh, known)}
-        for known in (some, replace(some, told=None))
+        {b.quantity: b.high - b.low for b in bands(fresh, known)} for known in (some, as_told)
     )
     ratio = {name: wide[name] / usual[name] for name in wide}
-    assert ratio.pop("heading") == pytest.approx(4.303 / 2.228, rel=1e-3)
+    assert ratio.pop("heading") == pytest.approx(12.706 / 2.262, rel=1e-3)  # Student's t, 1 and 9
     assert list(ratio.values()) == pytest.approx([1.0] * 3)
     none = discrepancy([replace(one, measured=one.measured + blind) for one in told])
     assert [b.quantity for b in bands(fresh, none)] == ["speed", "distance", "turn_rate"]
 
 
-def test_swims_with_a_steady_beat_have_their_own_discrepancy():
-    """That of the wandering swims alone would be too small for them."""
-    steady = swims(30, 0, true=0.2)
-    wandering = [as_wandering(one) for one in swims(30, 1, true=0.02)]
-    known = discrepancy([*steady, *wandering])
-    assert known.swims == 60 and known.steady is not None
-    fresh = [*swims(200, 2, true=0.2), *map(as_wandering, swims(200, 3, true=0.02))]
-    for kind in (fresh[:200], fresh[200:]):
-        held = np.mean([band.inside for one in kind for band in bands(one, known)])
-        assert 0.9 <= held <= 0.99
-    alike = replace(known, steady=None)
-    assert np.mean([b.inside for one in fresh[:200] for b in bands(one, alike)]) < 0.8
-    few = discrepancy([*steady[:2], *wandering])
-    assert few.steady is None and few.swims == 32
-    exact = discrepancy([*(replace(one, measured=one.centre) for one in steady), *wandering])
-    assert exact.steady is not None and exact.steady.speed == exact.speed > 0
-
-
-def as_wandering(one: Drawn) -> Drawn:
-    return replace(one, run=replace(RUN, gait=replace(RUN.gait, frequency=float("nan"))))
-
-
 def test_a_band_is_about_the_fish_where_its_draws_lie_on_one_side():
     """A number at an end of its range moves all its draws one way, and a band about their median
     would leave out the fish's own prediction."""
-    (swum,) = swims(1, 0, true=0.0)
+    (swum,) = swims(1, 0)
     aside = swum.centre + np.abs(swum.predicted - swum.centre)
     (band, *_) = bands(replace(swum, predicted=aside), None)
     (same, *_) = bands(swum, None)
@@ -180,7 +199,7 @@ def test_a_band_is_about_the_fish_where_its_draws_lie_on_one_side():
 
 
 def test_a_draw_that_diverged_does_not_widen_a_band_and_many_make_it_endless():
-    (swum,) = swims(1, 0, true=0.05)
+    (swum,) = swims(1, 0)
     one, most = swum.predicted.copy(), swum.predicted.copy()
     one[5], most[:40] = np.inf, np.inf
     was, with_one, with_most = (
@@ -191,7 +210,7 @@ def test_a_draw_that_diverged_does_not_widen_a_band_and_many_make_it_endless():
 
 
 def test_bands_are_counted_by_quantity():
-    found = [band for one in swims(50, 3, true=0.05) for band in bands(one, KNOWN)]
+    found = [band for one in swims(50, 3) for band in bands(one, KNOWN)]
     rows = {row.quantity: row for row in count(found)}
     assert list(rows) == list(UNITS)
     for row in rows.values():
@@ -229,6 +248,44 @@ def test_predict_gives_bands_from_the_posterior_beside_the_fish(tmp_path):
     said = json.loads(out.read_text())
     assert [row["quantity"] for row in said["bands"]] == list(UNITS)
     assert {row["quantity"]: row["inside"] for row in said["held"]}["speed"] == 1
+
+
+@pytest.mark.thorough
+def test_check_swims_fit_the_bands_to_another_water(tmp_path):
+    """In water in which every way is 1.3 times as long: without them no band holds."""
+    fish = tmp_path / "my.toml"
+    fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))
+    own, paths = load_fish(fish), []
+    known = Deviation(1.0, 0.01, 0.01, 12)
+    tight = Discrepancy(known, known, replace(known, left=0.5), replace(known, left=0.5), 12)
+    store.write(store.beside(fish), posterior(own, discrepancy=tight))
+    for number, beat in enumerate((1.5, 1.3, 1.7, 2.0)):
+        swim = record(own, f"swim-{number}", beat, 0.5, seconds=3.0)
+        columns = {k: 1.3 * v if k in ("x_m", "y_m") else v for k, v in swim.columns.items()}
+        paths.append(tmp_path / f"swim-{number}.csv")
+        write_recording(replace(swim, columns=columns), paths[-1])
+    told = {}
+    for name, more in (("without", ()), ("with", ("--check", *paths[1:]))):
+        out = tmp_path / f"{name}.json"
+        done = tailbeat("predict", "--fish", fish, paths[0], *more, "--json", out)
+        assert done.returncode == 0, done.stderr
+        told[name] = {row["quantity"]: row for row in json.loads(out.read_text())["bands"]}
+    assert "by 3 swims that were not fitted" in done.stdout
+    assert json.loads(out.read_text())["discrepancy"]["distance"]["factor"] == pytest.approx(
+        1.3, rel=0.02
+    )
+    for name in ("speed", "distance"):
+        assert told["with"][name]["inside"] and not told["without"][name]["inside"]
+
+
+def test_without_a_discrepancy_there_are_no_bands_and_it_says_so(tmp_path):
+    """Draws alone hold a third of the swims."""
+    fish = tmp_path / "my.toml"
+    fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))
+    store.write(store.beside(fish), posterior(load_fish(fish), discrepancy=None))
+    write_recording(record(load_fish(fish), "swim", 1.5, 0.5, seconds=3.0), tmp_path / "swim.csv")
+    done = tailbeat("predict", "--fish", fish, tmp_path / "swim.csv")
+    assert done.returncode == 0 and "no 95 % bands" in done.stdout and "--check" in done.stdout
 
 
 def test_predict_refuses_the_posterior_of_another_fish(tmp_path):

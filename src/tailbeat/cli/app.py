@@ -18,7 +18,7 @@ INTERRUPTED = 130  # exit code of a verb that Ctrl-C ended
 LISTS = {
     "--fit": "identify",
     "--validate": "identify",
-    "--check": "identify",
+    "--check": "identify predict",
     "--commands": "record",
 }
 LISTS |= {"--servo": "speed-map", "--tasks": "evaluate", "--only": "compare faults zoo"}

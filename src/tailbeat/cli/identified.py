@@ -160,6 +160,8 @@ def predicted(result: dict[str, Any]) -> None:
     say(f"mean absolute speed error {1e3 * result['speed_mae']:.1f} mm/s")
     if "bands" in result:
         _say_bands(result)
+    else:
+        say("no 95 % bands: they need a posterior, and --check SWIM if it has no discrepancy")
     if "naive" in result:
         _say_rival(result)
 
@@ -178,7 +180,18 @@ def _say_bands(result: dict[str, Any]) -> None:
         for band in result["bands"]
     ]
     tables({"95 % bands": rows})
+    _say_factors(result["discrepancy"])
     _say_held(result["held"])
+
+
+def _say_factors(known: dict[str, Any]) -> None:
+    """By what the twin's predictions were multiplied for the bands."""
+    for name, one in known.items():
+        if isinstance(one, dict) and one["swims"]:
+            say(
+                f"{name.replace('_', ' ')}: {one['factor']:.3f} ± {1.96 * one['error']:.3f} times"
+                f" the twin's, by {one['swims']} swims that were not fitted"
+            )
 
 
 def _say_held(held: Sequence[dict[str, Any]]) -> None:

@@ -24,6 +24,10 @@ def predict(
         Path | None,
         typer.Option(help="Posterior for 95 % bands; default: the one beside the fish, if any."),
     ] = None,
+    check: Annotated[
+        list[Path] | None,
+        typer.Option("--check", help="Other swims in the same water: they make the bands fit it."),
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Predict recorded swims with the twin and compare with what was measured. Exit code 1 if the
@@ -33,7 +37,7 @@ def predict(
 
     if json is not None:
         refuse_existing(json)
-    found = replay.predict_swims(fish, recordings, fitted_on or [], posterior)
+    found = replay.predict_swims(fish, recordings, fitted_on or [], posterior, check or [])
     result = replay.as_json(found)
     if json is not None:
         write_json(json, result)

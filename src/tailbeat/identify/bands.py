@@ -6,7 +6,7 @@ measured on swims that were not fitted, best on swims unlike the fitted ones.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -21,39 +21,52 @@ from tailbeat.identify.quantities import UNITS, measure
 from tailbeat.identify.runs import Run, camera_track, repeat, twin_gait
 
 Array = NDArray[np.float64]
-# The size of a swim, to which a discrepancy is in proportion: of speed and distance their own, but
-# at least this; of heading and turn rate their own plus this. All chosen: a fish that should swim
-# straight turns a little, whichever way. In proportion to all turns, to and fro, was tried: fewer
-# of a policy's headings lay in their bands (34 of 50 instead of 40).
-LEAST = {"speed": 0.02, "distance": 0.1, "heading": 10.0, "turn_rate": 1.0}
+# The size of a swim, to which what is left of its error is in proportion: of speed and distance
+# their own, but at least this; of heading and turn rate the spread of their draws plus this. All
+# chosen. A fish that should swim straight turns a little, whichever way, and where small changes of
+# the numbers turn a swim, so does what the law lacks.
+LEAST = {"speed": 0.02, "distance": 0.1, "heading": 1.0, "turn_rate": 0.2}
+FACTOR = 0.3  # standard deviation of the factor from 1, before any swim (chosen)
+# How far the factor of one kind of swim is from that of another: what makes 95 % of the bands hold
+# in seventeen waters (docs/experiments/2026-11-what-swims-tell.md).
+TRANSFER = 0.02
 AT_ONCE = 512  # swims in one batch, of all fish: about 0.2 GB of samples
-MOST = 3.0  # largest discrepancy that is looked for, as a fraction of a swim's size
-FEWEST = 3  # swims with a steady beat, and without, for a discrepancy of each (chosen)
+MOST = 100.0  # largest error that is looked for, in sizes of a swim
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How far one quantity of the twin is from `swims` swims: by a `factor` with its standard
+    `error`, and beyond it and the draws by `left`, a standard deviation in sizes of a swim
+    (`Drawn.size`). NaN where no swim tells."""
+
+    factor: float
+    error: float
+    left: float
+    swims: int
 
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """How far the twin is from `swims` held-out swims beyond its posterior: a standard deviation
-    for each quantity, as a fraction of the swim's size (`Drawn.size`). NaN where no swim tells.
-    `told` says how many swims tell each; None in a posterior of releases up to 0.2.0: all.
+    """How far the twin is from `swims` held-out swims beyond its posterior. In other water than
+    that of its recordings nearly all of it is one factor, about the same for every swim."""
 
-    `steady` is that of swims with a steady beat, where there are enough of both kinds: in other
-    water a twin may err more on these than on a policy's swims.
-    """
-
-    speed: float
-    distance: float
-    heading: float
-    turn_rate: float
+    speed: Deviation
+    distance: Deviation
+    heading: Deviation
+    turn_rate: Deviation
     swims: int
-    told: tuple[int, ...] | None = None
-    steady: "Discrepancy | None" = None
+
+    @property
+    def all(self) -> tuple[Deviation, ...]:
+        """The deviations in the order of `UNITS`."""
+        return self.speed, self.distance, self.heading, self.turn_rate
 
 
 @dataclass(frozen=True)
 class Band:
-    """One quantity of one swim, in `unit`: `measured`, what the fish `predicted`, and the 95 % band
-    from `low` to `high`."""
+    """One quantity of one swim, in `unit`: `measured`, what was `predicted` (by the fish, times the
+    factor of the discrepancy), and the 95 % band from `low` to `high`."""
 
     recording: str
     quantity: str
@@ -84,11 +97,6 @@ class Drawn:
         return np.asarray(self.predicted[~np.isinf(self.predicted).any(axis=1)])
 
     @property
-    def steady(self) -> bool:
-        """Whether the swim has a steady beat."""
-        return bool(np.isfinite(self.run.gait.frequency))
-
-    @property
     def centre(self) -> Array:
         """Prediction (4,) of the fish, or of the first draw that did not diverge; NaN without one.
         The draws' median is no better: many numbers lie at an end of their range, and all their
@@ -105,10 +113,10 @@ class Drawn:
 
     @property
     def size(self) -> Array:
-        """The size of the swim in each quantity (4,), to which its discrepancy is in proportion."""
+        """The size of the swim in each quantity (4,), to which what is left is in proportion."""
         least = np.array(list(LEAST.values()))
-        own = np.abs(self.centre)
-        return np.where(np.arange(len(least)) < 2, np.maximum(own, least), own + least)
+        own = np.maximum(np.abs(self.centre), least)
+        return np.where(np.arange(len(least)) < 2, own, self.spread + least)
 
 
 def swim_all(fishes: Sequence[Fish], runs: Sequence[Run]) -> list[Drawn]:
@@ -139,87 +147,64 @@ def _predicted(fish: Fish, run: Run, done: Swim) -> Array:
 
 
 def discrepancy(swims: Sequence[Drawn]) -> Discrepancy:
-    """The discrepancy with which errors and draws agree: the mean square of the errors, each over
-    its variance, is 1. It is 0 where the draws alone explain the errors.
-
-    Swims with a steady beat have their own, if there are `FEWEST` with and `FEWEST` without. In no
-    quantity is it smaller than that of the others: a few steady beats show no launch and no turn on
-    the spot."""
-    steady = [one for one in swims if one.steady]
-    others = [one for one in swims if not one.steady]
-    if min(len(steady), len(others)) < FEWEST:
-        return _discrepancy(swims)
-    found = replace(_discrepancy(others), swims=len(swims))
-    return replace(found, steady=_larger(_discrepancy(steady), found))
-
-
-def _larger(one: Discrepancy, other: Discrepancy) -> Discrepancy:
-    """Of each quantity the larger discrepancy, with the number of swims that told it."""
-    assert one.told is not None and other.told is not None
-    mine, theirs = _measured(one), _measured(other)
-    own = np.isnan(theirs) | (mine >= theirs)
-    speed, distance, heading, turn_rate = np.where(own, mine, theirs).tolist()
-    told = tuple(np.where(own, one.told, other.told).tolist())
-    return Discrepancy(speed, distance, heading, turn_rate, one.swims, told)
-
-
-def _discrepancy(swims: Sequence[Drawn]) -> Discrepancy:
-    """One discrepancy of all these swims."""
-    error = np.array([one.measured - one.centre for one in swims])
-    spread = np.array([one.spread for one in swims])
-    size = np.array([one.size for one in swims])
-    speed, distance, heading, turn_rate = (
-        _extra(*columns) for columns in zip(error.T, spread.T, size.T, strict=True)
+    """The discrepancy with which swims and draws agree. Each quantity is measured over predicted
+    by least squares, with `FACTOR` as its prior; then the mean square of the errors, each over its
+    variance, is 1. Nothing is left where the draws alone explain the errors."""
+    columns = (
+        np.array([getattr(one, name) for one in swims]).T
+        for name in ("centre", "measured", "spread", "size")
     )
-    told = tuple(np.sum(np.isfinite(error) & np.isfinite(spread), axis=0).tolist())
-    return Discrepancy(speed, distance, heading, turn_rate, len(swims), told)
+    speed, distance, heading, turn_rate = map(_deviation, *columns)
+    return Discrepancy(speed, distance, heading, turn_rate, len(swims))
 
 
-def _extra(error: Array, spread: Array, size: Array) -> float:
-    known = np.isfinite(error) & np.isfinite(spread)
+def _deviation(own: Array, measured: Array, spread: Array, size: Array) -> Deviation:
+    known = np.isfinite(own) & np.isfinite(measured) & np.isfinite(spread)
     if not known.any():
-        return float("nan")
-    error, spread, size = error[known], spread[known], size[known]
+        return Deviation(np.nan, np.nan, np.nan, 0)
+    own, measured, spread, size = (one[known] for one in (own, measured, spread, size))
 
-    def surplus(share: float) -> float:
-        return float(np.mean(error**2 / (spread**2 + (share * size) ** 2 + 1e-18)) - 1)
+    def fitted(left: float) -> tuple[float, float, float]:
+        """The factor, its error, and the mean square of the errors in deviations, less 1."""
+        weight = 1 / (spread**2 + (left * size) ** 2 + 1e-18)
+        told, prior = float(weight @ own**2), FACTOR**-2
+        factor = float((weight * own) @ measured + prior) / (told + prior)
+        freedom = max(own.size - told / (told + prior), 0.5)
+        surplus = float(weight @ (measured - factor * own) ** 2) / freedom - 1
+        return factor, (told + prior) ** -0.5, surplus
 
-    if surplus(0.0) <= 0:
-        return 0.0
-    return MOST if surplus(MOST) > 0 else float(brentq(surplus, 0.0, MOST))
+    def surplus(left: float) -> float:
+        return fitted(left)[2]
+
+    left = 0.0
+    if surplus(0.0) > 0:
+        left = MOST if surplus(MOST) > 0 else float(brentq(surplus, 0.0, MOST))
+    return Deviation(*fitted(left)[:2], left, own.size)
 
 
 def bands(swim: Drawn, known: Discrepancy | None, share: float = 0.95) -> list[Band]:
-    """The bands of one swim: Student's t, with as many degrees of freedom as swims of its kind gave
-    the discrepancy of the quantity. Left out are quantities that the recording does not tell, and
-    those that no held-out swim told: the draws alone would be too sure."""
-    centre, spread, known = swim.centre, swim.spread, of_kind(known, swim)
-    reach = stats.t.ppf(0.5 + share / 2, _freedom(known)) * np.hypot(
-        spread, shares(known) * swim.size
-    )
+    """The bands of one swim: Student's t, with as many degrees of freedom as swims told the
+    quantity, less one. Left out are quantities that the recording does not tell, and those that no
+    held-out swim told: the draws alone are too sure. Without anything `known` bands are of these
+    alone."""
+    factor, error, _, told = _columns(known)
+    middle = factor * swim.centre
+    apart = np.hypot(error, TRANSFER if known else 0.0) * swim.centre
+    deviation = np.sqrt((factor * swim.spread) ** 2 + noise(swim, known) ** 2 + apart**2)
+    half = stats.t.ppf(0.5 + share / 2, np.maximum(told - 1, 1)) * deviation
+    rows = (swim.measured, middle, middle - half, middle + half)
     return [
-        Band(swim.run.name, name, unit, measured, middle, middle - half, middle + half)
-        for (name, unit), measured, middle, half in zip(
-            UNITS.items(),
-            swim.measured.tolist(),
-            centre.tolist(),
-            reach.tolist(),
-            strict=True,
-        )
-        if np.isfinite(measured) and not (known and np.isnan(getattr(known, name)))
+        Band(swim.run.name, name, unit, *row)
+        for (name, unit), row in zip(UNITS.items(), np.array(rows).T.tolist(), strict=True)
+        if np.isfinite(row[:2]).all()
     ]
 
 
-def of_kind(known: Discrepancy | None, swim: Drawn) -> Discrepancy | None:
-    """The discrepancy of swims of this one's kind."""
-    return known.steady if known is not None and known.steady and swim.steady else known
-
-
-def _freedom(known: Discrepancy | None) -> Array:
-    """Degrees of freedom (4,) in the order of `UNITS`; infinite without a discrepancy."""
+def _columns(known: Discrepancy | None) -> Array:
+    """Factors, their errors, what is left, and numbers of swims (4, 4)."""
     if known is None:
-        return np.full(len(UNITS), np.inf)
-    return np.maximum(np.broadcast_to(known.told or known.swims, len(UNITS)), 1)
+        return np.outer([1.0, 0.0, 0.0, np.inf], np.ones(len(UNITS)))
+    return np.array([list(asdict(one).values()) for one in known.all]).T
 
 
 def left_out(swims: Sequence[Drawn]) -> list[Band]:
@@ -232,15 +217,10 @@ def left_out(swims: Sequence[Drawn]) -> list[Band]:
     ]
 
 
-def shares(known: Discrepancy | None) -> Array:
-    """The discrepancy's fractions (4,) in the order of `UNITS`, 0 where nothing is known."""
-    if known is None:
-        return np.zeros(len(UNITS))
-    return np.nan_to_num(_measured(known))
-
-
-def _measured(known: Discrepancy) -> Array:
-    return np.array([getattr(known, name) for name in UNITS])
+def noise(swim: Drawn, known: Discrepancy | None) -> Array:
+    """Standard deviation (4,) of a swim about its draws; 0 where nothing is known or left."""
+    left = _columns(known)[2]
+    return np.asarray(np.multiply(left, swim.size, out=np.zeros(len(UNITS)), where=left > 0))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, swim
 from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import compile_twin
-from tailbeat.identify.bands import Discrepancy, Drawn, of_kind, shares, swim_all
+from tailbeat.identify.bands import Discrepancy, Drawn, noise, swim_all
 from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.gait import Gait, Track
 from tailbeat.identify.launch import launch_of
@@ -31,6 +31,7 @@ from tailbeat.recording import Recording
 Array = NDArray[np.float64]
 CALM = 120.0  # s of waiting for still water before each swim, chosen
 SEEN = np.array([0.002, 0.01, 1.0, 0.5])  # error of one recording: m/s, m, deg, deg/s; chosen
+GOAL = np.array([0.0, 0.0, 10.0, 1.0])  # added to a goal's size: m/s, m, deg, deg/s; chosen
 # Goals: swims by the end of their names, and quantities of `UNITS` that count.
 GOALS: dict[str, tuple[str, tuple[str, ...]]] = {
     "speed": ("", ("speed",)),
@@ -104,12 +105,15 @@ def as_played(commands: Mapping[str, Recording], fish: Fish) -> dict[str, Run]:
 
 
 def _goals(swum: Mapping[str, Drawn], fish: Fish, goal: str) -> Array:
-    """What each draw predicts for the goal (n, g), in units of the goal's own size."""
+    """What each draw predicts for the goal (n, g), over its own size and `GOAL`."""
     kind, names = GOALS[goal]
     steady = set(fluid_runs(fish, limits(fish)))
     chosen = [one for name, one in swum.items() if name.endswith(kind) and (kind or name in steady)]
     columns = [list(UNITS).index(name) for name in names]
-    return np.concatenate([(one.predicted / one.size)[:, columns] for one in chosen], axis=1)
+    scales = [np.abs(one.centre) + GOAL for one in chosen]
+    return np.concatenate(
+        [(one.predicted / s)[:, columns] for one, s in zip(chosen, scales, strict=True)], axis=1
+    )
 
 
 def choose(
@@ -139,7 +143,7 @@ def _minutes(swim: Drawn) -> float:
 
 def _seen(swim: Drawn, known: Discrepancy | None) -> Array:
     """What a recording of the swim would show of each draw (n, 4), in units of its error."""
-    return np.asarray(swim.predicted / np.hypot(SEEN, shares(of_kind(known, swim)) * swim.size))
+    return np.asarray(swim.predicted / np.hypot(SEEN, noise(swim, known)))
 
 
 def spread_after(goals: Array, seen: Sequence[Array]) -> float:

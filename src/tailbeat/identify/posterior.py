@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from tailbeat.files import BadInput, new_file
 from tailbeat.fish.description import COEFFICIENTS, Fish
 from tailbeat.fish.store import digest, fish_path, load_fish, shipped
-from tailbeat.identify.bands import Discrepancy, Drawn, discrepancy
+from tailbeat.identify.bands import Deviation, Discrepancy, Drawn, discrepancy
 from tailbeat.identify.estimate import Estimate, as_row
 from tailbeat.identify.fluid import with_row
+from tailbeat.identify.quantities import UNITS
 from tailbeat.identify.runs import Run
 from tailbeat.identify.space import Parameter
 
@@ -194,14 +195,16 @@ def _wrong(column: Array) -> bool:
     return not bool(np.isfinite(column).all())
 
 
-def _discrepancy(known: Mapping[str, Any]) -> Discrepancy:
-    told, steady = known.get("told"), known.get("steady")
-    kept = {**known, "told": None if told is None else tuple(told)}
-    return Discrepancy(**{**kept, "steady": None if steady is None else _discrepancy(steady)})
+def _discrepancy(known: Mapping[str, Any] | None) -> Discrepancy | None:
+    """What is kept of a discrepancy; None for the numbers of releases up to 0.2.0, which had no
+    factor."""
+    if known is None or not isinstance(known["speed"], Mapping):
+        return None
+    own = {name: Deviation(**known[name]) for name in UNITS}
+    return Discrepancy(**own, swims=known["swims"])
 
 
 def _from(frame: pl.DataFrame, facts: Mapping[str, Any]) -> Posterior:
-    known = facts["discrepancy"]
     units: Sequence[str] = facts["units"]
     if len(units) != frame.width:
         raise ValueError
@@ -213,6 +216,6 @@ def _from(frame: pl.DataFrame, facts: Mapping[str, Any]) -> Posterior:
         frame.to_numpy().astype(np.float64),
         tuple(facts["fitted"]),
         tuple(facts["held_out"]),
-        None if known is None else _discrepancy(known),
+        _discrepancy(facts["discrepancy"]),
         facts["versions"],
     )

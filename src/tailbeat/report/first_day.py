@@ -168,9 +168,11 @@ def _doubt(known: Posterior | None) -> tuple[Block, ...]:
     decided = sum(one.decided for one in found)
     rows: dict[str, Any] = {"numbers that the recordings decide": f"{decided} of {len(found)}"}
     if known.discrepancy is not None:
-        for name in UNITS:
-            share = 100 * getattr(known.discrepancy, name)
-            rows[f"{name.replace('_', ' ')}: off by, beyond the draws [%]"] = share
+        for name, one in zip(UNITS, known.discrepancy.all, strict=True):
+            if one.swims:
+                rows[f"{name.replace('_', ' ')}: measured over the twin's"] = (
+                    f"{one.factor:.3f} ± {1.96 * one.error:.3f}"
+                )
         rows["measured on swims"] = known.discrepancy.swims
     return (html.values(rows),)
 
