@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from synthetic import record
 from tailbeat.files import BadInput
 from tailbeat.fish import convergence
 from tailbeat.fish.description import Simulation
 from tailbeat.fish.store import load_fish, with_values, write_identified
-from tailbeat.identify import stages, step_check
+from tailbeat.identify import job, stages, step_check
 from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.intervals import estimates
 from tailbeat.identify.search import Fit
@@ -105,6 +106,42 @@ def test_a_step_that_wrong_numbers_asked_for_does_not_stay(tmp_path: Path):
     assert not step_check.held(load_fish(described), mine).changed
     again = step_check.held(load_fish(costly), ours)
     assert again.changed and again.step.simulation == fish.simulation and not again.warnings
+
+
+@pytest.mark.thorough
+def test_swims_are_fitted_with_the_cheapest_step_that_repeats_them(tmp_path: Path):
+    """Found on a fish of 223 mm: for full strokes at 4 Hz it needs a step that costs four times as
+    much. The beats that were recorded do not. A step of the user's own stays."""
+    fish, files = load_fish("pulley-fish-pool"), []
+    for number, beat in enumerate((1.2, 1.6, 2.0)):
+        files.append(tmp_path / f"swim-{number}.csv")
+        write_recording(record(fish, files[-1].stem, beat, 0.5, seconds=3.0), files[-1])
+    costly = Simulation(step=1e-3, integrator="implicit")
+    text = Path(stages.fish_path("pulley-fish-pool")).read_text("utf-8")
+    described, made = tmp_path / "described.toml", tmp_path / "made.toml"
+    changed = text.replace('step = "4 ms"', 'step = "1 ms"').replace('"Euler"', '"implicit"')
+    described.write_text(changed)
+    write_identified(described, made, step_check.entries(costly), "", overwrite=True)
+    for path, step in ((described, costly), (made, fish.simulation)):
+        paths = stages.Paths(str(path), files, tmp_path / "out.toml")
+        fitted, (fit, *_) = stages.swims_of(paths, job.FluidConfig(zones=1))
+        assert load_fish(path).simulation == costly and fitted.simulation == step
+
+
+@pytest.mark.parametrize(
+    ("euler", "implicit", "chosen"),
+    [(0.5, 0.0, 0), (1.5, 0.5, 1), (np.inf, 0.5, 1), (np.inf, np.inf, None), (1.5, 1.5, None)],
+)
+def test_a_step_that_swims_otherwise_is_not_taken(monkeypatch, euler, implicit, chosen):
+    """By how much the residuals of two cheap steps are off, in deviations."""
+    own = Simulation(step=2e-3, integrator="Euler")
+    off = dict(zip((*convergence.CHOICES[:2], own), (euler, implicit, 0.0), strict=True))
+    monkeypatch.setattr(
+        step_check, "residual_function", lambda fish, *_: lambda z: 0 * z + off[fish.simulation]
+    )
+    fish = load_fish("pulley-fish-pool").model_copy(update={"simulation": own})
+    found = step_check.for_swims(fish, [], 1).simulation
+    assert found == (own if chosen is None else convergence.CHOICES[chosen])
 
 
 def test_a_fish_that_diverges_at_every_step_is_refused():

@@ -16,6 +16,7 @@ from tailbeat.fish.rollout import Start, replay_command, swim
 from tailbeat.fish.twin import Options, compile_twin
 
 Array = NDArray[np.float64]
+OURS = "chosen by a convergence run"  # begins the source of a step that no user chose
 FINE = Simulation(step=2.5e-4, integrator="Euler")
 SECONDS = 4.0
 SAMPLE = 0.02  # s

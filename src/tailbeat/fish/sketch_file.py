@@ -3,6 +3,7 @@
 import math
 
 from tailbeat.fish.catalogue import STALL_SHARE, Profile
+from tailbeat.fish.convergence import OURS
 from tailbeat.fish.description import COEFFICIENTS, Simulation
 from tailbeat.fish.proportions import Box, Segment, Sketch
 
@@ -24,7 +25,7 @@ added_inertia = 1.0
 added_along = 0.25            # assumed: as identified for the pulley fish
 
 [simulation]                  # the longest step within {error} of one of 0.25 ms
-step = "{step} ms"
+step = {{ value = {step}, unit = "ms", source = "{source}" }}
 integrator = "{integrator}"
 
 [trailing_edge]               # assumed; identified from launched swims
@@ -171,6 +172,7 @@ def _front(name: str, sketch: Sketch, simulation: Simulation, error: float) -> s
         high=_number(sketch.band[1]),
         tracked=f"{_number(40 * sketch.scale)} 0 {_number(top)}",
         step=_number(1e3 * simulation.step),
+        source=f"{OURS} of the sketch",
         integrator=simulation.integrator,
         error=f"{100 * error:.1f} %",
     )

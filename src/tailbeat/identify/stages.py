@@ -131,8 +131,9 @@ def fluid(
 
 
 def swims_of(paths: Paths, config: job.FluidConfig) -> tuple[Fish, list[list[Run]]]:
-    """The fish as it is fitted, and its swims to fit, to validate and to check on. Raises BadInput,
-    also for what `fluid` may not overwrite."""
+    """The fish as it is fitted, and its swims to fit, to validate and to check on. A step that no
+    user chose becomes the cheapest that repeats the swims. Raises BadInput, also for what `fluid`
+    may not overwrite."""
     job.check(config)
     _refuse_taken(paths)
     refuse_existing(posterior.beside(paths.out))
@@ -141,11 +142,13 @@ def swims_of(paths: Paths, config: job.FluidConfig) -> tuple[Fish, list[list[Run
         described = with_values(described, {"added_inertia": config.added_inertia})
     if config.whole:
         described = whole(described)
-    groups = (paths.fit, paths.validate, paths.check)
-    return described, [
+    groups = [
         [run for one in read_recordings(group) for run in as_runs(one, described)]
-        for group in groups
+        for group in (paths.fit, paths.validate, paths.check)
     ]
+    if groups[0] and step_check.is_ours(paths.fish):
+        described = step_check.for_swims(described, groups[0], config.zones)
+    return described, groups
 
 
 def _write_fluid(
@@ -157,6 +160,8 @@ def _write_fluid(
         [("fitted", found.fitted[0])] + [("held out", p) for p in found.validated[:1]],
     )
     named = fluid_report.toml_values(found, [p.run.name for p in found.fitted])
+    if step_check.is_ours(paths.fish):
+        named |= step_check.entries(found.fish.simulation)
     report = fluid_report.as_report(found, config)
     values = _reported(paths, named, report, partial(draw, shown), swum=True)
     note = fluid_report.heading(found, config)

@@ -1,17 +1,24 @@
 """Does an identified fish hold its own step? If not, the step that does is written with it."""
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Any
+
+import numpy as np
 
 from tailbeat.files import BadInput
 from tailbeat.fish import convergence
 from tailbeat.fish.convergence import Deviation
-from tailbeat.fish.description import Fish
+from tailbeat.fish.description import Fish, Simulation
 from tailbeat.fish.store import Entry, fish_path
+from tailbeat.identify.fluid import fluid_space, residual_function
+from tailbeat.identify.runs import Run
 
-OURS = "chosen after the identification"
-SOURCE = f"{OURS}: the cheapest step that holds, since the described one errs too much"
+SOURCE = f"{convergence.OURS}: the cheapest step that holds with the identified numbers"
+ALIKE = 1.0  # rms by which residuals of two steps may differ: what a recording errs by (chosen)
+TRIED = 4  # candidates that both swim: the prior's centre, and draws about it
 
 
 @dataclass(frozen=True)
@@ -42,10 +49,11 @@ class Held:
 
 
 def is_ours(fish: str) -> bool:
-    """Whether the step in a fish's file was chosen by an identification, not by its user."""
+    """Whether the step in a fish's file was chosen by a sketch or an identification, not by its
+    user."""
     content = tomllib.loads(fish_path(fish).read_text(encoding="utf-8-sig"))
     step = content.get("simulation", {}).get("step")
-    return isinstance(step, dict) and str(step.get("source", "")).startswith(OURS)
+    return isinstance(step, dict) and str(step.get("source", "")).startswith(convergence.OURS)
 
 
 def held(fish: Fish, ours: bool = False) -> Held:
@@ -64,12 +72,31 @@ def held(fish: Fish, ours: bool = False) -> Held:
     return Held(best, changed, convergence.deviation(fish).error if changed else best.error)
 
 
+def for_swims(fish: Fish, fit: Sequence[Run], zones: int) -> Fish:
+    """The fish with the cheapest step that repeats recorded swims as its own does: a robot's beats
+    in water are gentler than the largest commands, and a search takes ten thousands of swims."""
+    space, some = fluid_space(fish, zones), fit[::3]
+    z = np.random.default_rng(0).normal(0.0, 0.5, (TRIED, len(space)))
+    z[0] = 0.0
+    own = residual_function(fish, some, space)(z)
+    for simulation in takewhile(lambda one: one != fish.simulation, convergence.CHOICES):
+        cheap = fish.model_copy(update={"simulation": simulation})
+        with np.errstate(invalid="ignore"):  # both diverged
+            away = np.mean((residual_function(cheap, some, space)(z) - own) ** 2)
+        if away < ALIKE**2:  # never if one diverged
+            return cheap
+    return fish
+
+
 def toml_values(found: Held) -> dict[str, Entry | str]:
     """Fields of the step for `store.write_identified`; none if it stays."""
-    if not found.changed:
-        return {}
-    step: Entry = {"value": found.step.simulation.step, "unit": "s", "source": SOURCE}
-    return {"simulation.step": step, "simulation.integrator": found.step.simulation.integrator}
+    return entries(found.step.simulation) if found.changed else {}
+
+
+def entries(simulation: Simulation) -> dict[str, Entry | str]:
+    """Fields of a step of ours."""
+    step: Entry = {"value": simulation.step, "unit": "s", "source": SOURCE}
+    return {"simulation.step": step, "simulation.integrator": simulation.integrator}
 
 
 def as_row(found: Held) -> dict[str, Any]:
