@@ -124,7 +124,7 @@ def test_swims_are_fitted_with_the_cheapest_step_that_repeats_them(tmp_path: Pat
     write_identified(described, made, step_check.entries(costly), "", overwrite=True)
     for path, step in ((described, costly), (made, fish.simulation)):
         paths = stages.Paths(str(path), files, tmp_path / "out.toml")
-        fitted, (fit, *_) = stages.swims_of(paths, job.FluidConfig(zones=1))
+        fitted, _ = stages.swims_of(paths, job.FluidConfig(zones=1))
         assert load_fish(path).simulation == costly and fitted.simulation == step
 
 
