@@ -165,28 +165,41 @@ def test_a_training_that_was_begun_is_resumed(tmp_path, monkeypatch, begun):
     assert ("--resume" in typed[0]) == begun
 
 
-@pytest.mark.slow
-def test_a_small_fish_goes_the_whole_way(tmp_path):
-    """From new-fish to targets with four swims, short searches and a few seconds of
-    training: that a fish learns from this is not asked (`test_train.py` does)."""
-    done = tailbeat("zoo", "--out", tmp_path / "zoo", "--only", 2, "--quick", "--targets", 2)
-    held = json.loads((tmp_path / "zoo" / "zoo.json").read_text())["fish"][0]
+def check_way(held) -> None:
+    """A way with four swims, short searches and a few seconds of training: that a fish learns from
+    this is not asked (`test_train.py` does)."""
     codes = {name: step["code"] for name, step in held["steps"].items()}
-    assert set(codes) == set(STEPS) and done.returncode in (0, 1), done.stdout
     assert codes["new-fish"] == codes["record"] == codes["evaluate"] == 0, codes
-    assert codes["rule"] == 0 and held["ruled"] is not None
-    assert codes["swim"] in (0, 1) and held["toured"] is not None  # 1: a target was missed
     assert held["decided"] >= 5 and held["held"] >= held["decided"] - 1
     assert held["reached"] is not None and held["arrival_m"] == pytest.approx(0.025, rel=0.05)
 
 
+def test_a_small_fish_goes_from_a_wrong_guess_to_targets(tmp_path, monkeypatch):
+    monkeypatch.setattr(zoo_run, "STEPS", STEPS[: STEPS.index("rule")])
+    zoo(ZooConfig(tmp_path, only=(2,), targets=2, quick=True), lambda said: None)
+    check_way(json.loads((tmp_path / "zoo.json").read_text())["fish"][0])
+
+
+@pytest.mark.slow
+def test_a_small_fish_goes_the_whole_way(tmp_path):
+    """With the hand-made rule, and through camera, network and servo."""
+    done = tailbeat("zoo", "--out", tmp_path / "zoo", "--only", 2, "--quick", "--targets", 2)
+    held = json.loads((tmp_path / "zoo" / "zoo.json").read_text())["fish"][0]
+    codes = {name: step["code"] for name, step in held["steps"].items()}
+    assert set(codes) == set(STEPS) and done.returncode in (0, 1), done.stdout
+    check_way(held)
+    assert codes["rule"] == 0 and held["ruled"] is not None
+    assert codes["swim"] in (0, 1) and held["toured"] is not None  # 1: a target was missed
+
+
 @pytest.mark.slow
 def test_seven_of_eight_fish_reach_their_targets(tmp_path):
-    """The whole zoo, about five hours on two cores; the crank fish is the eighth."""
+    """The whole zoo, about three hours on two cores; the crank fish is the eighth."""
     done = tailbeat("zoo", "--out", tmp_path / "zoo")
     held = json.loads((tmp_path / "zoo" / "zoo.json").read_text())["fish"]
-    assert done.returncode == 1 and len(held) == COUNT  # 1: the crank fish cannot be trained
-    assert sum((one["reached"] or 0) >= 0.95 for one in held) >= COUNT - 1
+    reached = [(one["reached"] or 0) >= 0.95 for one in held]
+    assert len(held) == COUNT and sum(reached) >= COUNT - 1
+    assert done.returncode == (0 if all(reached) else 1)
     for one in held[:-1]:
         assert one["steps"]["identify"]["seconds"] < 900, one["name"]
         assert one["steps"]["train"]["seconds"] < 1800, one["name"]
