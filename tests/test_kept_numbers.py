@@ -14,7 +14,7 @@ from tailbeat.fish.store import load_fish, with_values, write_identified
 from tailbeat.identify import job, stages, step_check
 from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.intervals import estimates
-from tailbeat.identify.search import Fit
+from tailbeat.identify.search import Effort, Fit
 from tailbeat.identify.space import Parameter
 from tailbeat.identify.tail import identify_tail
 from tailbeat.identify.tail_report import combine, toml_values
@@ -126,6 +126,10 @@ def test_swims_are_fitted_with_the_cheapest_step_that_repeats_them(tmp_path: Pat
         paths = stages.Paths(str(path), files, tmp_path / "out.toml")
         fitted, _ = stages.swims_of(paths, job.FluidConfig(zones=1))
         assert load_fish(path).simulation == costly and fitted.simulation == step
+    few = job.FluidConfig(zones=1, seeds=1, effort=Effort(1, 4, 1), draws=2)
+    stages.fluid(paths, few, lambda *_: None, lambda shown, path: None)
+    assert load_fish(paths.out).simulation == fish.simulation
+    assert step_check.is_ours(str(paths.out))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from support import tailbeat
 from synthetic import record
 from tailbeat.files import BadInput
 from tailbeat.fish.description import COEFFICIENTS
-from tailbeat.fish.store import digest, load_fish, value_at
+from tailbeat.fish.store import digest, fish_path, load_fish, value_at
 from tailbeat.identify import bands as banded
 from tailbeat.identify import posterior as store
 from tailbeat.identify.bands import (
@@ -151,8 +151,8 @@ def test_a_factor_is_followed_as_far_as_swims_tell_it():
 @pytest.mark.thorough
 @pytest.mark.parametrize("held_out", [4, 8, 13])
 def test_bands_hold_95_percent_of_fresh_swims(held_out):
-    """However few swims told the water. Draws alone hold a third, and a discrepancy without the
-    factor has twice the width: both could have shown it needless."""
+    """However few swims told the water. Two naive bands stand beside them: draws alone, which hold
+    a third, and bands as wide as the factor is off, which are wider."""
     inside, alone, width, plain = [], [], [], []
     rng = np.random.default_rng(held_out)
     for seed in range(150):
@@ -237,8 +237,7 @@ def test_a_swim_without_heading_has_bands_of_speed_and_distance_alone():
 
 
 def test_predict_gives_bands_from_the_posterior_beside_the_fish(tmp_path):
-    fish, out = tmp_path / "my.toml", tmp_path / "out.json"
-    fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))
+    fish, out = my_fish(tmp_path), tmp_path / "out.json"
     own = load_fish(fish)
     store.write(store.beside(fish), posterior(own))
     write_recording(record(own, "swim", 1.5, 0.5, seconds=3.0), tmp_path / "swim.csv")
@@ -253,8 +252,7 @@ def test_predict_gives_bands_from_the_posterior_beside_the_fish(tmp_path):
 @pytest.mark.thorough
 def test_check_swims_fit_the_bands_to_another_water(tmp_path):
     """In water in which every way is 1.3 times as long: without them no band holds."""
-    fish = tmp_path / "my.toml"
-    fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))
+    fish = my_fish(tmp_path)
     own, paths = load_fish(fish), []
     known = Deviation(1.0, 0.01, 0.01, 12)
     tight = Discrepancy(known, known, replace(known, left=0.5), replace(known, left=0.5), 12)
@@ -280,8 +278,7 @@ def test_check_swims_fit_the_bands_to_another_water(tmp_path):
 
 def test_without_a_discrepancy_there_are_no_bands_and_it_says_so(tmp_path):
     """Draws alone hold a third of the swims."""
-    fish = tmp_path / "my.toml"
-    fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))
+    fish = my_fish(tmp_path)
     store.write(store.beside(fish), posterior(load_fish(fish), discrepancy=None))
     write_recording(record(load_fish(fish), "swim", 1.5, 0.5, seconds=3.0), tmp_path / "swim.csv")
     done = tailbeat("predict", "--fish", fish, tmp_path / "swim.csv")
@@ -301,18 +298,18 @@ def test_predict_refuses_the_posterior_of_another_fish(tmp_path):
 
 @pytest.mark.thorough
 def test_show_warns_of_the_posterior_of_numbers_that_were_changed(tmp_path):
-    fish = tmp_path / "my.toml"
-    fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))
+    fish = my_fish(tmp_path)
     store.write(store.beside(fish), posterior())
     done = tailbeat("show", fish, "--picture", tmp_path / "fish.png")
     assert done.returncode == 0 and "warning: the posterior is of pulley-fish" in done.stdout
     assert "identified numbers" not in done.stdout
 
 
-def text_of(name: str) -> str:
-    from tailbeat.fish.store import fish_path
-
-    return fish_path(name).read_text(encoding="utf-8")
+def my_fish(folder):
+    """A fish of one's own, without a posterior."""
+    text = fish_path("pulley-fish").read_text(encoding="utf-8")
+    (folder / "my.toml").write_text(text.replace('name = "pulley-fish"', 'name = "my"'))
+    return folder / "my.toml"
 
 
 def test_the_shipped_posterior_belongs_to_the_shipped_fish():
@@ -336,8 +333,7 @@ def test_draws_become_factors_of_each_zone_s_own_coefficients():
 
 
 def test_training_on_a_posterior_needs_one(tmp_path):
-    fish = tmp_path / "my.toml"
-    fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))
+    fish = my_fish(tmp_path)
     words = ("train", "--fish", fish, "--out", tmp_path / "run", "--physics", "posterior")
     done = tailbeat(*words)
     assert done.returncode == 2 and "tailbeat identify posterior" in done.stderr
