@@ -16,7 +16,7 @@ from tailbeat.identify.manoeuvres import manoeuvres
 from tailbeat.identify.next_swim import advise, as_played, choose, spread_after
 from tailbeat.identify.protocol import RATE, limits
 from tailbeat.recording import Recording
-from test_posterior import FISH, posterior, text_of
+from test_posterior import FISH, my_fish, posterior
 
 
 def made(name: str, seconds: float, predicted: np.ndarray) -> Drawn:
@@ -100,16 +100,14 @@ def test_a_turn_tells_most_about_turning(few):
 
 
 def test_without_a_posterior_the_command_says_how_to_write_it(tmp_path):
-    fish = tmp_path / "my.toml"
-    fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))
+    fish = my_fish(tmp_path)
     done = tailbeat("identify", "next", "--fish", fish)
     assert done.returncode == 2 and "tailbeat identify posterior" in done.stderr
 
 
 @pytest.mark.thorough
 def test_the_command_prints_and_writes_its_advice(tmp_path, few):
-    fish, out = tmp_path / "my.toml", tmp_path / "next.json"
-    fish.write_text(text_of("pulley-fish").replace('name = "pulley-fish"', 'name = "my"'))
+    fish, out = my_fish(tmp_path), tmp_path / "next.json"
     own = load_fish(fish)
     known = posterior(own)
     store.write(store.beside(fish), replace(known, draws=known.draws[:3]))
