@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from support import tailbeat
+from support import complaint, tailbeat
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.servo import as_bench, as_benches
@@ -170,3 +170,204 @@ def test_time_that_falls_while_no_setting_changes_is_refused(tmp_path):
     config = TableConfig({"time": "t", "angle": "a", "gain": "p"})
     with pytest.raises(BadInput, match=r"row 3: 0 s does not come after 1 s"):
         import_table(file, config)
+
+
+# ---- settings -----------------------------------------------------------------------------------
+
+SETTINGS = {"time": "t", "gain": "p", "load_mass": "w", "load_arm": "l"}
+
+
+def refusal(tmp_path, text: str, config: TableConfig, name: str = "a.csv") -> str:
+    """The sentence with which a table is refused, without its folder."""
+    with pytest.raises(BadInput) as refused:
+        import_table(written(tmp_path, name, text), config)
+    return str(refused.value).removeprefix(f"{tmp_path}/")
+
+
+def test_settings_of_columns_come_in_si_units(tmp_path):
+    file = written(tmp_path, "a.csv", "t,p,w,l\n0,8.0,490,10\n1,8,490,7\n2,9,500,15\n")
+    found = import_table(file, TableConfig(SETTINGS, ["deg", "cm", "g"])).labels
+    assert found["load_arm_m"].tolist() == ["0.1", "0.07", "0.15"]
+    assert found["load_mass_kg"].tolist() == ["0.49", "0.49", "0.5"]
+    assert found["gain"].tolist() == ["8", "8", "9"]
+
+
+@pytest.mark.parametrize(
+    ("row", "complaint"),
+    [
+        ("-200,1,1", "column p, row 2: '-200' is not a finite number above 0; correct"),
+        ("8,inf,1", "column w, row 2: 'inf' is not a finite number above 0; correct"),
+        ("8,1,long", "column l, row 2: 'long' is not a finite number above 0; correct"),
+        (",1,1", "column p, row 2: the cell is empty, which only marker columns may be; correct"),
+    ],
+)
+def test_a_wrong_setting_is_named_as_the_user_s_file_has_it(tmp_path, row, complaint):
+    text = f"t,p,w,l\n0,8,1,1\n1,{row}\n"
+    assert refusal(tmp_path, text, TableConfig(SETTINGS)).startswith(f"a.csv: {complaint}")
+
+
+def test_an_unknown_load_is_refused(tmp_path):
+    said = refusal(tmp_path, "t,w\n0,tail\n1,fin\n", TableConfig({"time": "t", "load": "w"}))
+    assert said.startswith("a.csv: column w, row 2: 'fin' is not tail, pendulum or nothing")
+
+
+@pytest.mark.parametrize("name", ["gain", "condition"])
+def test_a_cell_of_nothing_is_no_word(tmp_path, name):
+    config, rows = TableConfig({"time": "t", name: "c"}), {"t": [0, 1], "c": [8.0, None]}
+    said = "column c, row 2: the cell is empty, which only marker columns may be"
+    assert said in refusal(tmp_path, json.dumps(rows), config, "a.json")
+    for empty in (None, float("nan")):
+        pl.DataFrame({"t": [0, 1], "c": [8.0, empty]}).write_parquet(tmp_path / "a.parquet")
+        with pytest.raises(BadInput, match=said):
+            import_table(tmp_path / "a.parquet", config)
+
+
+@pytest.mark.parametrize("counts", [0, -1, np.inf, np.nan])
+def test_counts_per_turn_are_finite_and_above_0(tmp_path, counts):
+    config = TableConfig(DEG.columns, ["counts"], counts_per_turn=counts)
+    said = refusal(tmp_path, "t,a\n0,1\n1,2\n", config)
+    assert said == "--unit counts needs --counts-per-turn, a finite number above 0."
+
+
+# ---- metadata -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("meta", "complaint"),
+    [
+        (
+            {"load_arm_m": "motor"},
+            "header field motor (--meta load_arm_m) is 'mx64'; give a finite",
+        ),
+        ({"gain": "kp"}, "header field kp (--meta gain) is -8; give a finite number above 0."),
+        ({"supply_v": "0"}, "--meta supply_v=0: not a finite number above 0, and not a header"),
+        ({"gain": "true"}, "--meta gain=true: not a finite number above 0, and not a header"),
+        ({"load": "fin"}, "--meta load=fin: not tail, pendulum or nothing, and not a header"),
+        ({"motor": "none"}, "header field none (--meta motor) is None; give a word or a number."),
+    ],
+)
+def test_metadata_that_no_recording_may_have(tmp_path, meta, complaint):
+    rows = {"motor": "mx64", "kp": -8, "none": None, "t": [0, 1], "a": [1, 2]}
+    said = refusal(tmp_path, json.dumps(rows), TableConfig(DEG.columns, meta=meta), "a.json")
+    assert said.startswith(f"a.json: {complaint}")
+
+
+def test_comments_of_a_csv_are_kept_as_those_of_our_own_recordings(tmp_path):
+    heading = "# gain: 8,,\n# load_mass_kg: 0.5\n#source: lab: B\n# operator: A\n# load:\n"
+    file = written(tmp_path, "a.csv", f"{heading}t,a,p\n0,1,8.0\n1,2,8.0\n")
+    found = import_table(
+        file, TableConfig({**DEG.columns, "gain": "p"}, [], {"load_mass_kg": ".5"})
+    )
+    assert found.meta == {"gain": "8", "load_mass_kg": ".5", "source": "lab: B"}
+    assert import_table(file, TableConfig(DEG.columns, source="us")).meta["source"] == "us"
+
+
+def test_metadata_of_a_parquet_recording_are_kept(tmp_path):
+    rows = pl.DataFrame({"t": [0, 1], "a": [1, 2]})
+    rows.write_parquet(tmp_path / "a.parquet", metadata={"gain": "8", "pandas": "{}"})
+    found = import_table(tmp_path / "a.parquet", DEG)
+    assert found.meta == {"gain": "8", "source": "not stated; imported from a.parquet"}
+
+
+@pytest.mark.parametrize(
+    ("heading", "meta", "complaint"),
+    [
+        ("# gain: 8", {}, "metadata gain = '8' contradicts column p, row 2: '9'; correct"),
+        ("# load: tail", {"load": "nothing"}, "metadata load = 'tail' contradicts --meta load=no"),
+        ("# gain: high", {}, "metadata gain = 'high' is not a finite number above 0; correct"),
+        ("# begin: a\n# begin: b", {}, "metadata begin is stated twice, 'a' and 'b'; remove one"),
+    ],
+)
+def test_comments_that_contradict_are_refused(tmp_path, heading, meta, complaint):
+    config = TableConfig({"time": "t", "gain": "p"}, meta=meta)
+    said = refusal(tmp_path, f"{heading}\nt,p\n0,8\n1,9\n", config)
+    assert said.startswith(f"a.csv: {complaint}")
+
+
+def test_a_setting_from_two_options_and_a_name_given_twice_are_refused(tmp_path):
+    file, out = written(tmp_path, "a.csv", "t,a,p\n0,1,8\n1,2,8\n"), tmp_path / "o.csv"
+    words = "import", "table", file, "--out", out, "--map"
+    said = complaint(*words, "time=t,angle=a,gain=p", "--meta", "gain=300")
+    assert "--meta gain=300: --map already takes gain from column p; leave one of them out" in said
+    assert "time is given twice; give it once" in complaint(*words, "time=t,time=a")
+    assert "gain is given twice" in complaint(*words, "time=t", "--meta", "gain=1,gain=2")
+    assert not out.exists()
+
+
+def test_the_json_result_names_columns_and_no_metadata_overwrites_it(tmp_path):
+    file, said = written(tmp_path, "a.csv", "t,a,p\n0,1,8\n1,2,8\n"), tmp_path / "said.json"
+    out = tmp_path / "o.csv"
+    done = tailbeat(
+        "import", "table", file, "--out", out, "--map", "time=t,angle=a,gain=p", "--json", said,
+        "--meta", "rows=5,columns=7,supply_v=7.4", "--source", "us",
+    )  # fmt: skip
+    assert done.returncode == 0 and "2 samples of angle_rad, gain" in done.stdout, done.stderr
+    told = json.loads(said.read_text())
+    assert (told["rows"], told["columns"]) == (2, ["angle_rad", "gain"])
+    assert told["recording"] == str(out) and told["supply_v"] == "7.4" and told["source"] == "us"
+    assert told["meta"] == {"source": "us", "rows": "5", "columns": "7", "supply_v": "7.4"}
+
+
+# ---- files that are not as they should be -------------------------------------------------------
+
+
+@pytest.mark.parametrize("text", ["0.000,0\n1,1\n2,2\n", "# t,a\n0,0\n1,1\n", "0,1\n1,2\n2,3\n"])
+def test_a_missing_header_is_named(tmp_path, text):
+    said = refusal(tmp_path, text, DEG)
+    assert "so the header is missing or commented out; write the columns' names" in said
+
+
+def test_a_header_of_numbers_is_read(tmp_path):
+    file = written(tmp_path, "a.csv", "0,1\n0,90\n10,180\n")
+    found = import_table(file, TableConfig({"time": "0", "angle": "1"}, ["deg", "ms"]))
+    assert found.columns["angle_rad"] == pytest.approx([np.pi / 2, np.pi])
+
+
+@pytest.mark.parametrize("value", ["0,000", "-1.000,5", ",5", "1,5e-3"])
+def test_decimal_commas_are_named(tmp_path, value):
+    said = refusal(tmp_path, f"t;a\n{value};1\n1;2\n", DEG)
+    assert said == (
+        f"a.csv: column t, row 1: '{value}' has a decimal comma, which is not read; write decimal"
+        " points in the whole file."
+    )
+
+
+def test_json_lists_that_are_not_mapped_may_have_another_length(tmp_path):
+    rows = {"pid": [4], "t": [0, 10, 20], "a": [0, 90, 180], "none": []}
+    found = import_table(written(tmp_path, "a.json", json.dumps(rows)), DEG)
+    assert found.columns["angle_rad"] == pytest.approx([0, np.pi / 2, np.pi])
+    config = TableConfig({"time": "t", "angle": "pid"})
+    said = refusal(tmp_path, json.dumps(rows), config, "a.json")
+    assert "lists of unequal length ({'t': 3, 'pid': 1}); make them equal" in said
+    only = TableConfig({"time": "pid"})
+    assert "at least two rows" in refusal(tmp_path, json.dumps(rows), only, "a.json")
+
+
+def test_json_rows_may_be_an_object_of_lists(tmp_path):
+    rows = {"kp": 8, "data": {"t": [0, 10], "a": [90, 180], "mass": 0.5}}
+    meta = {"gain": "kp", "load_mass_kg": "mass"}
+    file = written(tmp_path, "a.json", json.dumps(rows))
+    found = import_table(file, TableConfig(DEG.columns, DEG.units, meta, "data"))
+    assert found.columns["angle_rad"] == pytest.approx([np.pi / 2, np.pi])
+    assert found.meta["gain"] == "8" and found.meta["load_mass_kg"] == "0.5"
+    said = refusal(tmp_path, json.dumps(rows), DEG, "a.json")
+    assert "no list of entries outside of data; name the object that has the lists: --rows" in said
+    other = TableConfig(DEG.columns, rows="kp")
+    assert "there are data" in refusal(tmp_path, json.dumps(rows), other, "a.json")
+
+
+def test_nan_of_a_marker_in_parquet_is_an_empty_cell(tmp_path):
+    nan = float("nan")
+    rows = pl.DataFrame({"t": [0, 1], "mx": [nan, 2.0], "my": [None, 3.0], "other": [nan, nan]})
+    rows.write_parquet(tmp_path / "a.parquet")
+    columns = {"time": "t", "marker0_x": "mx", "marker0_y": "my"}
+    found = import_table(tmp_path / "a.parquet", TableConfig(columns)).columns
+    assert np.array_equal(found["marker0_x_m"], [nan, 2], equal_nan=True)
+    assert np.array_equal(found["marker0_y_m"], [nan, 3], equal_nan=True)
+    with pytest.raises(BadInput, match="column mx, row 1: nan is not a finite number"):
+        import_table(tmp_path / "a.parquet", TableConfig({"time": "t", "x": "mx"}))
+
+
+def test_a_number_of_hundreds_of_digits_is_one_sentence(tmp_path):
+    text = '{"t": [0, 1], "a": [1, 1' + "0" * 400 + "]}"
+    assert "column a, row 2: 1000" in refusal(tmp_path, text, DEG, "a.json")

@@ -104,26 +104,26 @@ def import_table(
         typer.Option(
             "--map",
             help="Columns of the table: time=NAME,angle=NAME; also command, motor_angle, torque, x,"
-            " y, yaw, enabled, condition, marker0_x.",
+            " y, yaw, enabled, condition, gain, load, load_mass, load_arm, marker0_x.",
         ),
     ],
     unit: Annotated[
         str,
         typer.Option(
-            help="Units of the file: rad, deg, turns, counts; s, ms, us; m, cm, mm; Nm, mNm;"
-            " default: SI."
+            help="Units of the mapped columns: rad, deg, turns, counts; s, ms, us; m, cm, mm; Nm,"
+            " mNm; kg, g; default: SI."
         ),
     ] = "",
     meta: Annotated[
         str,
         typer.Option(
-            help="Metadata: gain=400,load_mass_kg=mass; a number, or the name of a JSON header"
-            " field."
+            help="Metadata: gain=400,load_mass_kg=mass; a number in SI, or the name of a JSON"
+            " header field."
         ),
     ] = "",
     rows: Annotated[
         str | None,
-        typer.Option(help="JSON field with the list of entries; default: the only list."),
+        typer.Option(help="JSON field with the entries or their lists; default: the only list."),
     ] = None,
     source: SourceOption = "",
     counts_per_turn: Annotated[
@@ -140,6 +140,8 @@ def import_table(
     units = [word.strip() for word in unit.split(",") if word.strip()]
     config = TableConfig(pairs, units, known, rows, source, counts_per_turn)
     recording = convert(table, out, config)
+    names = [*recording.columns, *recording.labels]
     if json is not None:
-        write_json(json, {"recording": str(out), "rows": recording.time.size, **recording.meta})
-    output.say(f"wrote {out}: {recording.time.size} samples of {', '.join(recording.columns)}")
+        told = {"recording": str(out), "rows": recording.time.size, "columns": names}
+        write_json(json, {**recording.meta, **told, "meta": recording.meta})
+    output.say(f"wrote {out}: {recording.time.size} samples of {', '.join(names)}")

@@ -1,13 +1,12 @@
 """Read any CSV, JSON or Parquet table as a recording; the user names its columns and units.
 
 A JSON file is a list of objects, an object of lists, or an object with a header: one field holds
-the list of objects, the others are the header.
+the list of objects or the object of lists, the others are the header.
 """
 
 import csv
 import json
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,52 +16,29 @@ import polars as pl
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput, refuse_existing
+from tailbeat.importers.cells import Array, Cells, number, numbers, target, texts, unit_scales
+from tailbeat.importers.settings import (
+    NUMBERS,
+    TEXTS,
+    allowed,
+    checked,
+    fits,
+    of_comments,
+    same,
+)
 from tailbeat.recording import TEXTS as TEXT_COLUMNS
 from tailbeat.recording import Recording, changes, write_recording
 
-Array = NDArray[np.float64]
 Labels = Mapping[str, NDArray[np.str_]]
-UNITS: dict[str, tuple[str, float]] = {  # unit -> quantity and its size in SI
-    "rad": ("angle", 1.0),
-    "deg": ("angle", np.pi / 180),
-    "turns": ("angle", 2 * np.pi),
-    "counts": ("angle", np.nan),  # needs the counts per turn
-    "s": ("time", 1.0),
-    "ms": ("time", 1e-3),
-    "us": ("time", 1e-6),
-    "m": ("length", 1.0),
-    "cm": ("length", 1e-2),
-    "mm": ("length", 1e-3),
-    "Nm": ("torque", 1.0),
-    "mNm": ("torque", 1e-3),
-}
-COLUMNS: dict[str, tuple[str, str]] = {  # what --map names -> column and quantity
-    "time": ("time_s", "time"),
-    "command": ("command_rad", "angle"),
-    "angle": ("angle_rad", "angle"),
-    "motor_angle": ("motor_angle_rad", "angle"),
-    "yaw": ("yaw_rad", "angle"),
-    "torque": ("torque_nm", "torque"),
-    "x": ("x_m", "length"),
-    "y": ("y_m", "length"),
-    "enabled": ("enabled_ratio", ""),
-    "condition": ("condition", ""),
-    "gain": ("gain", ""),
-    "load": ("load", ""),
-    "load_mass": ("load_mass_kg", ""),
-    "load_arm": ("load_arm_m", ""),
-}
-MARKER = re.compile(r"marker\d+_[xy]")
-WORDS = {"true": 1.0, "false": 0.0}
-TEXTS = ("load", "motor", "trajectory")  # metadata that may be words
 
 
 @dataclass(frozen=True)
 class TableConfig:
-    """How to read the file: `columns` maps a name in `COLUMNS`, or `marker0_x` and so on, to a
-    column of the file. `units` are the file's (SI where none is given), and `counts_per_turn` the
-    encoder's. `meta` maps a key to a header field, a number, or a word. `rows` is the JSON field
-    with the entries (None: the only list). `source`: who recorded it, in the user's words."""
+    """How to read the file: `columns` maps a name in `cells.COLUMNS`, or `marker0_x` and so on,
+    to a column of the file. `units` are the columns' (SI where none is given), `counts_per_turn`
+    the encoder's. `meta` maps a key to a header field, a number, or a word, in the key's own unit.
+    `rows` is the JSON field with the entries or their lists (None: the only list). `source`: who
+    recorded it, in the user's words."""
 
     columns: Mapping[str, str]
     units: Sequence[str] = ()
@@ -74,18 +50,23 @@ class TableConfig:
 
 @dataclass(frozen=True)
 class Table:
-    """A file's columns, unconverted, and its header fields."""
+    """A file's columns, unconverted, its header fields if it is JSON, and the metadata that a CSV
+    or a Parquet file states itself."""
 
     file: Path
     columns: Mapping[str, Sequence[Any]]
-    header: Mapping[str, Any]
+    header: Mapping[str, Any] = field(default_factory=dict)
+    stated: Mapping[str, str] = field(default_factory=dict)
 
 
 def parse_pairs(option: str, text: str) -> dict[str, str]:
-    """`a=b,c=d` as a mapping. Raises BadInput naming the option."""
+    """`a=b,c=d` as a mapping. Raises BadInput that names the option, also for a repeated name."""
     pairs = [part.partition("=") for part in text.split(",") if part.strip()]
     if not all(name.strip() and equals and value.strip() for name, equals, value in pairs):
         raise BadInput(f"{option} {text!r}: give pairs like time=timestamp,angle=position.")
+    names = [name.strip() for name, _, _ in pairs]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise BadInput(f"{option} {text!r}: {twice[0]} is given twice; give it once.")
     return {name.strip(): value.strip() for name, _, value in pairs}
 
 
@@ -100,22 +81,24 @@ def convert(path: Path, out: Path, config: TableConfig) -> Recording:
 def import_table(path: str | Path, config: TableConfig) -> Recording:
     """The mapped columns of a table in SI units. An empty cell of a marker column becomes NaN.
     Raises BadInput that names file, column and row, or the option that is wrong."""
-    table, scales = read_table(Path(path), config.rows), _scales(config)
+    table = read_table(Path(path), config.rows)
+    scales = unit_scales(config.units, config.counts_per_turn)
     if "time" not in config.columns:
         raise BadInput("--map has no time; name the column of times, as time=NAME.")
+    found = [_column(table, name, source) for name, source in config.columns.items()]
+    _check_lengths(table.file, found)
     columns: dict[str, Array] = {}
     labels: dict[str, NDArray[np.str_]] = {}
-    for name, source in config.columns.items():
-        column, quantity = _target(name)
-        values = _column(table, name, source)
+    for cells in found:
+        column, quantity = target(cells.name)
+        scale = scales.get(quantity, 1.0)
         if column in TEXT_COLUMNS:
-            labels[column] = np.array([str(value) for value in values])
+            labels[column] = texts(cells, scale)
         else:
-            gaps = MARKER.fullmatch(name) is not None
-            columns[column] = _numbers(table, source, values, gaps) * scales.get(quantity, 1.0)
+            columns[column] = numbers(cells, scale)
     time = columns.pop("time_s")
     _check_rises(table, config.columns["time"], time, labels)
-    return Recording(table.file.stem, time, columns, _meta(table, config), labels)
+    return Recording(table.file.stem, time, columns, _meta(table, config, labels), labels)
 
 
 # ---- reading ------------------------------------------------------------------------------------
@@ -132,36 +115,40 @@ def read_table(file: Path, rows: str | None = None) -> Table:
         table = _read_json(file, rows)
     else:
         table = _read_parquet(file) if file.suffix == ".parquet" else _read_csv(file)
-    if min(map(len, table.columns.values()), default=0) < 2:
+    if max(map(len, table.columns.values()), default=0) < 2:
         raise BadInput(f"{file}: give a table with a header and at least two rows.")
     return table
 
 
 def _read_parquet(file: Path) -> Table:
     try:
-        frame = pl.read_parquet(file)
+        frame, stated = pl.read_parquet(file), pl.read_parquet_metadata(file)
     except pl.exceptions.PolarsError:
         raise BadInput(f"{file}: not a Parquet file; give another.") from None
-    return Table(file, {name: frame[name].to_list() for name in frame.columns}, {})
+    columns = {name: frame[name].to_list() for name in frame.columns}
+    return Table(file, columns, stated=checked(file, stated))
 
 
 def _read_csv(file: Path) -> Table:
     """Cells as text; separated by comma, semicolon or tab, whichever the header has most of."""
     try:
-        text = file.read_text(encoding="utf-8-sig")
-        lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+        text = file.read_text(encoding="utf-8-sig").splitlines()
+        lines = [line for line in text if line.strip() and not line.startswith("#")]
         mark = max(",;\t", key=(lines[0] if lines else "").count)
         cells = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
     except (UnicodeDecodeError, csv.Error):
         raise BadInput(f"{file}: not text; give a CSV in UTF-8, JSON or Parquet.") from None
     header, *filled = cells or [[]]
     if twice := [name for name in header if header.count(name) > 1]:
+        if np.isfinite(number(twice[0])):
+            raise _headless(file, twice[0])
         raise BadInput(f"{file}: column {twice[0]!r} appears twice; rename or remove one.")
     for row, line in enumerate(filled, start=1):
         if len(line) != len(header):
             said = f"row {row} has {len(line)} cells and the header {len(header)}"
             raise BadInput(f"{file}: {said}; correct or remove the row.")
-    return Table(file, {name: [line[i] for line in filled] for i, name in enumerate(header)}, {})
+    columns = {name: [line[i] for line in filled] for i, name in enumerate(header)}
+    return Table(file, columns, stated=of_comments(file, text))
 
 
 def _read_json(file: Path, rows: str | None) -> Table:
@@ -171,26 +158,39 @@ def _read_json(file: Path, rows: str | None) -> Table:
         raise BadInput(f"{file}: not JSON ({error}); give another file.") from None
     header: dict[str, Any] = {}
     if isinstance(data, dict):
-        header = {k: v for k, v in data.items() if not isinstance(v, list | dict)}
+        header = _fields(data)
+        if rows is not None and isinstance(data.get(rows), dict):
+            data, rows = data[rows], None
+            header |= _fields(data)
         data = _entries(file, data, rows)
     if isinstance(data, dict):
-        lengths = {name: len(values) for name, values in data.items()}
-        if len(set(lengths.values())) > 1:
-            raise BadInput(f"{file}: lists of unequal length ({lengths}); make them equal.")
         return Table(file, data, header)
     return Table(file, _from_objects(file, data), header)
 
 
+def _fields(data: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in data.items() if not isinstance(value, list | dict)}
+
+
 def _entries(file: Path, data: dict[str, Any], rows: str | None) -> Any:
-    """The list of objects of a file with a header, or its lists."""
+    """The list of objects of an object with a header, or its lists."""
     lists = {name: value for name, value in data.items() if isinstance(value, list)}
+    inside = [
+        name
+        for name, value in data.items()
+        if isinstance(value, dict) and any(isinstance(one, list) for one in value.values())
+    ]
     if rows is not None and rows not in lists:
-        raise BadInput(f"{file}: --rows {rows!r} is not a list; {_there(lists)}.")
+        said = f"--rows {rows!r} is not a list, nor an object that has lists"
+        raise BadInput(f"{file}: {said}; {_there([*lists, *inside])}.")
     if rows is not None:
         return lists[rows]
     nested = [name for name, value in lists.items() if value and isinstance(value[0], dict)]
     if len(nested) > 1:
         raise BadInput(f"{file}: several lists of entries ({', '.join(nested)}); name one: --rows.")
+    if not lists and inside:
+        said = f"has no list of entries outside of {', '.join(inside)}"
+        raise BadInput(f"{file}: {said}; name the object that has the lists: --rows.")
     if not lists:
         raise BadInput(f"{file}: has no list of entries; give a JSON file that has one.")
     return lists[nested[0]] if nested else lists
@@ -207,64 +207,35 @@ def _from_objects(file: Path, data: Any) -> dict[str, Sequence[Any]]:
 # ---- columns ------------------------------------------------------------------------------------
 
 
-def _there(names: Mapping[str, Any] | Sequence[str]) -> str:
-    return f"there are {', '.join(names)}" if names else "there is none"
+def _there(names: Iterable[str]) -> str:
+    found = ", ".join(names)
+    return f"there are {found}" if found else "there is none"
 
 
-def _scales(config: TableConfig) -> dict[str, float]:
-    """Quantity -> size of the file's unit in SI."""
-    scales = {}
-    for unit in config.units:
-        if unit not in UNITS:
-            raise BadInput(f"--unit {unit}: unknown unit; allowed are {', '.join(UNITS)}.")
-        quantity, scale = UNITS[unit]
-        if quantity in scales:
-            raise BadInput(f"--unit: {unit} is the second unit of {quantity}; give one of each.")
-        scales[quantity] = _per_count(config) if unit == "counts" else scale
-    return scales
+def _column(table: Table, name: str, source: str) -> Cells:
+    target(name)
+    if source in table.columns:
+        return Cells(table.file, name, source, table.columns[source])
+    is_csv = table.file.suffix not in (".json", ".parquet")
+    if is_csv and np.isfinite(number(next(iter(table.columns)))):
+        raise _headless(table.file, next(iter(table.columns)))
+    missing = f"column {source!r} (--map {name}) is missing"
+    raise BadInput(f"{table.file}: {missing}; {_there(table.columns)}.")
 
 
-def _per_count(config: TableConfig) -> float:
-    if config.counts_per_turn is None or not config.counts_per_turn > 0:
-        raise BadInput("--unit counts needs --counts-per-turn, a number above 0.")
-    return 2 * np.pi / config.counts_per_turn
+def _headless(file: Path, first: str) -> BadInput:
+    """What is wrong with a CSV whose first row holds a number."""
+    said = f"the first row holds the number {first!r}, so the header is missing or commented out"
+    return BadInput(f"{file}: {said}; write the columns' names into the first row, without a #.")
 
 
-def _target(name: str) -> tuple[str, str]:
-    """Column and quantity of a name in --map."""
-    if MARKER.fullmatch(name):
-        return f"{name}_m", "length"
-    if name not in COLUMNS:
-        raise BadInput(f"--map {name}: allowed are {', '.join(COLUMNS)}, marker0_x and so on.")
-    return COLUMNS[name]
-
-
-def _column(table: Table, name: str, source: str) -> Sequence[Any]:
-    if source not in table.columns:
-        missing = f"column {source!r} (--map {name}) is missing"
-        raise BadInput(f"{table.file}: {missing}; {_there(table.columns)}.")
-    return table.columns[source]
-
-
-def _numbers(table: Table, name: str, values: Sequence[Any], gaps: bool) -> Array:
-    """Finite numbers (n,); NaN for an empty cell where `gaps` are allowed."""
-    found = np.array([_number(value) for value in values])
-    empty = np.array([value is None or value == "" for value in values])
-    bad = np.flatnonzero(~np.isfinite(found) & ~(empty & gaps))
-    if bad.size:
-        where = f"{table.file}: column {name}, row {bad[0] + 1}"
-        said = f"{values[bad[0]]!r} is not a finite number"
-        raise BadInput(f"{where}: {said}; correct or remove the row.")
-    return found
-
-
-def _number(value: Any) -> float:
-    if isinstance(value, str) and value.lower() in WORDS:
-        return WORDS[value.lower()]
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        return float("nan")
+def _check_lengths(file: Path, found: Sequence[Cells]) -> None:
+    """Refuse mapped columns of unequal length, or of fewer than two rows."""
+    lengths = {cells.header: len(cells.values) for cells in found}
+    if len(set(lengths.values())) > 1:
+        raise BadInput(f"{file}: lists of unequal length ({lengths}); make them equal.")
+    if min(lengths.values()) < 2:
+        raise BadInput(f"{file}: give a table with a header and at least two rows.")
 
 
 def _check_rises(table: Table, name: str, time: Array, labels: Labels) -> None:
@@ -281,20 +252,45 @@ def _check_rises(table: Table, name: str, time: Array, labels: Labels) -> None:
 # ---- metadata -----------------------------------------------------------------------------------
 
 
-def _meta(table: Table, config: TableConfig) -> dict[str, str]:
-    """The user's own words for the source, and the chosen metadata."""
-    source = config.source or f"not stated; imported from {table.file.name}"
-    return {"source": source} | {
-        key: _meta_value(table, key, value) for key, value in config.meta.items()
-    }
+def _meta(table: Table, config: TableConfig, labels: Labels) -> dict[str, str]:
+    """What the file states and what --meta adds. The source is in the user's own words, if given.
+    Raises BadInput if two of file, --meta and --map contradict each other."""
+    given = {key: _meta_value(table, key, value) for key, value in config.meta.items()}
+    headers = {target(name)[0]: header for name, header in config.columns.items()}
+    if twice := [key for key in given if key in labels]:
+        said = f"--map already takes {twice[0]} from column {headers[twice[0]]}"
+        raise BadInput(f"--meta {twice[0]}={config.meta[twice[0]]}: {said}; leave one of them out.")
+    for key, text in table.stated.items():
+        if key in given and not same(key, text, given[key]):
+            raise _contradiction(table, key, f"--meta {key}={config.meta[key]}")
+        other = [i for i, word in enumerate(labels.get(key, ())) if not same(key, text, word)]
+        if other:
+            cell = f"row {other[0] + 1}: {str(labels[key][other[0]])!r}"
+            raise _contradiction(table, key, f"column {headers[key]}, {cell}")
+    source = config.source or table.stated.get("source")
+    source = source or f"not stated; imported from {table.file.name}"
+    return {**table.stated, "source": source, **given}
+
+
+def _contradiction(table: Table, key: str, other: str) -> BadInput:
+    said = f"metadata {key} = {table.stated[key]!r} contradicts {other}"
+    return BadInput(f"{table.file}: {said}; correct or remove one of them.")
 
 
 def _meta_value(table: Table, key: str, value: str) -> str:
+    """The header field of this name, else `value` itself. Raises BadInput."""
     if value in table.header:
-        return str(table.header[value])
-    if key not in TEXTS and not np.isfinite(_number(value)):
+        found = table.header[value]
+        text = "" if found is None else str(found)
+        if not fits(key, text):
+            said = f"header field {value} (--meta {key}) is {found!r}"
+            raise BadInput(f"{table.file}: {said}; give {allowed(key)}.")
+        return text
+    known = key in TEXTS or np.isfinite(number(value))
+    if not known or not fits(key, value):
+        wanted = allowed(key) if key in (*NUMBERS, *TEXTS) else "a number"
         raise BadInput(
-            f"{table.file}: --meta {key}={value}: not a number and not a header field;"
+            f"{table.file}: --meta {key}={value}: not {wanted}, and not a header field;"
             f" {_there(table.header)}."
         )
     return value
