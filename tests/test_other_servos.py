@@ -12,6 +12,7 @@ from tailbeat.identify.servo import as_bench
 from tailbeat.identify.servo_job import identify_servo
 from tailbeat.identify.servo_report import as_report
 from tailbeat.identify.servo_search import Effort, ServoConfig
+from tailbeat.identify.shaft import Bench
 from tailbeat.importers.xl330 import import_xl330
 
 FISH = load_fish("pulley-fish")
@@ -41,7 +42,8 @@ def test_a_released_pendulum_falls_and_a_driven_one_follows():
 def test_a_load_and_a_gain_never_seen_are_predicted(make, tmp_path):
     """Asked before any were fitted: half the error of the best naive predictor. And of the readings
     of -pi every one is found, and nothing else is left out."""
-    servo, runs, planted = SERVOS[make], {"fit": [], "held": []}, 0
+    servo, planted = SERVOS[make], 0
+    runs: dict[str, list[Bench]] = {"fit": [], "held": []}
     gains, (light, heavy) = servo.gains[-2:], sorted(servo.loads)
     for seed, (gain, load, motion) in enumerate(
         [(gains[0], light, m) for m in MOTIONS] + [(gains[1], heavy, m) for m in MOTIONS]

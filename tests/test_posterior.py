@@ -268,7 +268,7 @@ def test_check_swims_fit_the_bands_to_another_water(tmp_path):
         done = tailbeat("predict", "--fish", fish, paths[0], *more, "--json", out)
         assert done.returncode == 0, done.stderr
         told[name] = {row["quantity"]: row for row in json.loads(out.read_text())["bands"]}
-    assert "by 3 swims that were not fitted" in done.stdout
+    assert "by 3 check swims" in done.stdout
     assert json.loads(out.read_text())["discrepancy"]["distance"]["factor"] == pytest.approx(
         1.3, rel=0.02
     )

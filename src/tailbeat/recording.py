@@ -63,6 +63,16 @@ def read_recordings(paths: Sequence[str | Path]) -> list[Recording]:
     ]
 
 
+def refuse_shared(groups: Mapping[str, Sequence[Path]]) -> None:
+    """Raises BadInput for a file that two options name: what is fitted cannot be a test too."""
+    owner: dict[Path, str] = {}
+    for option, paths in groups.items():
+        for path in paths:
+            first = owner.setdefault(path.absolute(), option)
+            if first != option:
+                raise BadInput(f"{path}: given to {first} and to {option}; give it to one of them.")
+
+
 def read_recording(path: str | Path) -> Recording:
     """Read a recording: `.parquet` as Parquet, any other suffix as CSV. Empty cells of marker
     columns become NaN. Raises BadInput that names file, column, row and value."""

@@ -190,7 +190,7 @@ def _say_factors(known: dict[str, Any]) -> None:
         if isinstance(one, dict) and one["swims"]:
             say(
                 f"{name.replace('_', ' ')}: {one['factor']:.3f} ± {1.96 * one['error']:.3f} times"
-                f" the twin's, by {one['swims']} swims that were not fitted"
+                f" the twin's, by {one['swims']} check swims"
             )
 
 

@@ -112,13 +112,16 @@ def identify_posterior(
         Path | None,
         typer.Option("--out", help="File to write, .parquet; default: beside the fish."),
     ] = None,
+    zones: Annotated[int, typer.Option(help="As the fish was fitted with: 1 or 3.")] = 3,
     seed: SeedOption = 0,
 ) -> None:
     """Write the posterior of a fish that is identified already. Nothing is fitted. Use it when you
     have new swims to check the fish on."""
     from tailbeat.identify import posterior, posterior_job
+    from tailbeat.identify.job import FluidConfig
 
-    path = posterior_job.write_posterior(fish, fit, check or [], out, seed)
+    config = FluidConfig(zones, first_seed=seed)
+    path = posterior_job.write_posterior(fish, fit, check or [], out, config)
     known = posterior.read(path)
     output.tables({"identified numbers": identified.parameters(posterior.as_rows(known))})
     output.say(f"wrote {path}")

@@ -19,7 +19,7 @@ from tailbeat.identify.coverage import Coverage
 from tailbeat.identify.predict import Prediction, predict
 from tailbeat.identify.predict import as_json as predictions_json
 from tailbeat.identify.runs import Run, as_runs
-from tailbeat.recording import Recording, read_recording
+from tailbeat.recording import Recording, read_recording, refuse_shared
 
 DRAWS = 32  # of a posterior, for bands
 
@@ -52,6 +52,7 @@ def predict_swims(
     (None: the one beside the fish, if there is one); `check` are swims in the same water, which
     give the discrepancy instead. Raises BadInput."""
     described = load_fish(fish)
+    refuse_shared({"the swims": swims, "--fitted-on": fitted_on, "--check": check})
     known = store.of(fish, posterior)
     if check and known is None:
         known = store.needed(fish)

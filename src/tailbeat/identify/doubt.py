@@ -36,10 +36,13 @@ class Doubt:
 
 
 def by_swims(fit: Fit, owner: NDArray[np.int_]) -> Doubt:
-    """The doubt of a fit; `owner` (r,) is the number of the swim of each residual."""
+    """The doubt of a fit; `owner` (r,) is the number of the swim of each residual. One swim cannot
+    tell how swims differ, so its numbers have the prior's deviations."""
+    swims = [owner == i for i in np.unique(owner)]
+    if len(swims) < 2:
+        return Doubt(replace(fit, covariance=np.eye(fit.z.size)), 1.0, FEWEST)
     noise = noise_level(fit.residuals, fit.z.size)
     found, slope = fit.residuals / noise, fit.jacobian / noise
-    swims = [owner == i for i in np.unique(owner)]
     information = slope.T @ slope
     pulls = _pulls(found, slope, swims)
     scatter = pulls.T @ pulls * (len(swims) - 1) / len(swims)

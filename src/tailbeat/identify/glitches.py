@@ -27,6 +27,7 @@ MOST = 0.5  # largest fraction of a column's samples that may be glitches
 ISLAND = 3  # fewest samples in a row between glitches that are kept
 FEWEST = 8  # fewest samples that are searched
 TURN = 2 * np.pi
+COUNTS = 2.0**31  # at most, of an encoder: more are no 16 bits in another order
 
 
 @dataclass(frozen=True)
@@ -296,7 +297,8 @@ def _swapped(time: Array, values: Array, kept: Mask, limits: SignalLimits) -> Ma
     near = limits.noise + limits.speed * np.median(np.diff(time))
     fits = np.zeros(values.size, dtype=bool)
     for zero in (0, 2048):
-        count = np.round(values / TURN * 4096).astype(np.int64) + zero
+        counted = np.clip(values / TURN * 4096, -COUNTS, COUNTS)
+        count = np.round(counted).astype(np.int64) + zero
         count16 = count & 0xFFFF
         turned = (count16 & 0xFF) << 8 | count16 >> 8
         for other in (turned, np.where(turned > 32767, turned - 65536, turned)):

@@ -18,23 +18,30 @@ from tailbeat.identify.runs import Run, as_runs
 from tailbeat.identify.search import Fit
 from tailbeat.identify.space import WIDE_STEP, Parameter, bounds, cost, covariance, sensitivity
 from tailbeat.identify.space import values as values_at
-from tailbeat.recording import read_recordings
+from tailbeat.recording import read_recordings, refuse_shared
 
 
 def write_posterior(
-    fish: str, fit: Sequence[Path], check_swims: Sequence[Path], out: Path | None, seed: int
+    fish: str,
+    fit: Sequence[Path],
+    check_swims: Sequence[Path],
+    out: Path | None,
+    config: FluidConfig,
 ) -> Path:
     """Write the posterior of an identified fish, from the recordings that it was fitted to and
-    swims that it was not; `out` None: beside the fish. Returns its path. Raises BadInput."""
+    swims that it was not; `out` None: beside the fish. Of the `config` its zones, draws and first
+    seed count. Returns its path. Raises BadInput."""
     described, path = load_fish(fish), out or posterior.beside(fish_path(fish))
     refuse_existing(path)
+    check(config)
+    refuse_shared({"--fit": fit, "--check": check_swims})
     runs, judged = (
         [run for one in read_recordings(group) for run in as_runs(one, described)]
         for group in (fit, check_swims)
     )
     if not runs:
         raise BadInput("--fit is empty; give the recordings that the fish was fitted to.")
-    posterior.write(path, posterior_of(described, runs, judged, FluidConfig(first_seed=seed)))
+    posterior.write(path, posterior_of(described, runs, judged, config))
     return path
 
 

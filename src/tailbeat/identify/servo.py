@@ -29,9 +29,13 @@ DEVIATION = np.radians(0.1)  # of an angle: about an encoder count (0.088 deg)
 COMPARED = 400  # samples of a recording that are compared, about
 COUNTED = 100  # independent samples that a recording counts for, chosen: a stroke has about ten
 WIDE = 2 * np.pi  # rad: largest allowed angle; no position servo turns further here
-MANY = 0.1  # fraction of an angle's samples beyond `WIDE`; above it the column is in degrees
+MANY = 0.5  # fraction of an angle's samples beyond `WIDE`; above it the column is in degrees
+SLOWEST = 0.1  # s between samples, median; further apart they do not show a stroke
+LAGS = np.arange(0.0, 0.21, 0.02)  # s by which a servo may be late
+AGAINST = 0.5  # correlation with the turned command above which an angle may be mirrored
 BLOCK = 0.5  # s over which residuals are correlated, chosen: the time of a slip or a stroke
 STEP = 0.02  # finite difference of the intervals in z; the model has kinks at every standstill
+PENDULUM = {"load_mass_kg", "load_arm_m"}  # metadata of a pendulum
 GEARS = ("load_friction", "stiction")  # fitted on the test bench; the twin cannot compile them
 
 # The paper trained with this ideal servo.
@@ -69,7 +73,8 @@ def as_bench(recording: Recording, fish: Fish, kind: str | None = None) -> Bench
     Metadata: `gain` (register); `load_mass_kg` and `load_arm_m` of a pendulum that hangs down at
     angle 0; `load: tail` or `nothing`. Without a load it is the fish's tail. Glitches of the angle
     are left out, and the bench begins at the first good sample. Raises BadInput for a missing
-    column, degrees, a command that never moves, or wrong metadata.
+    column, degrees, milliseconds, a command or an angle that never moves, a mirrored angle, or
+    wrong metadata.
     """
     command, angle = require(recording, ["command_rad", "angle_rad"])
     _check_radians(recording.name, "command_rad", command)
@@ -78,11 +83,7 @@ def as_bench(recording: Recording, fish: Fish, kind: str | None = None) -> Bench
     good, glitches = find(recording, {"angle_rad": SHAFT})
     angle = np.where(good["angle_rad"], angle, np.nan)
     _check_radians(recording.name, "angle_rad", angle)
-    if np.ptp(command) < STILL:
-        raise BadInput(
-            f"{recording.name}: column command_rad never moves; record a chirp or steps (see"
-            f" `tailbeat protocol servo`)."
-        )
+    _check_moves(recording, command, angle)
     first = int(np.argmax(good["angle_rad"]))
     enabled = recording.columns.get("enabled_ratio", np.ones_like(angle))
     return Bench(
@@ -95,6 +96,48 @@ def as_bench(recording: Recording, fish: Fish, kind: str | None = None) -> Bench
         _number(recording, "gain") if "gain" in recording.meta else None,
         tuple(glitches),
     )
+
+
+def _check_moves(recording: Recording, command: Array, angle: Array) -> None:
+    """Raises BadInput for samples far apart, a command or a shaft that never moves, or an angle
+    that runs against the command."""
+    name, apart = recording.name, float(np.median(np.diff(recording.time)))
+    if apart > SLOWEST:
+        raise BadInput(
+            f"{name}: column time_s: samples are {apart:.3g} s apart; allowed is {SLOWEST:g} s. If"
+            f" the times are milliseconds, convert them to seconds."
+        )
+    if np.ptp(command) < STILL:
+        raise BadInput(
+            f"{name}: column command_rad never moves; record a chirp or steps (see `tailbeat"
+            f" protocol servo`)."
+        )
+    if np.nanmax(angle) - np.nanmin(angle) < STILL:
+        raise BadInput(
+            f"{name}: column angle_rad never moves, the command does; check encoder and shaft, and"
+            f" record it again."
+        )
+    if _mirrored(recording.time, command, angle):
+        raise BadInput(
+            f"{name}: column angle_rad runs against command_rad; turn the sign of one of them."
+        )
+
+
+def _mirrored(time: Array, command: Array, angle: Array) -> bool:
+    """Whether the angle follows the turned command, and at no lag of a servo the command itself."""
+    good = np.isfinite(angle)
+    late = [np.interp(time - lag, time, command)[good] for lag in LAGS]
+    agree = np.array([np.corrcoef(one, angle[good])[0, 1] for one in late if np.ptp(one) > 0])
+    return bool(-agree.min() > AGAINST and agree.max() < -agree.min() / 2)
+
+
+def check_driven(benches: Sequence[Bench]) -> None:
+    """Raises BadInput if the servo's torque was off in all recordings."""
+    if benches and not any((bench.enabled > 0.5).any() for bench in benches):
+        raise BadInput(
+            f"{benches[0].name}: column enabled_ratio is never 1, also in no other recording: the"
+            f" servo's torque was off; record it with torque on."
+        )
 
 
 def _check_radians(name: str, column: str, values: Array) -> None:
@@ -110,7 +153,7 @@ def load_of(recording: Recording, fish: Fish, kind: str | None = None) -> Load:
     """The load on the shaft: `kind`, else from the metadata, else the fish's tail. Raises BadInput
     for an unknown kind, wrong metadata, or a tail without `k_eff`."""
     meta = recording.meta
-    kind = kind or meta.get("load") or ("pendulum" if "load_mass_kg" in meta else "tail")
+    kind = kind or meta.get("load") or ("pendulum" if PENDULUM & meta.keys() else "tail")
     if kind == "pendulum":
         mass, arm = _number(recording, "load_mass_kg"), _number(recording, "load_arm_m")
         return Load(kind, inertia=mass * arm**2, weight=mass * GRAVITY * arm)

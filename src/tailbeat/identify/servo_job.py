@@ -16,7 +16,7 @@ from tailbeat.identify.naive_servo import Naive, naive_servos
 from tailbeat.identify.response import drive_frequency
 from tailbeat.identify.search import Fit
 from tailbeat.identify.servo import IDEALISED, as_servos, described_servo, gain_reference
-from tailbeat.identify.servo_gains import contradictions
+from tailbeat.identify.servo_gains import at_edges, contradictions
 from tailbeat.identify.servo_search import Progress, ServoConfig, searched
 from tailbeat.identify.shaft import Bench, free_run
 from tailbeat.identify.space import Parameter, values
@@ -77,7 +77,7 @@ class ServoFit:
     `servo` has the seven numbers that the twin compiles [SI], at the `gain` register. `seconds` [s]
     is the duration of the search. `left_out` is empty without cross-validation. `naive` has the
     naive predictors, fitted on the same recordings. `contradictions` are recordings that cannot be
-    of one servo.
+    of one servo, or of none.
     """
 
     space: tuple[Parameter, ...]
@@ -151,7 +151,7 @@ def identify_servo(
         warnings,
         seconds=time.monotonic() - began,
         naive=naive_servos(fit, validate),
-        contradictions=tuple(contradictions(space, fits[0].z, fit)),
+        contradictions=(*at_edges(space, fits[0].z), *contradictions(space, fits[0].z, fit)),
     )
 
 

@@ -152,13 +152,8 @@ def cross_validate(
 ) -> tuple[LeftOut, ...]:
     """Fit without each gain in turn (without each recording if there is one gain), and measure the
     error on it. Raises BadInput for fewer than two groups."""
-    groups = sorted({_group(bench, benches) for bench in benches})
-    if len(groups) < 2:
-        raise BadInput(
-            "--cross-validate: give --fit two recordings or more, preferably at several gains."
-        )
     rows = []
-    for group in groups:
+    for group in groups(benches):
         kept = [b for b in benches if _group(b, benches) != group]
         out = [b for b in benches if _group(b, benches) == group]
         found = identify_servo(fish, kept, out, config, scratch, progress)
@@ -166,6 +161,16 @@ def cross_validate(
         rmse = float(np.sqrt(np.mean([one.rmse_deg() ** 2 for one in held])))
         rows.append(LeftOut(group, float(np.mean([one.mae_deg for one in held])), rmse))
     return tuple(rows)
+
+
+def groups(benches: Sequence[Bench]) -> list[str]:
+    """What `cross_validate` leaves out in turn. Raises BadInput for fewer than two."""
+    found = sorted({_group(bench, benches) for bench in benches})
+    if len(found) < 2:
+        raise BadInput(
+            "--cross-validate: give --fit two recordings or more, preferably at several gains."
+        )
+    return found
 
 
 def _group(bench: Bench, benches: Sequence[Bench]) -> str:

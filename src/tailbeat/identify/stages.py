@@ -35,14 +35,14 @@ from tailbeat.identify.clean import clean_pull, clean_tail
 from tailbeat.identify.decay import ring_down, static_loop
 from tailbeat.identify.predict import Prediction
 from tailbeat.identify.runs import Run, as_runs
-from tailbeat.identify.servo import as_benches
+from tailbeat.identify.servo import as_benches, check_driven
 from tailbeat.identify.servo_job import ServoFit
 from tailbeat.identify.servo_search import ServoConfig
 from tailbeat.identify.shaft import Bench
 from tailbeat.identify.step_check import Held
 from tailbeat.identify.tail import identify_tail
 from tailbeat.identify.tail_report import TailResult
-from tailbeat.recording import Recording, read_recording, read_recordings
+from tailbeat.recording import Recording, read_recording, read_recordings, refuse_shared
 
 Progress = Callable[[int, str, float, float], None]
 DrawTail = Callable[[TailResult, Recording | None, Path], None]
@@ -113,10 +113,15 @@ def benches_of(paths: Paths, config: ServoConfig) -> tuple[Fish, list[list[Bench
     servo_search.check(config)
     _refuse_taken(paths)
     described = load_fish(paths.fish)
-    return described, [
+    refuse_shared({"--fit": paths.fit, "--validate": paths.validate})
+    fit, validate = (
         [b for one in read_recordings(group) for b in as_benches(one, described, config.load)]
         for group in (paths.fit, paths.validate)
-    ]
+    )
+    check_driven(fit)
+    if config.cross_validate:
+        servo_report.groups(fit)
+    return described, [fit, validate]
 
 
 def fluid(
@@ -142,9 +147,11 @@ def swims_of(paths: Paths, config: job.FluidConfig) -> tuple[Fish, list[list[Run
         described = with_values(described, {"added_inertia": config.added_inertia})
     if config.whole:
         described = whole(described)
+    given = {"--fit": paths.fit, "--validate": paths.validate, "--check": paths.check}
+    refuse_shared(given)
     groups = [
         [run for one in read_recordings(group) for run in as_runs(one, described)]
-        for group in (paths.fit, paths.validate, paths.check)
+        for group in given.values()
     ]
     if groups[0] and step_check.is_ours(paths.fish):
         described = step_check.for_swims(described, groups[0], config.zones)
