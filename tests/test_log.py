@@ -25,7 +25,8 @@ from tailbeat.recording import read_recording, write_recording
 from tailbeat.robot import log as logs
 from tailbeat.robot import log_salvage
 from tailbeat.robot.log import COLUMNS, read_log, read_notes, read_rows, start
-from tailbeat.robot.log_export import as_recording, export, losses
+from tailbeat.robot.log_export import as_recording, export
+from tailbeat.robot.log_losses import losses
 from tailbeat.robot.log_rows import NOTED, read_row
 from tailbeat.robot.log_salvage import CHUNK
 

@@ -16,10 +16,12 @@ from tailbeat.evaluate.logged_swims import LogConfig
 from tailbeat.evaluate.logged_swims import swims as log_swims
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
-from tailbeat.identify.offsets import Logged, _few, offsets
+from tailbeat.identify.offsets import _few, offsets
+from tailbeat.identify.swim_columns import Logged
 from tailbeat.pool import mess
 from tailbeat.pool.water import ensemble
 from tailbeat.robot import log as logs
+from tailbeat.robot.logged import logged
 
 FISH, POLICY = load_fish("pulley-fish"), load_policy("pulley-fish-pool-generator")
 SECONDS, SWIMS, LABS = 60.0, 3, 16
@@ -103,6 +105,31 @@ def test_mirrored_swims_give_mirrored_offsets(made):
     for row, other in zip(found[0].offsets, offsets(mirror).offsets, strict=True):
         sign = 1.0 if row.name == "current x" else -1.0
         assert other.value == pytest.approx(sign * row.value, abs=1e-6), row.name
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("turn", [30.0, 60.0, 120.0, 180.0, -150.0])
+def test_a_tag_turned_far_is_found_as_it_is_glued(made, turn):
+    """Headings turned by so much more. Taken for its tangent the angle was wrong from 30 degrees
+    on, and a tag that looks astern was found straight, and its place mirrored."""
+    _, found, _, swims = made
+    known = {row.name: row for row in found[0].offsets}
+    far = [
+        replace(s, pose=np.column_stack([s.pose[:, :2], s.pose[:, 2] + np.radians(turn)]))
+        for s in swims[0]
+    ]
+    askew, sideways, *_ = offsets(far).offsets
+    away = np.remainder(askew.value - known["tag askew"].value - turn + 180, 360) - 180
+    assert abs(away) < 1.5 and askew.told
+    assert sideways.value == pytest.approx(known["tag sideways"].value, abs=6)
+
+
+def test_a_frozen_reading_is_named(made, tmp_path):
+    swim = made[3][0][0]
+    still = replace(swim, angle=np.full_like(swim.angle, 0.25))
+    (path,) = write_logs([still], tmp_path)
+    with pytest.raises(BadInput, match=r"motor_angle_rad is 0\.25 in all .* the reading is frozen"):
+        logged(path)
 
 
 @pytest.mark.thorough

@@ -227,9 +227,32 @@ def test_logs_of_another_policy_and_offsets_beyond_a_lab_are_refused(made, logs,
     assert "its policy_sha256 is beef" in said and "give the policy that swam" in said
     found = offsets(made[1])
     far = tuple(replace(row, value=400.0, interval=(399.0, 401.0)) for row in found.offsets)
-    with pytest.raises(BadInput, match=r"correction askew = 6\.9"):
+    with pytest.raises(BadInput, match="tag askew is 400 deg; allowed is -60 to 60"):
         corrected(POLICY.contract, replace(found, offsets=far))
+    unsure = tuple(replace(row, interval=(-401.0, 401.0)) for row in far)
+    _, changes = corrected(POLICY.contract, replace(found, offsets=unsure))
+    assert all("the swims are in doubt" in one.why for one in changes)
     assert not out.exists()
+
+
+@pytest.mark.thorough
+def test_logs_that_are_none_or_damaged_are_told(logs, tmp_path):
+    """A file that is no log was called one of another policy; a damaged one passed in silence."""
+    words = ("refine", NAME, "--out", tmp_path / "no", "--log")
+    assert "no such file; give a log" in complaint(*words, tmp_path / "none.mcap")
+    noise = tmp_path / "noise.mcap"
+    noise.write_bytes(bytes(range(256)) * 40)
+    assert "no row of a swim in this file" in complaint(*words, noise)
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes(logs[0].read_bytes())
+    assert f"the same log as {logs[0]}" in complaint(*words, logs[0], copy)
+    assert not (tmp_path / "no").exists()
+    whole = bytearray(copy.read_bytes())
+    copy.write_bytes(whole[: len(whole) * 9 // 10])
+    done = tailbeat("refine", NAME, "--log", copy, logs[1], "--out", tmp_path / "cut")
+    assert done.returncode == 0, done.stderr
+    assert f"warning: {copy}: the log has no end" in done.stdout
+    assert len(json.loads((tmp_path / "cut/refined.json").read_text())["damage"]) == 1
 
 
 @pytest.mark.parametrize(

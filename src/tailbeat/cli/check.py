@@ -207,11 +207,10 @@ def export(
     """Convert a drive's log to a recording that identification reads. A log that was cut off is
     read up to its end. Exit code 1 if the file is damaged: what is whole is written."""
     from tailbeat.robot.log_export import export as export_log
-    from tailbeat.robot.log_export import losses
+    from tailbeat.robot.log_losses import losses
 
     recording, swim = export_log(log, out)
-    for sentence in losses(swim):
-        output.say(f"warning: {sentence}")
+    output.warn(losses(swim))
     output.say(f"wrote {out}: {recording.time.size} rows")
     if swim.damaged:
         raise typer.Exit(1)

@@ -28,6 +28,7 @@ def offsets(
     from tailbeat.robot.logged import offsets_of
 
     done = offsets_of(logs)
+    output.warn(done.damage)
     say_swims(done.seconds, [_row(one) for one in done.offsets], done.untold)
     if json is not None:
         write_json(json, done)

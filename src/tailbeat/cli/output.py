@@ -1,6 +1,7 @@
 """Print lines, tables and one-line errors to the terminal."""
 
 import sys
+from collections.abc import Iterable
 from shutil import get_terminal_size
 from typing import Any
 
@@ -14,6 +15,12 @@ PIPE_WIDTH = 140  # characters, where output goes to a pipe: wide enough for mos
 def say(text: str) -> None:
     """Print one line."""
     print(text, flush=True)
+
+
+def warn(sentences: Iterable[str]) -> None:
+    """Print warnings, one on a line."""
+    for one in sentences:
+        say(f"warning: {one}")
 
 
 def complain(text: str) -> None:

@@ -12,7 +12,7 @@ from tailbeat.cli.learn import expect_or_say
 from tailbeat.cli.offsets import say_built, say_swims
 from tailbeat.cli.options import JsonOption, PolicyFile
 from tailbeat.cli.training import StartOption
-from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.files import BadInput, check_json, write_json
 
 if TYPE_CHECKING:
     from tailbeat.robot.refit import Refitted
@@ -21,12 +21,24 @@ if TYPE_CHECKING:
     from tailbeat.train.refine import Change
 
 
+OWN = ("policy.onnx", "refined.json", "retrained.onnx", "train")  # in its folder
+
+
+def _folder(text: str) -> Path:
+    """The folder of --out: an empty name would be the current folder."""
+    if not text.strip():
+        raise typer.BadParameter("the name is empty; give a folder.")
+    return Path(text)
+
+
 def refine(
     policy: PolicyFile,
     logs: Annotated[
         list[Path], typer.Option("--log", help="Logs of its swims on one robot, .mcap.")
     ],
-    out: Annotated[Path, typer.Option("--out", help="Folder of the corrected policy.")],
+    out: Annotated[
+        Path, typer.Option("--out", parser=_folder, help="Folder of the corrected policy.")
+    ],
     retrain: Annotated[
         bool, typer.Option(help="Also refit the twin to the logs, and train again in it.")
     ] = False,
@@ -43,8 +55,7 @@ def refine(
     this robot alone. Of what the swims do not tell well, a part is corrected, and said. With
     --retrain a second policy is trained in a twin that is refitted to the logs. Exit code 1 if that
     one is no better."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json, out, *OWN)
     if (fish is None) == retrain or (start is not None and not retrain):
         raise BadInput("--retrain and --fish go together, and --start only with them.")
     need_training()
@@ -54,7 +65,10 @@ def refine(
     plan = None
     if fish is not None:
         plan = fish, planned(policy, logs, AgainConfig(fish, out, start, hours))
+        twin = f"{plan[1].fish.name}-refitted"
+        check_json(json, out, f"{twin}.toml", f"{twin}.json")
     done = make(policy, logs, out)
+    output.warn(done.damage)
     say_swims(done.seconds, [_row(one) for one in done.changes], done.untold)
     output.say(f"policy for this robot alone: {done.policy}")
     more: dict[str, Any] = {}

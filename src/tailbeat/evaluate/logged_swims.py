@@ -16,7 +16,7 @@ from tailbeat.env.world import World, seeds_from
 from tailbeat.evaluate.labs import world_in_labs
 from tailbeat.evaluate.scenes import CLEAR
 from tailbeat.fish.description import Fish
-from tailbeat.identify.offsets import Logged
+from tailbeat.identify.swim_columns import Logged
 from tailbeat.pool.mess import Lab
 from tailbeat.pool.water import Water
 

@@ -16,7 +16,7 @@ from tailbeat.fish.period import PERIOD
 from tailbeat.fish.rollout import Start, Swim, swim
 from tailbeat.fish.twin import compile_twin
 from tailbeat.identify.fluid import without_first_pose
-from tailbeat.identify.offsets import Logged
+from tailbeat.identify.swim_columns import Logged
 from tailbeat.identify.tag_pose import root_pose, tracked_pose
 
 Array = NDArray[np.float64]

@@ -21,11 +21,11 @@ from tailbeat.identify import log_pieces
 from tailbeat.identify.doubt import by_swims
 from tailbeat.identify.intervals import intervals
 from tailbeat.identify.log_pieces import Piece
-from tailbeat.identify.offsets import Logged
 from tailbeat.identify.polish import polish
 from tailbeat.identify.search import Fit
 from tailbeat.identify.space import WIDE_STEP, Parameter, bounds, cost, covariance, sensitivity
 from tailbeat.identify.space import values as values_at
+from tailbeat.identify.swim_columns import Logged
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]

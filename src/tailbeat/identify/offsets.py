@@ -6,6 +6,7 @@ tag's angle. Within a beat its forward speed does not follow its turning, unless
 the midline. All of this is ours; tests/test_offsets.py counts how often the intervals hold.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -15,9 +16,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from tailbeat.files import BadInput
+from tailbeat.identify.swim_columns import MADE, STEP, Logged, averaged, beating
 
 Array = NDArray[np.float64]
-STEP = 0.02  # s, of the grid that swims are put on
 BLOCK = 500  # samples of a block of the bootstrap: 10 s, as long as eddies last
 DRAWS = 200
 SLOW = (40, 60, 90)  # samples over which a beat is averaged: each is tried
@@ -25,24 +26,6 @@ FAST = ((6, 50), (10, 50), (10, 80))  # samples: noise is averaged over the firs
 FEWEST = 2  # blocks
 USUAL = 15  # blocks of three swims of a minute, with which the widths in `KINDS` were set
 GAP = 0.25  # s without a pose: it is not bridged
-
-
-@dataclass(frozen=True, eq=False)
-class Logged:
-    """A swim of k samples as a robot logged it.
-
-    `time` [s] of the samples and `pose_time` of the newest pose at each; `pose` (k, 3): x, y [m]
-    and heading [rad] in the pool; `yaw_rate` [rad/s] of the gyro; `angle` [rad] and `speed` [rad/s]
-    of the shaft, as it counts them, and its `command` [rad].
-    """
-
-    time: Array
-    pose_time: Array
-    pose: Array
-    yaw_rate: Array
-    angle: Array
-    speed: Array
-    command: Array
 
 
 @dataclass(frozen=True)
@@ -71,6 +54,8 @@ class Offsets:
     seconds: float
     runs: int
     untold: tuple[str, ...]
+    damage: tuple[str, ...] = ()
+    """What the logs lack, a sentence each."""
 
 
 # Name, unit, factor from SI, largest half width to act on, and by how much the bootstrap's interval
@@ -112,8 +97,9 @@ def offsets(swims: Sequence[Logged]) -> Offsets:
             f" both sides."
         )
     found = [_estimates(pieces, slow, *fast) for slow, fast in zip(SLOW, FAST, strict=True)]
-    values = np.mean([values for values, _ in found], axis=0)
-    apart = np.var([values for values, _ in found], axis=0)
+    each = np.array([values for values, _ in found])
+    each = _about(each[0], each)
+    values, apart = np.mean(each, axis=0), np.var(each, axis=0)
     half = 2 * np.sqrt(np.mean([(_few(blocks) * s) ** 2 for _, s in found], axis=0) + apart)
     rows = tuple(
         Offset(name, unit, v * by, ((v - wide * h) * by, (v + wide * h) * by), enough, what)
@@ -122,6 +108,13 @@ def offsets(swims: Sequence[Logged]) -> Offsets:
         )
     )
     return Offsets(rows, seconds, len(swims), UNTOLD)
+
+
+def _about(middle: Array, values: Array) -> Array:
+    """Rows of `KINDS` (n, 8) whose angle of the tag is within half a turn of the middle one's."""
+    near = values.copy()
+    near[:, 0] = middle[0] + np.remainder(values[:, 0] - middle[0] + np.pi, 2 * np.pi) - np.pi
+    return near
 
 
 def _few(blocks: int) -> float:
@@ -154,21 +147,6 @@ def _pieces(swim: Logged) -> list[Logged]:
         rest = (np.interp(time, swim.time, c) for c in signals)
         found.append(Logged(time - swim.time[0], time, poses, *rest))
     return found
-
-
-def _smooth(values: Array, width: int) -> Array:
-    """Mean over a Hann window of so many samples."""
-    window = np.hanning(width + 2)[1:-1]
-    return np.convolve(values, window / window.sum(), mode="same")
-
-
-def _motion(piece: Logged, width: int) -> tuple[Array, Array, Array]:
-    """Speeds forward and left in the tag's own frame, and turning, after noise is averaged over
-    `width` samples."""
-    x, y, yaw = (_smooth(c, width) for c in piece.pose.T)
-    vx, vy, turning = (np.gradient(c, STEP) for c in (x, y, yaw))
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return cos * vx + sin * vy, cos * vy - sin * vx, turning
 
 
 # ---- least squares by blocks --------------------------------------------------------------------
@@ -204,81 +182,25 @@ def _estimates(pieces: Sequence[Logged], slow: int, noise: int, beat: int) -> tu
     """Values of `KINDS` in SI, and their deviations by a bootstrap over blocks."""
     edge = max(SLOW)
     fits = [_normal([make(one, slow, noise, beat, edge) for one in pieces]) for make in MADE]
-    speed = float(np.mean(np.concatenate([_beating(one, slow)[edge:-edge] for one in pieces])))
+    over = [(beating(one, slow), averaged(one, slow)[0]) for one in pieces]
+    speed, ahead = (
+        float(np.mean(np.concatenate([c[edge:-edge] for c in one])))
+        for one in zip(*over, strict=True)
+    )
     blocks, rng = len(fits[0].right), np.random.default_rng(0)
     drawn = [rng.integers(blocks, size=blocks) for _ in range(DRAWS)]
-    draws = [_values([fit.solved(some) for fit in fits], speed) for some in drawn]
-    return _values([fit.solved(np.arange(blocks)) for fit in fits], speed), np.std(draws, axis=0)
+    draws = np.array([_values([fit.solved(some) for fit in fits], speed, ahead) for some in drawn])
+    values = _values([fit.solved(np.arange(blocks)) for fit in fits], speed, ahead)
+    return values, np.std(_about(values, draws), axis=0)
 
 
-def _values(fits: Sequence[Array], speed: float) -> Array:
-    """The numbers of `KINDS` from the coefficients of `MADE`."""
+def _values(fits: Sequence[Array], speed: float, ahead: float) -> Array:
+    """The numbers of `KINDS` from the coefficients of `MADE`, the shaft's mean beating speed and
+    the mean speed `ahead` in the tag's frame, below 0 under a tag that looks astern."""
     lateral, within, shaft, setpoint, gyro = fits
-    askew = -lateral[0]
+    sense = math.copysign(1.0, ahead)
+    askew = math.atan2(-lateral[0] * sense, sense)
     forward, crossed = within[0]
-    sideways = -(forward - askew * crossed)
+    sideways = -(math.cos(askew) * forward - math.sin(askew) * crossed)
     straight = [-(c[2] + c[3] * speed) / (c[0] + c[1] * speed) for c in (shaft, setpoint)]
     return np.array([askew, sideways, *straight, gyro[0], gyro[1], lateral[4], lateral[5]])
-
-
-Columns = tuple[list[Array], Array]
-
-
-def _lateral(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
-    """Sideways speed over a beat: of the tag's angle, of turning, of the current."""
-    ahead, left, turning = _averaged(one, slow)
-    cos, sin = (_smooth(f(one.pose[:, 2]), slow) for f in (np.cos, np.sin))
-    columns = [ahead, turning, turning * np.abs(turning), turning * ahead, -sin, cos]
-    return [c[edge:-edge] for c in columns], left[edge:-edge]
-
-
-def _averaged(one: Logged, slow: int) -> tuple[Array, Array, Array]:
-    """Speeds in the tag's own frame and turning, over a beat."""
-    yaw = one.pose[:, 2]
-    vx, vy = (np.gradient(c, STEP) for c in one.pose[:, :2].T)
-    ahead, left = np.cos(yaw) * vx + np.sin(yaw) * vy, np.cos(yaw) * vy - np.sin(yaw) * vx
-    return _smooth(ahead, slow), _smooth(left, slow), np.gradient(_smooth(yaw, slow), STEP)
-
-
-def _within(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
-    """Speeds forward and sideways within a beat, two right sides: of a tag beside the midline, of a
-    turn. Of the sideways speed, a turned tag shows a part ahead."""
-    ahead, left, turning = _motion(one, noise)
-    over = [_smooth(c, beat) for c in (ahead, left, turning)]
-    ahead, left, turning = ahead - over[0], left - over[1], turning - over[2]
-    columns = [turning, turning * over[2], left * over[2]]
-    return [c[edge:-edge] for c in columns], np.column_stack([ahead, left])[edge:-edge]
-
-
-def _beating(one: Logged, slow: int) -> Array:
-    """Rms speed of the shaft over a beat."""
-    return np.sqrt(np.maximum(_smooth(one.speed**2, slow), 0.0))
-
-
-def _shaft(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
-    """Turning over a beat: of the shaft's mean angle, the more the faster it beats."""
-    return _turning(one, one.angle, slow, edge)
-
-
-def _setpoint(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
-    """The same of the mean command: a wrong encoder does not change it."""
-    return _turning(one, one.command, slow, edge)
-
-
-def _turning(one: Logged, angle: Array, slow: int, edge: int) -> Columns:
-    """Turning over a beat: of a mean angle, the more the faster the shaft beats."""
-    mean, beating = _smooth(angle, slow), _beating(one, slow)
-    turning = np.gradient(_smooth(one.pose[:, 2], slow), STEP)
-    columns = [mean, mean * beating, np.ones_like(mean), beating]
-    return [c[edge:-edge] for c in columns], turning[edge:-edge]
-
-
-def _gyro(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
-    """Gyro minus the camera's turning, over time from 30 s on: so the first is its mean."""
-    turning = np.gradient(_smooth(one.pose[:, 2], slow), STEP)
-    off = _smooth(one.yaw_rate, slow) - turning
-    columns = [np.ones_like(off), one.time - 30.0]
-    return [c[edge:-edge] for c in columns], off[edge:-edge]
-
-
-MADE = (_lateral, _within, _shaft, _setpoint, _gyro)

@@ -11,7 +11,7 @@ from tailbeat.files import refuse_existing, write_json
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import Entry, check_new_fish, value_at, write_identified
 from tailbeat.identify.logs import Built, Progress, changed, fit_logs
-from tailbeat.identify.offsets import Logged
+from tailbeat.identify.swim_columns import Logged
 from tailbeat.robot.logged import check_same, logged
 
 UNITS = {

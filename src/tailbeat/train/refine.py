@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from math import pi
 from pathlib import Path
 
-from tailbeat.control.corrections import Corrections, check
+from tailbeat.control.corrections import LARGEST, Corrections, check
 from tailbeat.control.policy import (
     KEY,
     Contract,
@@ -70,6 +70,8 @@ class Refined:
     seconds: float
     runs: int
     untold: tuple[str, ...]
+    damage: tuple[str, ...] = ()
+    """What the logs lack, a sentence each."""
 
 
 def refine(policy: str, logs: Sequence[Path], out: Path) -> Refined:
@@ -84,7 +86,8 @@ def refine(policy: str, logs: Sequence[Path], out: Path) -> Refined:
     found = offsets_of(logs)
     corrections, changes = corrected(held.contract, found)
     write(path, replace(held.contract, corrections=corrections), new)
-    done = Refined(str(new), corrections.parent, changes, found.seconds, found.runs, found.untold)
+    told = found.seconds, found.runs, found.untold, found.damage
+    done = Refined(str(new), corrections.parent, changes, *told)
     write_json(out / "refined.json", done)
     return done
 
@@ -101,6 +104,8 @@ def corrected(contract: Contract, found: Offsets) -> tuple[Corrections, tuple[Ch
         _change(rows[one.offset], one, held[one.name], blind and one.name == "yaw_rate")
         for one in CORRECTABLE
     ]
+    for one in CORRECTABLE:
+        _refuse_large(rows[one.offset], one)
     values = {one.name: made.after * one.si for one, made in zip(CORRECTABLE, changes, strict=True)}
     made = Corrections(**values, parent=contract_digest(contract))
     try:
@@ -108,6 +113,16 @@ def corrected(contract: Contract, found: Offsets) -> tuple[Corrections, tuple[Ch
     except ValueError as error:
         raise BadInput(f"logs: {error}; that is more than glue or a horn errs: mend it.") from None
     return made, tuple(changes)
+
+
+def _refuse_large(row: Offset, one: Correctable) -> None:
+    """Raises BadInput if the swims are sure of more than a lab can have wrong."""
+    most, nearest = LARGEST[one.name] / one.si, min(abs(edge) for edge in row.interval)
+    if row.interval[0] * row.interval[1] > 0 and nearest > most:
+        raise BadInput(
+            f"logs: {row.name} is {row.value:.3g} {row.unit}; allowed is {-most:.3g} to {most:.3g}:"
+            f" that is more than glue or a horn errs. Mend it on the robot, and swim again."
+        )
 
 
 def _change(row: Offset, one: Correctable, before: float, blind: bool) -> Change:
