@@ -109,7 +109,7 @@ def test_a_camera_with_a_wrong_scale_sees_the_tag_at_a_wall_and_the_tracker_read
 
 
 def test_an_unknown_mess_is_refused_by_the_verbs_that_take_one(tmp_path):
-    said = "mess 'dirty': allowed are clean, everyday, rough, wrecked."
+    said = "mess 'dirty': allowed are clean, everyday, rough, wrecked, or a TOML file"
     assert said in complaint("emulate", "--camera", tmp_path / "c.sock", "--mess", "dirty")
     words = ("swim", "--headless", "--direct", "--out", tmp_path / "out", "--mess", "dirty")
     assert said in complaint(*words)

@@ -67,7 +67,8 @@ MessOption = Annotated[
     str,
     typer.Option(
         "--mess",
-        help="What the lab gets wrong: clean, everyday, rough or wrecked, drawn from the seed.",
+        help="What the lab gets wrong: clean, everyday, rough, wrecked, or a TOML file with a table"
+        " [lab]; drawn from the seed.",
     ),
 ]
 PageOption = Annotated[str, typer.Option("--page", help="host:port of the operator page.")]

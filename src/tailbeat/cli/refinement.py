@@ -17,7 +17,9 @@ def refinement(
     policy: PolicyFile,
     fish: PoolFish = "pulley-fish",
     twin: TwinOption = None,
-    mess: Annotated[str, typer.Option(help="everyday, rough or wrecked.")] = "rough",
+    mess: Annotated[
+        str, typer.Option(help="everyday, rough, wrecked, or a TOML file with a table [lab].")
+    ] = "rough",
     labs: Annotated[int, typer.Option(help="Number of labs, each one robot in one pool.")] = 40,
     targets: Annotated[int, typer.Option(help="Targets in each lab.")] = 4,
     swims: Annotated[int, typer.Option(help="Logged swims of a minute before refining.")] = 3,

@@ -44,8 +44,8 @@ CentreOption = Annotated[
 TrainedMess = Annotated[
     str,
     typer.Option(
-        help="What robots get wrong in training, up to a level's sizes: clean, everyday, rough or"
-        " wrecked."
+        help="What robots get wrong in training, up to a level's sizes: clean, everyday, rough,"
+        " wrecked, or a TOML file with a table [lab]."
     ),
 ]
 
@@ -53,7 +53,7 @@ TrainedBuild = Annotated[
     str,
     typer.Option(
         help="How wrong fish are built in training, up to a level's sizes if these are above the"
-        " usual ranges: clean, everyday, rough or wrecked."
+        " usual ranges: clean, everyday, rough, wrecked, or a TOML file with a table [lab]."
     ),
 ]
 

@@ -150,8 +150,14 @@ def conditions_of(pool: Pool, tasks: Sequence[str]) -> list[Condition]:
 def _check_lab(level: str, tasks: Sequence[str]) -> None:
     """Check the level of the labs in which the task track swims. Raises BadInput."""
     mess.level(level)
-    if level != "clean" and tracks.TRACK not in tasks:
-        raise BadInput(f"--mess {level}: it is for the task track; give --tasks track, or omit it.")
+    used = (tracks.TRACK,) if level in mess.LEVELS else (tracks.TRACK, "messy")
+    if Path(level).stem in mess.LEVELS and level not in mess.LEVELS:
+        raise BadInput(f"--mess {level}: has the name of a level; rename the file.")
+    if level != "clean" and not set(used) & set(tasks):
+        raise BadInput(
+            f"--mess {level}: it is for the task {' or '.join(used)}; give --tasks {used[-1]}, or"
+            f" omit it."
+        )
 
 
 def evaluate(
@@ -206,7 +212,7 @@ def describe(policy: Policy, pool: Pool) -> RunDescription:
         conditions=counts(pool),
         measure=pool.measure,
         mess=mess.fingerprint(),
-        lab=pool.lab,
+        lab=mess.named(pool.lab),
     )
 
 

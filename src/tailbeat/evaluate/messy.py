@@ -1,6 +1,7 @@
 """Targets in messy pools: each swim in its own lab, at three levels beside the clean pool."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
@@ -16,11 +17,16 @@ LABS = tuple(name for name, size in LEVELS.items() if size)  # everyday, rough, 
 
 
 def conditions(pool: Pool) -> list[Condition]:
-    """Every level at the same targets, within +-180 deg and 0.5-2.5 m, in the same waters; swim i
-    has the same sides and directions at every level."""
+    """Every level, and the lab of the pool if that is a file's, at the same targets, within +-180
+    deg and 0.5-2.5 m, in the same waters; swim i has the same sides and directions at every
+    level."""
     near, far = 0.5 * pool.measure.reach, 2.5 * pool.measure.reach
     scene = grid(pool.fish, pool.count, pool.seed + 3, near, far, np.pi)
-    return [at_level(pool.condition(f"{PREFIX}{name}", scene), name, pool.seed) for name in LEVELS]
+    names = [*LEVELS, *({pool.lab} - LEVELS.keys())]
+    return [
+        at_level(pool.condition(f"{PREFIX}{Path(name).stem}", scene), name, pool.seed)
+        for name in names
+    ]
 
 
 def at_level(condition: Condition, name: str, seed: int) -> Condition:

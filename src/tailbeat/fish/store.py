@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from tailbeat.files import BadInput, new_file, refuse_existing
 from tailbeat.fish.description import Fish, Hardware
+from tailbeat.fish.lab import Lab
 
 PAPER = "pulley-fish"  # the paper's fish
 
@@ -50,9 +51,28 @@ def load_fish(name_or_path: str | Path) -> Fish:
     """Read a fish by a shipped name or from a file. Raises BadInput that names file and field."""
     path = fish_path(name_or_path)
     try:
-        return Fish.model_validate(tomllib.loads(path.read_text(encoding="utf-8-sig")))
+        return Fish.model_validate(_toml(path))
     except ValidationError as error:
         raise BadInput(f"{path}: {_sentence(error)}") from None
+
+
+def lab_in(path: Path) -> Lab:
+    """The table `[lab]` of a TOML file, a fish's or one of its own. Raises BadInput that names file
+    and field."""
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file; give a TOML file with a table [lab].")
+    table = _toml(path).get("lab")
+    if not isinstance(table, dict) or not table:
+        raise BadInput(f'{path}: no table [lab] in it; add one with lines such as slack = "4 deg".')
+    try:
+        return Lab.model_validate(table)
+    except ValidationError as error:
+        raise BadInput(f"{path}: lab: {_sentence(error)}") from None
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except ValueError as error:  # also of a number with thousands of digits
         raise BadInput(f"{path}: not valid TOML ({error}); correct that line.") from None
 

@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 from tailbeat.env.errors import BURSTS, Errors, true_frame
 from tailbeat.env.randomize import Randomisation
 from tailbeat.files import BadInput
+from tailbeat.fish.lab import Lab as Figures
+from tailbeat.fish.store import lab_in
 from tailbeat.pool.dynamics import FADING
 from tailbeat.pool.plant import Surroundings, stirred
 from tailbeat.pool.water import Water
@@ -104,10 +107,31 @@ def on_the_bench(wear: Wear) -> Wear:
 
 
 def level(name: str) -> Sizes:
-    """Sizes of a named level. Raises BadInput."""
+    """Sizes of a named level, or of the table `[lab]` in a TOML file: what it leaves out is 0.
+    Raises BadInput."""
+    if name.endswith(".toml"):
+        return of_figures(lab_in(Path(name)), name)
     if name not in LEVELS:
-        raise BadInput(f"mess {name!r}: allowed are {', '.join(LEVELS)}.")
+        raise BadInput(
+            f"mess {name!r}: allowed are {', '.join(LEVELS)}, or a TOML file with a table [lab]."
+        )
     return times(LEVELS[name])
+
+
+def of_figures(figures: Figures, where: str) -> Sizes:
+    """A lab's own figures, of the file or fish `where`, as sizes. Raises BadInput for one that is
+    larger than what can be simulated, as a number without a unit may be."""
+    found = {}
+    for field_, value in figures.model_dump(exclude_none=True).items():
+        one = BY_NAME[field_.replace("_", " ")]
+        size = found[one.name] = value / UNITS[one.unit]
+        if size > one.most * (1 + 1e-9):  # 60 deg comes back rounded
+            unit = one.unit.replace("²", "^2")  # as a file has it
+            raise BadInput(
+                f"{where}: lab.{field_} is {size:.4g} {unit}; allowed is up to {one.most:g} {unit}."
+                f' Give it with its unit, such as "{one.everyday:g} {unit}".'
+            )
+    return {name: min(size, BY_NAME[name].most) for name, size in found.items()}
 
 
 def times(factor: float) -> Sizes:
@@ -166,6 +190,13 @@ def fingerprint() -> str:
     return hashlib.sha256(json.dumps(what).encode()).hexdigest()[:12]
 
 
+def named(name: str) -> str:
+    """A level's name; a file's with a hash of its sizes, for a file may change."""
+    if name in LEVELS:
+        return name
+    return f"{name} {hashlib.sha256(json.dumps(dict(level(name))).encode()).hexdigest()[:8]}"
+
+
 def draw(sizes: Sizes, seed: Sequence[int]) -> Lab:
     """A lab whose nuisances have these sizes. Sides and directions are drawn from `seed`, the same
     at every size."""
@@ -186,7 +217,8 @@ def draw(sizes: Sizes, seed: Sequence[int]) -> Lab:
 
 
 def lab_at(name: str, seed: int, number: int = 0) -> Lab:
-    """The lab of a level for a swim of this number, drawn from the seed. Raises BadInput."""
+    """The lab of a level, or of a file, for a swim of this number, drawn from the seed. Raises
+    BadInput."""
     return draw(level(name), [seed, number])
 
 
