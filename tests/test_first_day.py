@@ -2,6 +2,7 @@
 for what was not."""
 
 import json
+import math
 import re
 from html import unescape
 
@@ -15,6 +16,8 @@ from tailbeat.control.policy import contract_digest, load_policy
 from tailbeat.evaluate.margin_cells import BASES, RESTS, Cell, Hits
 from tailbeat.evaluate.margins import Margins, MarginsRun, numbers
 from tailbeat.files import write_json
+from tailbeat.fish.show import tables
+from tailbeat.fish.store import load_fish
 from tailbeat.pool.mess import BY_NAME, fingerprint
 from tailbeat.robot import findings
 
@@ -23,10 +26,10 @@ DIGEST = contract_digest(load_policy(NAME).contract)
 
 
 def margins(folder, digest):
-    """Margins of a made policy that stands three times everyday of every nuisance, and once of an
-    askew tag."""
+    """Margins of a made policy that stands three times everyday of every nuisance, once of an
+    askew tag, and any latency."""
     run = MarginsRun(digest, "pulley-fish", "x", fingerprint(), 16, 0)
-    stood = {name: 1.0 if name == "tag askew" else 3.0 for name in BY_NAME}
+    stood = dict.fromkeys(BY_NAME, 3.0) | {"tag askew": 1.0, "latency": math.inf}
     table = {base: Hits((True,) * 16, (True,) * 16) for base in BASES.values()}
     for name, most in stood.items():
         for rest in RESTS:
@@ -61,6 +64,10 @@ def test_the_page_names_what_nobody_measured_and_every_check(tmp_path):
     assert held["policy_digest"] == DIGEST and held["margins"] is held["messy"] is None
     assert held["checks"] == dict(findings.ADVICE) and held["length_m"] == pytest.approx(0.54)
     assert "exists" in complaint("first-day", NAME, "--out", tmp_path / "page")
+    own = tables(load_fish("pulley-fish-pool"))["fish"][0]["mass_kg"]  # as `show` prints it
+    shown = re.search(r"mass \[kg\]\s+([\d.]+)", text)
+    assert shown and own == pytest.approx(1.218, abs=1e-3)  # without the water that it carries
+    assert float(shown[1]) == pytest.approx(own, rel=5e-3) and held["mass_kg"] == own
 
 
 @pytest.mark.thorough
@@ -74,6 +81,8 @@ def test_the_page_shows_the_thinnest_margin_first_and_what_widens_it(tmp_path):
     first = text.index("tag askew: tag glued")
     assert all(first <= text.index(f"{name}: {one.what}") for name, one in BY_NAME.items())
     assert "glue the tag along a straight edge" in text
+    words = " ".join(text.split())
+    assert "latency: camera later than the contract ms 20 more than 150 more than 7.5" in words
 
 
 @pytest.mark.thorough
@@ -82,4 +91,15 @@ def test_measurements_of_another_policy_are_refused(tmp_path):
     words = ("first-day", NAME, "--out", tmp_path / "page")
     said = complaint(*words, "--margins", tmp_path / "margins")
     assert "of another policy (another, not " in said
+    assert not (tmp_path / "page").exists()
+
+
+def test_a_folder_without_margins_is_refused(tmp_path):
+    """A missing one, and one of a run that was interrupted."""
+    (tmp_path / "begun").mkdir()
+    (tmp_path / "begun" / "margins-run.json").write_text("{}")
+    for name in ("missing", "begun"):
+        folder = tmp_path / name
+        said = complaint("first-day", NAME, "--out", tmp_path / "page", "--margins", folder)
+        assert f"{folder}: no margins in it" in said and "run `tailbeat margins` to its end" in said
     assert not (tmp_path / "page").exists()

@@ -25,6 +25,7 @@ from tailbeat.evaluate.margin_cells import (
     bracket,
     following,
     largest,
+    next_cells,
     sizes,
 )
 from tailbeat.evaluate.margins import (
@@ -32,14 +33,15 @@ from tailbeat.evaluate.margins import (
     MarginsRun,
     crossing,
     lab_of,
-    next_cells,
     numbers,
 )
-from tailbeat.fish.store import digest, load_fish
+from tailbeat.files import BadInput
+from tailbeat.fish.lab import Lab
+from tailbeat.fish.store import digest, fish_path, load_fish
 from tailbeat.pool import mess
 
 COUNT = 40
-NAME = "horn"
+NAME, POLICY = "horn", "pulley-fish-pool-generator"
 RUN = MarginsRun("p", "f", "d", mess.fingerprint(), COUNT, 0)
 
 
@@ -130,6 +132,62 @@ def test_the_lab_s_own_figures_are_read_in_any_unit_and_change_no_digest(tmp_pat
     assert first.lab == pytest.approx(2.0) and first.safety == pytest.approx(first.size / 2.0)
 
 
+def test_a_figure_of_the_lab_is_at_most_what_can_be_simulated(tmp_path):
+    """A number without a unit is in SI: 3 is 3 rad. Nothing is swum or written then."""
+    path = tmp_path / "mine.toml"
+    path.write_text(fish_path("pulley-fish").read_text() + "\n[lab]\nslack = 3\n")
+    said = complaint("margins", POLICY, "--fish", path, "--out", tmp_path / "m")
+    assert "lab.slack is 171.9 deg; allowed is up to 60 deg" in said and '"3 deg"' in said
+    assert not (tmp_path / "m").exists()
+    for name, one in mess.BY_NAME.items():
+        most = f"{one.most:g} {one.unit.replace('²', '^2')}"
+        lab = Lab.model_validate({name.replace(" ", "_"): most})
+        found = lab_of(load_fish("pulley-fish").model_copy(update={"lab": lab}))
+        assert found == {name: pytest.approx(one.most)}
+
+
+def test_a_nuisance_is_reported_once_and_stays_when_others_follow(tmp_path):
+    policy, stands = load_policy(POLICY), population(np.random.default_rng(0), 16)
+
+    def swim(some, table):
+        hits = {cell: tuple((stands >= cell.factor).tolist()) for cell in some}
+        return {cell: Hits(hit, hit) for cell, hit in hits.items()}
+
+    def names(*asked):
+        config = MarginsConfig(targets=16, nuisances=asked)
+        done = measured.margins(policy, config, tmp_path / "m", lambda *_: None, swim)
+        assert measured.read_margins(tmp_path / "m") == done
+        return list(dict.fromkeys(row.nuisance for row in done.margins)), done
+
+    found, done = names("slack", "tag sideways", "slack")
+    assert found == ["slack", "tag sideways"] and len(done.margins) == 8
+    assert sorted(done.thinnest) == found
+    assert names("horn")[0] == ["horn", "slack", "tag sideways"]
+    table = cells.read_cells(tmp_path / "m")
+    assert cells.reported(["horn"], table, 16) == ("horn", "slack", "tag sideways")
+    begun = "slack", "alone"  # without its cells
+    half = {cell: hits for cell, hits in table.items() if (cell.nuisance, cell.rest) != begun}
+    assert cells.reported(["horn"], half, 16) == ("horn", "tag sideways")
+
+
+@pytest.mark.parametrize(
+    ("held", "said"),
+    [
+        ('{"a": 1}', "cells.json: Input should be a valid list; repeat the command"),
+        (
+            '[{"cell": {"nuisance": "slack", "rest": "alone", "factor": "abc"}, "hits": {}}]',
+            "cells.json: 0.cell.factor: Input should be a valid number",
+        ),
+        ("[", "cells.json: not readable JSON; repeat the command that wrote it, into a new folder"),
+    ],
+)
+def test_damaged_cells_are_refused_in_one_sentence(held, said, tmp_path):
+    (tmp_path / "cells.json").write_text(held)
+    with pytest.raises(BadInput) as refusal:
+        cells.read_cells(tmp_path)
+    assert said in str(refusal.value) and "\n" not in str(refusal.value)
+
+
 def measure(nuisance, folder, targets):
     """Margins of the shipped policy for one nuisance, by the command: its folder, its words and
     what it printed."""
@@ -189,7 +247,8 @@ def test_a_cell_swum_as_a_job_of_its_own_is_the_one_swum_among_others(monkeypatc
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--targets", 15), "--targets 15: give 16 or more."),
+        (("--targets", 15), "--targets 15: give 16 to 1000."),
+        (("--targets", 10**8), "--targets 100000000: give 16 to 1000."),
         (("--nuisances", "hom"), "nuisance 'hom': allowed are horn,"),
         (("--fish", "crank-fish"), "crank-fish"),
         pytest.param(

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from tailbeat.cli import output
+from tailbeat.cli import output, progress
 from tailbeat.cli.layout import fitted, needed
 from tailbeat.cli.progress import counting, now_and_then, search_progress
 
@@ -89,6 +89,22 @@ def test_the_time_of_other_work_counts_from_its_own_begin(capsys):
     said = capsys.readouterr().err.splitlines()
     assert said[1].endswith("100 %, 0:01:40 elapsed")
     assert said[3].endswith("20 %, 0:00:10 elapsed, 0:00:40 left")
+
+
+def test_a_part_whose_total_grows_is_the_same_work(capsys, monkeypatch):
+    """The margins learn of more cells as they go on; the part after them has a time of its own."""
+    now = [0.0]
+    monkeypatch.setattr(progress, "now_and_then", lambda: now_and_then(0.0, lambda: now[0]))
+    seen = (("cells", 2, 4), ("cells", 60, 180), ("fit", 70, 280), ("fit", 5, 5), ("fit", 1, 5))
+    with counting() as count:
+        for step, row in enumerate(seen, 1):
+            now[0] = 60.0 * step
+            count(*row)
+    said = [
+        line.split(" %, ")[1].split(" elapsed")[0]
+        for line in capsys.readouterr().err.split("\n")[:-1]
+    ]
+    assert said == ["0:01:00", "0:02:00", "0:00:00", "0:01:00", "0:00:00"]
 
 
 def test_counting_and_a_search_say_in_a_pipe_where_they_are(capsys):

@@ -45,6 +45,21 @@ def refuse_existing(path: Path) -> None:
     check_folder(path.parent)
 
 
+def check_json(path: Path | None, folder: Path, *own: str) -> None:
+    """Raises BadInput if the file of --json exists, or if it is, contains or is inside one of the
+    files and folders `own` that the command itself writes into its `folder`. Call it before the
+    work begins."""
+    if path is None:
+        return
+    given = Path(os.path.realpath(path))
+    for name in own:
+        one = Path(os.path.realpath(folder / name))
+        if given.is_relative_to(one) or one.is_relative_to(given):
+            said = f"--json {path}: the command itself writes {folder / name}"
+            raise BadInput(f"{said}; choose another file.")
+    refuse_existing(path)
+
+
 def check_folder(path: Path) -> None:
     """Raises BadInput if a path is no folder to write in, and cannot become one. Call it before the
     work begins."""

@@ -13,6 +13,12 @@ OF_PATHS = {
     errno.ELOOP,
 }  # fmt: skip
 INTERRUPTED = 130  # exit code of a verb that Ctrl-C ended
+# How a verb continues after Ctrl-C, as its help says.
+AGAIN = {
+    "identify": "; the same command resumes the search.",
+    **dict.fromkeys(("compare", "evaluate", "margins", "zoo"), "; the same command resumes."),
+    **dict.fromkeys(("sweep", "train"), "; the same command with --resume continues."),
+}
 
 # Options that take several values, with their verbs. Of other verbs, `--servo` is one port.
 LISTS = {
@@ -88,9 +94,8 @@ def main() -> None:
 
 
 def _say_interrupted(words: list[str]) -> int:
-    resumes = words[:1] == ["identify"]
-    again = "; the same command resumes the search." if resumes else "."
-    return _complain(f"interrupted{again}", INTERRUPTED)
+    verb = words[0] if words else ""
+    return _complain(f"interrupted{AGAIN.get(verb, '.')}", INTERRUPTED)
 
 
 def _complain(text: str, code: int) -> int:

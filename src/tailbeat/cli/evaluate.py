@@ -16,13 +16,17 @@ from tailbeat.cli.options import (
     TwinOption,
 )
 from tailbeat.evaluate.names import NAMES
-from tailbeat.files import BadInput, need, refuse_existing, write_json
+from tailbeat.files import BadInput, check_json, need, refuse_existing, write_json
 from tailbeat.link.places import LARGEST, SMALLEST, is_pool
 from tailbeat.report.tables import as_rows
 
 if TYPE_CHECKING:
     from tailbeat.evaluate.comparison import Comparison
     from tailbeat.evaluate.evaluation import Evaluation
+
+# What an evaluation, and the page of any folder, writes into its folder.
+SWUM = ("run.json", "trained-on.json", "runs", "twin", "identification.json", "evaluation.json")
+PAGE = ("report.html", "report.json", "figures")
 
 
 def evaluate(
@@ -52,7 +56,7 @@ def evaluate(
         str,
         typer.Option(
             help="What the lab of every swim of the task track gets wrong: clean, everyday, rough"
-            " or wrecked."
+            " or wrecked, or a TOML file with a table [lab]. The task messy swims in this lab too."
         ),
     ] = "clean",
     address: AddressOption = None,
@@ -61,8 +65,7 @@ def evaluate(
 ) -> None:
     """Evaluate a policy in the virtual pool: targets, disturbances, tracks, messy labs. The same
     command resumes an interrupted evaluation."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json, out, *SWUM, *PAGE)
     if address is not None:
         need("a cluster", "ray")
     from tailbeat.cluster.evaluation import evaluate_on
@@ -116,8 +119,7 @@ def compare(
 ) -> None:
     """Compare policies in their twins and in the pool, with parts of its physics off. Each core
     swims a cell. The same command resumes an interrupted comparison."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json, out, "cells", "comparison.json", *PAGE)
     if address is not None:
         need("a cluster", "ray")
     from tailbeat.cluster.comparison import compare as swim_cells
@@ -161,8 +163,7 @@ def report(
     json: JsonOption = None,
 ) -> None:
     """Write a page of a folder's numbers and figures, with the paper's for comparison."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json, folder, *PAGE)
     from tailbeat.report.page import of_folder
 
     path, data = of_folder(folder, fish, twin)

@@ -7,7 +7,7 @@ import typer
 
 from tailbeat.cli import output
 from tailbeat.cli.options import JsonOption, PolicyFile, TwinOption
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import check_json, refuse_existing, write_json
 
 
 def first_day(
@@ -23,8 +23,8 @@ def first_day(
     """Write a page to print before the first day at the pool. It has the fish, the success to
     expect in messy labs, what the policy stands, how sure the twin is, and what to check on site.
     What nobody measured is named with the command that measures it."""
-    for path in filter(None, (out / "report.html", json)):
-        refuse_existing(path)
+    check_json(json, out, "report.html", "report.json", "figures")
+    refuse_existing(out / "report.html")
     from tailbeat.control.policy import load_policy
     from tailbeat.identify import posterior
     from tailbeat.report import first_day as page

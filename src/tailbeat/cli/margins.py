@@ -14,7 +14,7 @@ from tailbeat.cli.options import (
     SeedOption,
     TwinOption,
 )
-from tailbeat.files import need, refuse_existing, write_json
+from tailbeat.files import check_json, need, write_json
 
 if TYPE_CHECKING:
     from tailbeat.control.measure import Measure
@@ -31,7 +31,7 @@ def margins(
     nuisance: Annotated[
         list[str] | None, typer.Option("--nuisances", help="Nuisances; default: all.")
     ] = None,
-    targets: Annotated[int, typer.Option(help="Most targets of a cell, 16 or more.")] = 40,
+    targets: Annotated[int, typer.Option(help="Most targets of a cell, 16 to 1000.")] = 40,
     address: AddressOption = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
@@ -39,8 +39,7 @@ def margins(
     """Measure how much of each thing that labs get wrong a policy stands. For every nuisance of
     the messy pool, alone and with all others at their everyday sizes: the size at which it reaches
     fewer than three quarters of its targets. The same command resumes an interrupted run."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json, out, "margins-run.json", "cells.json", "margins.json", "margins.png")
     if address is not None:
         need("a cluster", "ray")
     from tailbeat.cluster.margins import margins_on

@@ -20,12 +20,12 @@ def now_and_then(
 ) -> Callable[..., None]:
     """Print `text`, the fraction done and an ETA to standard error: at once, then `every` so many
     seconds, and when all is done. NaN means that the fraction is not known; a smaller one than
-    before begins other work, with a time of its own."""
+    before begins other work, with a time of its own, unless the work is said to have `grown`."""
     due, began, before = [-math.inf], [clock()], [0.0]
 
-    def report(text: str, done: float = math.nan) -> None:
+    def report(text: str, done: float = math.nan, grown: bool = False) -> None:
         now = clock()
-        if done < before[0]:
+        if done < before[0] and not grown:
             began[0] = now
         before[0] = done
         if now >= due[0] or done >= 1:
@@ -99,16 +99,28 @@ def _of_seed(stage: str, share: float) -> float:
 
 @contextmanager
 def counting() -> Iterator[Callable[[str, int, int], None]]:
-    """Progress by counting: name of the current part, number done, total number."""
+    """Progress by counting: name of the current part, number done, total number. A part whose
+    total grows is the same work as long as its name stays and its number done does not fall."""
     if not sys.stderr.isatty():
-        lines = now_and_then()
-        yield lambda name, done, total: lines(f"{name} {done}/{total}", done / max(total, 1))
+        yield _counted(now_and_then())
         return
     with _bars("{task.description:<28}", "{task.completed}/{task.total}") as bars:
         bar = bars.add_task("")
         yield lambda name, done, total: bars.update(
             bar, description=name, completed=done, total=total
         )
+
+
+def _counted(lines: Callable[[str, float, bool], None]) -> Callable[[str, int, int], None]:
+    """Lines of `now_and_then` for the counts of `counting`."""
+    before = [("", 0)]
+
+    def report(name: str, done: int, total: int) -> None:
+        part, most = before[0]
+        before[0] = name, done
+        lines(f"{name} {done}/{total}", done / max(total, 1), name == part and done >= most)
+
+    return report
 
 
 def _bars(before: str, after: str) -> Any:

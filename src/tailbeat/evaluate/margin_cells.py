@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter
 
 from tailbeat.control.policy import Policy, decide
 from tailbeat.env.task import Scene
@@ -98,6 +97,27 @@ def following(nuisance: str, rest: Rest, ring: Ring, table: Table, count: int) -
             return Cell(nuisance, rest, edge)
     factor = _inside(low, high, largest(nuisance))
     return None if factor is None else Cell(nuisance, rest, factor)
+
+
+def next_cells(names: Sequence[str], table: Table, count: int) -> list[Cell]:
+    """The cells that the searches of some nuisances need next."""
+    bases = [base for base in BASES.values() if len(table.get(base, Hits()).arrived) < count]
+    if bases:
+        return bases
+    found = (
+        following(name, rest, ring, table, count)
+        for name in names
+        for rest in RESTS
+        for ring in RINGS
+    )
+    return list(dict.fromkeys(cell for cell in found if cell is not None))
+
+
+def reported(names: Sequence[str], table: Table, count: int) -> tuple[str, ...]:
+    """The nuisances of `names`, and all others whose searches are over; in the usual order."""
+    return tuple(
+        name for name in mess.BY_NAME if name in names or not next_cells([name], table, count)
+    )
 
 
 def tried_of(nuisance: str, rest: Rest, table: Table) -> dict[float, Hits]:
@@ -192,5 +212,5 @@ def read_cells(out: Path) -> dict[Cell, Hits]:
     """The cells of a folder; none if it has none. Raises BadInput."""
     if not (out / CELLS).is_file():
         return {}
-    rows = TypeAdapter(list[Row]).validate_python(store.read_json(out / CELLS))
+    rows = store.read_record(list[Row], out / CELLS)
     return {row.cell: row.hits for row in rows}

@@ -26,10 +26,11 @@ from tailbeat.evaluate.margin_cells import (
     Ring,
     Table,
     bracket,
-    following,
     keep_cells,
     largest,
+    next_cells,
     read_cells,
+    reported,
     swum,
     tried_of,
 )
@@ -43,7 +44,8 @@ from tailbeat.pool.mess import BY_NAME
 
 BATCH = 60  # cells in one batch
 DRAWS = 1000  # of the bootstrap over targets
-RUN = "margins-run.json"
+MOST = 1000  # targets of a cell; all nuisances take hours then
+RUN, FOUND = "margins-run.json", "margins.json"
 Report = Callable[[str, int, int], None]  # what, cells done, cells known of
 Swim = Callable[[Sequence[Cell], Table], dict[Cell, Hits]]  # cells, and what was swum of all
 
@@ -120,11 +122,12 @@ def margins(
 ) -> Margins:
     """Swim what is missing, then read the margins; a run that was stopped continues.
 
-    `swim` swims at most `batch` cells on; None: here. Raises BadInput if the policy does not fit,
-    the folder has other cells, or a nuisance is unknown.
+    `swim` swims at most `batch` cells on; None: here. Nuisances that the folder has from earlier
+    calls are read too. Raises BadInput if the policy does not fit, the folder has other cells, a
+    nuisance is unknown, or a figure of the lab is too large.
     """
     names, pool = _names(config), pool_for(policy, config)
-    wanted = _described(policy, pool)
+    wanted, lab = _described(policy, pool), lab_of(pool.fish)
     _begin(out, wanted)
     table = read_cells(out)
     while todo := next_cells(names, table, pool.count):
@@ -134,9 +137,18 @@ def margins(
             keep_cells(out, table)
             left = next_cells(names, table, pool.count)
             report("cells", len(table), len(table) + len(left))
-    done = numbers(table, names, wanted, lab_of(pool.fish))
-    write_json(out / "margins.json", done, overwrite=True)
+    done = numbers(table, reported(names, table, pool.count), wanted, lab)
+    write_json(out / FOUND, done, overwrite=True)
     return done
+
+
+def read_margins(out: Path) -> Margins:
+    """Read the margins of a folder. Raises BadInput."""
+    if not (out / FOUND).is_file():
+        raise BadInput(
+            f"{out}: no margins in it ({FOUND} is missing); run `tailbeat margins` to its end."
+        )
+    return store.read_record(Margins, out / FOUND)
 
 
 def pool_for(policy: Policy, config: MarginsConfig) -> Pool:
@@ -146,10 +158,10 @@ def pool_for(policy: Policy, config: MarginsConfig) -> Pool:
 
 
 def _names(config: MarginsConfig) -> tuple[str, ...]:
-    if config.targets < FEW:
-        raise BadInput(f"--targets {config.targets}: give {FEW} or more.")
+    if not FEW <= config.targets <= MOST:
+        raise BadInput(f"--targets {config.targets}: give {FEW} to {MOST}.")
     mess.check(dict.fromkeys(config.nuisances, 0.0))
-    return config.nuisances or tuple(BY_NAME)
+    return tuple(dict.fromkeys(config.nuisances)) or tuple(BY_NAME)
 
 
 def _described(policy: Policy, pool: Pool) -> MarginsRun:
@@ -174,31 +186,13 @@ def _begin(out: Path, wanted: MarginsRun) -> None:
             )
 
 
-# ---- swimming -----------------------------------------------------------------------------------
-
-
-def next_cells(names: Sequence[str], table: Table, count: int) -> list[Cell]:
-    """The cells that the searches of some nuisances need next."""
-    bases = [base for base in BASES.values() if len(table.get(base, Hits()).arrived) < count]
-    if bases:
-        return bases
-    found = (
-        following(name, rest, ring, table, count)
-        for name in names
-        for rest in RESTS
-        for ring in RINGS
-    )
-    return list(dict.fromkeys(cell for cell in found if cell is not None))
-
-
 # ---- numbers ------------------------------------------------------------------------------------
 
 
 def lab_of(fish: Fish) -> Mapping[str, float]:
-    """The lab's own figures, by nuisance, each in the nuisance's unit."""
-    given = {} if fish.lab is None else fish.lab.model_dump(exclude_none=True)
-    named = {name.replace("_", " "): value for name, value in given.items()}
-    return {name: value / mess.UNITS[BY_NAME[name].unit] for name, value in named.items()}
+    """The lab's own figures, by nuisance, each in the nuisance's unit. Raises BadInput for one that
+    is larger than what can be simulated, as a number without a unit may be."""
+    return {} if fish.lab is None else mess.of_figures(fish.lab, fish.name)
 
 
 def numbers(

@@ -21,7 +21,8 @@ from tailbeat.evaluate.logged_swims import LogConfig, swims
 from tailbeat.evaluate.scenes import grid
 from tailbeat.evaluate.trial import Pool, in_labs, swim
 from tailbeat.files import BadInput
-from tailbeat.identify.offsets import Logged, Offsets, offsets
+from tailbeat.identify.offsets import Offsets, offsets
+from tailbeat.identify.swim_columns import Logged
 from tailbeat.pool import mess
 from tailbeat.pool.mess import Lab
 from tailbeat.pool.water import Water
@@ -134,6 +135,8 @@ def refinement(policy: Policy, config: RefinementConfig, progress: Progress) -> 
 
 
 def _check(config: RefinementConfig) -> None:
+    if not any(mess.level(config.mess).values()):
+        raise BadInput(f"--mess {config.mess}: nothing is wrong there; give everyday or more.")
     least = {"labs": 2, "targets": 1, "swims": 1, "rounds": 1}
     for name, low in least.items():
         if getattr(config, name) < low:

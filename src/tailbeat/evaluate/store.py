@@ -21,6 +21,7 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.store import fish_of
 
 DESCRIPTION, TWIN = "run.json", "trained-on.json"
+REPEAT = "repeat the command that wrote it, into a new folder."
 # Names in folders of earlier versions.
 DESCRIPTION_BEFORE = "plan.json"
 RENAMED, RENAMED_FILE = ("beyond ", "out of distribution: "), ("beyond-", "out-of-distribution-")
@@ -118,7 +119,7 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
-        raise BadInput(f"{path}: not readable JSON; evaluate into a new folder.") from None
+        raise BadInput(f"{path}: not readable JSON; {REPEAT}") from None
 
 
 def read_record(kind: type[T], path: Path) -> T:
@@ -134,7 +135,8 @@ def as_record(kind: type[T], held: Any, path: Path) -> T:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
-        raise BadInput(f"{path}: {where}: {first['msg']}; evaluate into a new folder.") from None
+        said = f"{where}: {first['msg']}" if where else first["msg"]
+        raise BadInput(f"{path}: {said}; {REPEAT}") from None
 
 
 def chunk_path(out: Path, condition: str, chunk: int) -> Path:

@@ -46,6 +46,11 @@ class Compiled:
     k_read: float
     warnings: tuple[str, ...]
 
+    @property
+    def own_mass(self) -> float:
+        """Mass of the fish without the added mass of the water [kg]."""
+        return self.mass - self.water
+
 
 def read_back(fish: Fish) -> Compiled:
     """Compile a fish and read its numbers back."""
@@ -166,7 +171,7 @@ def _whole(fish: Fish, compiled: Compiled) -> dict[str, Any]:
     return {
         "name": fish.name,
         "length_m": compiled.length,
-        "mass_kg": compiled.mass - compiled.water,
+        "mass_kg": compiled.own_mass,
         "water_carried_kg": compiled.water,
         "centre_x_m": compiled.centre[0],
         "yaw_inertia_kg_m2": compiled.yaw_inertia,

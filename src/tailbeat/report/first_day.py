@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 
 from tailbeat.control.measure import Measure, centimetres
 from tailbeat.control.policy import Policy, contract_digest
-from tailbeat.evaluate import evaluation, store
+from tailbeat.evaluate import evaluation
 from tailbeat.evaluate.advice import ADVICE
-from tailbeat.evaluate.margins import Margin, Margins, by_safety
+from tailbeat.evaluate.margins import Margin, Margins, by_safety, read_margins
 from tailbeat.evaluate.rates import ConditionResult
 from tailbeat.files import BadInput
 from tailbeat.fish import render
@@ -53,7 +53,7 @@ def measured(
             raise BadInput(f"{swum}: no messy labs in it; evaluate with --tasks messy.")
         messy = found.messy
     if margins is not None:
-        stood = store.read_record(Margins, margins / "margins.json")
+        stood = read_margins(margins)
         _check_own(margins, stood.run.policy, own)
     return Measured(messy, stood, posterior)
 
@@ -86,7 +86,7 @@ def as_report(policy: Policy, name: str, fish: Fish, known: Measured) -> dict[st
         "policy_digest": contract_digest(policy.contract),
         "fish": fish.name,
         "length_m": length_of(fish),
-        "mass_kg": read_back(fish).mass,
+        "mass_kg": read_back(fish).own_mass,
         "band_hz": policy.contract.band,
         "messy": known.messy,
         "margins": known.margins,
@@ -103,7 +103,7 @@ def _facts(policy: Policy, name: str, fish: Fish) -> dict[str, Any]:
     return {
         "fish": fish.name,
         "length [m]": length_of(fish),
-        "mass [kg]": read_back(fish).mass,
+        "mass [kg]": read_back(fish).own_mass,
         "band [Hz]": f"{low:g} to {high:g}",
         "policy": name,
         "trained": ", ".join(f"{key} {held[key]}" for key in ("recipe", "seed") if key in held),
@@ -150,13 +150,14 @@ def _margins(found: Margins | None) -> tuple[Block, ...]:
 
 
 def _margin(row: Margin) -> Mapping[str, Any]:
-    stood = f"more than {row.most:.3g}" if row.size is None else f"{row.size:.3g}"
+    stood = row.most if row.size is None else row.size
+    more = "more than " if row.size is None else ""
     return {
         "nuisance": f"{row.nuisance}: {row.what}",
         "unit": row.unit,
         "lab, or everyday": row.lab or row.everyday,
-        "stands": stood,
-        "factor of safety": row.safety,
+        "stands": f"{more}{stood:.3g}",
+        "factor of safety": f"{more}{row.safety:.3g}",
     }
 
 
