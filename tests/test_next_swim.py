@@ -103,6 +103,8 @@ def test_without_a_posterior_the_command_says_how_to_write_it(tmp_path):
     fish = my_fish(tmp_path)
     done = tailbeat("identify", "next", "--fish", fish)
     assert done.returncode == 2 and "tailbeat identify posterior" in done.stderr
+    done = tailbeat("identify", "next", "--fish", fish, "--count", 0)
+    assert done.returncode == 2 and "--count 0: give 1 or more" in done.stderr
 
 
 @pytest.mark.thorough

@@ -19,6 +19,7 @@ from tailbeat.identify.decay import ring_down, static_loop
 from tailbeat.identify.hinges import hinges_for, tail_inertia, with_stiffness
 from tailbeat.identify.response import measure, project
 from tailbeat.identify.tail import TailFit, identify_tail, line
+from tailbeat.identify.tail_report import as_report, combine
 from tailbeat.pool.protocols import record_tail
 from tailbeat.recording import Recording, crop, read_recording, write_recording
 
@@ -56,6 +57,16 @@ def test_a_static_test_is_far_off_where_the_sweep_is_not():
     assert loop.unloading < TRUTH.k_eff < loop.loading
     assert loop.width == pytest.approx(2 * TRUTH.coulomb, rel=0.1)
     assert loop.energy == pytest.approx(4 * TRUTH.coulomb * 0.3, rel=0.1)  # area of the loop
+
+
+@pytest.mark.parametrize(("times", "told"), [(0.5, True), (1.0, False), (1.2, False), (2.0, True)])
+def test_a_slow_pull_of_another_tail_is_told_and_friction_is_not_taken_for_one(times, told):
+    """Friction of a tenth of the stiffness at full stroke, as of a worn guide."""
+    fish, fit = load_fish("pulley-fish"), identify_tail(bench_42(0))
+    pulled = TailTruth(k_eff=times * TRUTH.k_eff, coulomb=0.03)
+    report = as_report(combine(fish, fit, static_loop(slow_pull(pulled, 0.3, 30.0, 0)), None))
+    assert report["trusted"] is not told
+    assert any("they are not of one tail" in one for one in report["verdict"]) is told
 
 
 def test_projection_is_exact_for_uneven_time_drift_and_part_beats():

@@ -57,6 +57,8 @@ class Advice:
 
 def advise_on(fish: str, goal: str, count: int = 3) -> list[Advice]:
     """`advise` for a fish's file with its posterior beside it. Raises BadInput without one."""
+    if count < 1:
+        raise BadInput(f"--count {count}: give 1 or more.")
     return advise(load_fish(fish), needed(fish), goal, count)
 
 

@@ -18,6 +18,9 @@ from tailbeat.identify.trust import verdict
 
 NUMBERS = ("k_eff", "i_eff", "c_eff", "coulomb")
 MISSED = 0.02  # relative difference of the compiled shaft's stiffness that draws a warning
+# The same of a slow pull's, both ways, beyond which it is of another tail; chosen: plastics are
+# softer when they are pulled slowly.
+STATIC = 0.3
 HEAVY = 0.3  # the same of its inertia; air and large strokes make up to 0.15
 
 
@@ -55,6 +58,22 @@ class TailResult:
             )
         return found
 
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """Recordings that are not of one tail. Friction makes a slow pull stiffer one way and
+        softer the other, so both ways tell."""
+        if self.loop is None:
+            return self.fit.contradictions
+        k, ways = self.fit.k_eff.value, (self.loop.loading, self.loop.unloading)
+        if (1 - STATIC) * k <= max(ways) and min(ways) <= (1 + STATIC) * k:
+            return self.fit.contradictions
+        return (
+            *self.fit.contradictions,
+            f"the stiffness is {k:.3g} N m/rad in the sweep, and {ways[0]:.3g} and {ways[1]:.3g} in"
+            f" the slow pull, loading and unloading: they are not of one tail, or one torque is"
+            f" wrong; record the wrong one again",
+        )
+
 
 def combine(
     fish: Fish,
@@ -75,7 +94,7 @@ def combine(
 def as_report(found: TailResult) -> dict[str, Any]:
     """The JSON report."""
     fit, hinges = found.fit, found.hinges
-    said = verdict((), fit.spoilt, fit.contradictions)
+    said = verdict((), fit.spoilt, found.contradictions)
     return {
         "verdict": list(said.sentences),
         "trusted": said.trusted,
