@@ -20,8 +20,8 @@ FACTORS = np.geomspace(1 / 3, 3, 41)  # of the fitted gain
 # Two groups contradict each other if their own best factors differ by more than `DIFFERENT` and
 # leave less than `LEFT` of the mean square error. Chosen: twelve logs of a real servo at three
 # gains have 1.2 and 0.77; a gain wrong by two or a third has 1.2 to 3.2 and 0.17 to 0.45. A fit
-# that did not end has 1.6 and 0.49 there. Right loads of four other servos have 1.0 and 1.0; of
-# twelve wrong ones nine are told, and two more by a number at the end of its range.
+# that did not end has 1.6 and 0.49 there. Right loads of four made servos have 1.0 and 1.0; of
+# fifteen wrong ones ten are told, and three more by a number at the end of its range.
 DIFFERENT, LEFT = 1.2, 0.55
 NEAR = 0.01  # of the end of a range
 # At its lower end a gain is none at all; other numbers may be next to nothing. A torque that no
