@@ -59,12 +59,14 @@ def test_new_fish_show_and_predict(tmp_path, swim, monkeypatch):
 
 @pytest.mark.thorough
 def test_identify_writes_fish_report_and_figure_and_its_fish_predicts(tmp_path, swim):
-    out = tmp_path / "id.toml"
+    out, held = tmp_path / "id.toml", tmp_path / "held.csv"
+    held.write_bytes(swim.read_bytes())
     done = tailbeat_process(
-        "identify", "fluid", "--fish", "pulley-fish", "--fit", swim, "--validate", swim,
+        "identify", "fluid", "--fish", "pulley-fish", "--fit", swim, "--validate", held,
         "--out", out, "--zones", 1, "--seeds", 1, "--generations", 2, "--draws", 4,
     )  # fmt: skip
     assert {p.name for p in tmp_path.iterdir()} == {
+        "held.csv",
         "id.toml",
         "id.json",
         "id.png",

@@ -125,7 +125,7 @@ def check(number, **more):
     return {k: found[k].interval[0] <= true[k] <= found[k].interval[1] for k in true}, found, true
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_servo_and_tail_of_a_lab_are_found_from_two_short_swims():
     held, found, true = check(1)
     assert sum(held.values()) >= 3, (found, true)

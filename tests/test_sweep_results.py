@@ -53,7 +53,7 @@ def test_an_interval_is_over_seeds_and_targets(tmp_path):
     assert none.seeds == 0 and np.isnan([none.twin, *none.twin_interval]).all()
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_a_trial_swims_in_messy_labs_where_the_sweep_asks_for_it(tmp_path):
     """A policy of two seconds reaches little; each level is swum to the same two targets."""
     path = tiny(tmp_path, seeds=1, seconds=2.0)
