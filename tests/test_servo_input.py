@@ -61,6 +61,9 @@ def test_a_servo_that_lags_half_a_beat_is_not_called_mirrored(made):
     for frequency, delay in ((1.0, 0.2), (2.5, 0.15), (5.0, 0.1), (4.0, 0.2)):
         wave, late = (np.sin(2 * np.pi * frequency * (time - by)) for by in (0.0, delay))
         as_bench(Recording("r", time, {"command_rad": wave, "angle_rad": 0.3 * late}), FISH)
+    fall = np.where(time < 1, -time, np.minimum(time - 2, 0.0))  # torque off, against the command
+    columns = {"command_rad": -np.minimum(time, 2.0), "angle_rad": fall, "enabled_ratio": time < 1}
+    as_bench(Recording("r", time, {k: 1.0 * v for k, v in columns.items()}), FISH)
 
 
 def test_glitches_are_not_called_degrees(made):

@@ -31,6 +31,7 @@ COUNTED = 100  # independent samples that a recording counts for, chosen: a stro
 WIDE = 2 * np.pi  # rad: largest allowed angle; no position servo turns further here
 MANY = 0.5  # fraction of an angle's samples beyond `WIDE`; above it the column is in degrees
 SLOWEST = 0.1  # s between samples, median; further apart they do not show a stroke
+FEWEST = 8  # samples with torque on that can tell a sign
 LAGS = np.arange(0.0, 0.21, 0.02)  # s by which a servo may be late
 AGAINST = 0.5  # correlation with the turned command above which an angle may be mirrored
 BLOCK = 0.5  # s over which residuals are correlated, chosen: the time of a slip or a stroke
@@ -117,17 +118,19 @@ def _check_moves(recording: Recording, command: Array, angle: Array) -> None:
             f"{name}: column angle_rad never moves, the command does; check encoder and shaft, and"
             f" record it again."
         )
-    if _mirrored(recording.time, command, angle):
+    driven = np.isfinite(angle) & (recording.columns.get("enabled_ratio", 1.0 + 0 * angle) > 0.5)
+    if driven.sum() > FEWEST and _mirrored(recording.time, command, angle, driven):
         raise BadInput(
             f"{name}: column angle_rad runs against command_rad; turn the sign of one of them."
         )
 
 
-def _mirrored(time: Array, command: Array, angle: Array) -> bool:
-    """Whether the angle follows the turned command, and at no lag of a servo the command itself."""
-    good = np.isfinite(angle)
+def _mirrored(time: Array, command: Array, angle: Array, good: NDArray[np.bool_]) -> bool:
+    """Whether the angle follows the turned command, and at no lag of a servo the command itself;
+    where it is `good`."""
     late = [np.interp(time - lag, time, command)[good] for lag in LAGS]
-    agree = np.array([np.corrcoef(one, angle[good])[0, 1] for one in late if np.ptp(one) > 0])
+    moves = [one for one in late if np.ptp(one) > 0 and np.ptp(angle[good]) > 0]
+    agree = np.array([np.corrcoef(one, angle[good])[0, 1] for one in moves] or [0.0])
     return bool(-agree.min() > AGAINST and agree.max() < -agree.min() / 2)
 
 
