@@ -60,6 +60,7 @@ def identify_logs(
 
 def say_built(done: "Refitted") -> None:
     """Print how a robot is built, by its swims, and how much nearer the new twin is."""
+    output.warn(done.damage)
     built = done.built
     old, new = built.described, built.refitted
     if not built.better:

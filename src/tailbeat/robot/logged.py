@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,19 +30,18 @@ def offsets_of(paths: Sequence[Path]) -> Offsets:
     """Offsets of one robot from its logs. Raises BadInput for logs of two robots, without poses, or
     too short."""
     check_same(paths)
-    swims = [read_log(path) for path in paths]
-    found = offsets([_swum(path, one.rows) for path, one in zip(paths, swims, strict=True)])
-    damage = [f"{p}: {said}" for p, one in zip(paths, swims, strict=True) for said in losses(one)]
-    return replace(found, damage=tuple(damage))
+    found = offsets([logged(path) for path in paths])
+    return replace(found, damage=damage_of(paths))
+
+
+def damage_of(paths: Sequence[Path]) -> tuple[str, ...]:
+    """What logs lack, a sentence each. Raises BadInput."""
+    return tuple(f"{path}: {said}" for path in paths for said in losses(read_log(path)))
 
 
 def logged(path: Path) -> Logged:
     """The swimming part of a log. Raises BadInput."""
-    return _swum(path, read_log(path).rows)
-
-
-def _swum(path: Path, every: Sequence[Mapping[str, Any]]) -> Logged:
-    rows = [row for row in every if row.get("state") == SWIMS]
+    rows = [row for row in read_log(path).rows if row.get("state") == SWIMS]
     whole = [row for row in rows if all(row.get(name) is not None for name in NEEDED)]
     if not rows:
         raise BadInput(f"{path}: its policy swims in no row; give a log of a swim.")

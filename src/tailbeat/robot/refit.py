@@ -12,7 +12,7 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.store import Entry, check_new_fish, value_at, write_identified
 from tailbeat.identify.logs import Built, Progress, changed, fit_logs
 from tailbeat.identify.swim_columns import Logged
-from tailbeat.robot.logged import check_same, logged
+from tailbeat.robot.logged import check_same, damage_of, logged
 
 UNITS = {
     "kp": "N m/rad", "kv": "N m s/rad", "damping": "N m s/rad", "force_limit": "N m",
@@ -22,11 +22,13 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Refitted:
-    """A fish refitted to `logs` of one robot: its file, and what the fit found."""
+    """A fish refitted to `logs` of one robot: its file, what the fit found, and what the logs
+    lack."""
 
     fish: str
     logs: tuple[str, ...]
     built: Built
+    damage: tuple[str, ...] = ()
 
 
 def refit(
@@ -46,7 +48,7 @@ def refit(
     check_same(logs)
     swims = [freed(logged(path), known) for path in logs]
     built = fit_logs(fish, swims, progress)
-    done = Refitted(str(out), tuple(str(path) for path in logs), built)
+    done = Refitted(str(out), tuple(str(path) for path in logs), built, damage_of(logs))
     note = f"Refitted to {len(logs)} logs of one robot by `tailbeat identify logs`."
     write_identified(source, out, {"name": out.stem, **_entries(fish, built, len(logs))}, note)
     write_json(report, done)
