@@ -7,12 +7,19 @@ Apache-2.0), and so are the four motions. Loads, delays and loop times are chose
 log has one reading of -pi, as one in seven of their real logs has.
 """
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from tailbeat.fish.description import Fish
+from tailbeat.identify.servo import as_bench
+from tailbeat.identify.shaft import Bench
+from tailbeat.importers.xl330 import import_xl330
 
 Wish = tuple[float, bool]  # commanded angle [rad], torque on
 GRAVITY = 9.80665  # m/s^2
@@ -127,6 +134,13 @@ def pendulum_log(name: str, motion: str, gain: int, load: tuple[float, float], s
         entries[int(rng.integers(5, len(entries) - 5))]["position"] = -math.pi
     about = {"mass": load[0], "length": load[1], "kp": gain, "vin": servo.supply, "motor": name}
     return {**about, "trajectory": motion, "entries": entries}
+
+
+def bench_of(log: dict[str, Any], folder: Path, fish: Fish) -> Bench:
+    """The log as the fit gets it: written into a folder and imported."""
+    file = folder / f"{log['trajectory']}-{log['kp']}-{log['mass']}.json"
+    file.write_text(json.dumps(log))
+    return as_bench(import_xl330(file), fish)
 
 
 def _swung(

@@ -1,19 +1,16 @@
 """Servos that the fit's model was not made for: another group's friction model and numbers."""
 
-import json
 import math
 
 import numpy as np
 import pytest
 
-from other_servos import MOTIONS, SERVOS, friction, pendulum_log
+from other_servos import MOTIONS, SERVOS, bench_of, friction, pendulum_log
 from tailbeat.fish.store import load_fish
-from tailbeat.identify.servo import as_bench
 from tailbeat.identify.servo_job import identify_servo
 from tailbeat.identify.servo_report import as_report
 from tailbeat.identify.servo_search import Effort, ServoConfig
 from tailbeat.identify.shaft import Bench
-from tailbeat.importers.xl330 import import_xl330
 
 FISH = load_fish("pulley-fish")
 
@@ -52,9 +49,7 @@ def test_a_load_and_a_gain_never_seen_are_predicted(make, tmp_path):
         if seed % 4 == 0:
             log["entries"][300]["position"] = -math.pi
         planted += sum(entry["position"] == -math.pi for entry in log["entries"])
-        file = tmp_path / f"{motion}-{gain}.json"
-        file.write_text(json.dumps(log))
-        runs["fit" if load == light else "held"].append(as_bench(import_xl330(file), FISH))
+        runs["fit" if load == light else "held"].append(bench_of(log, tmp_path, FISH))
     config = ServoConfig(seeds=1, effort=Effort(generations=60))
     report = as_report(identify_servo(FISH, runs["fit"], runs["held"], config, tmp_path))
     assert report["error_over_best_naive"] < 0.5

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from other_servos import SERVOS, pendulum_log
+from other_servos import SERVOS, bench_of, pendulum_log
 from support import complaint
 from synthetic_recordings import servo_run
 from tailbeat.files import BadInput
@@ -100,23 +100,14 @@ def test_a_load_that_is_stated_wrongly_is_told(tmp_path):
     runs = {}
     for weight, load in enumerate(sorted(SERVOS["mx64"].loads)):
         logs = [pendulum_log("mx64", motion, 8, load, weight) for motion in TRIED]
-        runs[weight] = [_bench(log, load[0]) for log in logs]
+        runs[weight] = [bench_of(log, tmp_path, FISH) for log in logs]
     config = ServoConfig(seeds=1, effort=Effort(60, 32, 15, 300))
     right = as_report(identify_servo(FISH, runs[0] + runs[1], [], config, tmp_path / "right"))
     assert right["trusted"], right["verdict"]
-    wrong = [_bench(pendulum_log("mx64", m, 8, (1.0, 0.15), 1), 1 / 3) for m in TRIED]
+    heavy = [pendulum_log("mx64", motion, 8, (1.0, 0.15), 1) for motion in TRIED]
+    wrong = [bench_of({**log, "mass": 1 / 3}, tmp_path, FISH) for log in heavy]
     told = as_report(identify_servo(FISH, runs[0] + wrong, [], config, tmp_path / "wrong"))
     assert not told["trusted"] and "a stated gain or load is wrong" in told["verdict"][0]
-
-
-def _bench(log, mass):
-    rows = log["entries"]
-    names = ("goal_position", "position", "torque_enable")
-    command, angle, enabled = (np.array([float(row[n]) for row in rows]) for n in names)
-    columns = {"command_rad": command, "angle_rad": angle, "enabled_ratio": enabled}
-    meta = {"gain": "8", "load_mass_kg": f"{mass}", "load_arm_m": f"{log['length']}"}
-    time = np.array([row["timestamp"] for row in rows])
-    return as_bench(Recording(log["trajectory"], time, columns, meta), FISH)
 
 
 def test_a_recording_is_fitted_or_a_test(tmp_path):

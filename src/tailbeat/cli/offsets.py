@@ -53,6 +53,7 @@ def identify_logs(
     known = None if policy is None else load_policy(policy).contract.corrections
     with progress.counting() as told:
         done = refit(fish, load_fish(fish), logs, out, known, told)
+    output.warn(done.damage)
     say_built(done)
     if not done.built.better:
         raise typer.Exit(1)
@@ -60,7 +61,6 @@ def identify_logs(
 
 def say_built(done: "Refitted") -> None:
     """Print how a robot is built, by its swims, and how much nearer the new twin is."""
-    output.warn(done.damage)
     built = done.built
     old, new = built.described, built.refitted
     if not built.better:

@@ -9,7 +9,7 @@ from tailbeat.evaluate.rates import ConditionResult, against
 from tailbeat.evaluate.runs import Runs
 from tailbeat.evaluate.scenes import grid
 from tailbeat.evaluate.trial import Condition, Pool, in_labs
-from tailbeat.pool.mess import LEVELS, lab_at
+from tailbeat.pool.mess import LEVELS, draw, level
 
 PREFIX = "messy: "
 CLEAN = f"{PREFIX}clean"
@@ -31,7 +31,8 @@ def conditions(pool: Pool) -> list[Condition]:
 
 def at_level(condition: Condition, name: str, seed: int) -> Condition:
     """A condition of the pool, each swim in its own lab of a level, drawn from the seed."""
-    return in_labs(condition, [lab_at(name, seed, i) for i in range(condition.count)])
+    sizes = level(name)  # read once: it may be a file
+    return in_labs(condition, [draw(sizes, [seed, i]) for i in range(condition.count)])
 
 
 def numbers(by_condition: Mapping[str, Runs]) -> tuple[ConditionResult, ...]:

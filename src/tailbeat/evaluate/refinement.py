@@ -24,7 +24,7 @@ from tailbeat.files import BadInput
 from tailbeat.identify.offsets import Offsets, offsets
 from tailbeat.identify.swim_columns import Logged
 from tailbeat.pool import mess
-from tailbeat.pool.mess import Lab
+from tailbeat.pool.mess import Lab, Sizes
 from tailbeat.pool.water import Water
 from tailbeat.train.refine import CORRECTABLE, corrected
 
@@ -111,11 +111,12 @@ class Setting:
 def refinement(policy: Policy, config: RefinementConfig, progress: Progress) -> Refinement:
     """Measure in all labs together. Raises BadInput for a policy that does not fit the pool's
     fish."""
-    _check(config)
+    sizes = mess.level(config.mess)
+    _check(config, sizes)
     count = config.labs * config.targets
     pool = pool_of(policy, EvaluationConfig(config.fish, config.twin, episodes=count))
     numbers = range(config.first, config.first + config.labs)
-    labs = tuple(_lab(pool, config, number) for number in numbers)
+    labs = tuple(_lab(pool, config, sizes, number) for number in numbers)
     setting = Setting(policy, pool, config, labs)
     steps = 2 * config.rounds + 2
     known = [policy.contract.corrections or Corrections()] * config.labs
@@ -134,8 +135,8 @@ def refinement(policy: Policy, config: RefinementConfig, progress: Progress) -> 
     return _summary(config, tuple(LabResult(*row) for row in rows))
 
 
-def _check(config: RefinementConfig) -> None:
-    if not any(mess.level(config.mess).values()):
+def _check(config: RefinementConfig, sizes: Sizes) -> None:
+    if not any(sizes.values()):
         raise BadInput(f"--mess {config.mess}: nothing is wrong there; give everyday or more.")
     least = {"labs": 2, "targets": 1, "swims": 1, "rounds": 1}
     for name, low in least.items():
@@ -143,9 +144,9 @@ def _check(config: RefinementConfig) -> None:
             raise BadInput(f"--{name} {getattr(config, name)}: give {low} or more.")
 
 
-def _lab(pool: Pool, config: RefinementConfig, number: int) -> tuple[Lab, Water]:
+def _lab(pool: Pool, config: RefinementConfig, sizes: Sizes, number: int) -> tuple[Lab, Water]:
     """One robot in one pool; `evaluate` swims in other labs."""
-    lab = mess.draw(mess.level(config.mess), [config.seed, number, 1])
+    lab = mess.draw(sizes, [config.seed, number, 1])
     return lab, pool.waters[number % len(pool.waters)]
 
 

@@ -52,7 +52,7 @@ def predict_swims(
     (None: the one beside the fish, if there is one); `check` are swims in the same water, which
     give the discrepancy instead. Raises BadInput."""
     described = load_fish(fish)
-    refuse_shared({"the swims": swims, "--fitted-on": fitted_on, "--check": check})
+    refuse_shared({"SWIMS": swims, "--fitted-on": fitted_on, "--check": check})
     known = store.of(fish, posterior)
     if check and known is None:
         known = store.needed(fish)

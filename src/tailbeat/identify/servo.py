@@ -84,9 +84,9 @@ def as_bench(recording: Recording, fish: Fish, kind: str | None = None) -> Bench
     good, glitches = find(recording, {"angle_rad": SHAFT})
     angle = np.where(good["angle_rad"], angle, np.nan)
     _check_radians(recording.name, "angle_rad", angle)
-    _check_moves(recording, command, angle)
-    first = int(np.argmax(good["angle_rad"]))
     enabled = recording.columns.get("enabled_ratio", np.ones_like(angle))
+    _check_moves(recording, command, angle, enabled)
+    first = int(np.argmax(good["angle_rad"]))
     return Bench(
         recording.name,
         recording.time[first:] - recording.time[first],
@@ -99,7 +99,7 @@ def as_bench(recording: Recording, fish: Fish, kind: str | None = None) -> Bench
     )
 
 
-def _check_moves(recording: Recording, command: Array, angle: Array) -> None:
+def _check_moves(recording: Recording, command: Array, angle: Array, enabled: Array) -> None:
     """Raises BadInput for samples far apart, a command or a shaft that never moves, or an angle
     that runs against the command."""
     name, apart = recording.name, float(np.median(np.diff(recording.time)))
@@ -118,7 +118,7 @@ def _check_moves(recording: Recording, command: Array, angle: Array) -> None:
             f"{name}: column angle_rad never moves, the command does; check encoder and shaft, and"
             f" record it again."
         )
-    driven = np.isfinite(angle) & (recording.columns.get("enabled_ratio", 1.0 + 0 * angle) > 0.5)
+    driven = np.isfinite(angle) & (enabled > 0.5)
     if driven.sum() > FEWEST and _mirrored(recording.time, command, angle, driven):
         raise BadInput(
             f"{name}: column angle_rad runs against command_rad; turn the sign of one of them."

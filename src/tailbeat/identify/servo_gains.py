@@ -2,7 +2,8 @@
 
 With the other numbers of the fit held, the gain alone is scanned for the recordings at each stated
 gain, and the load alone for those with each pendulum. A wrong one makes the fit a compromise: with
-gains or loads of their own, the recordings fit far better.
+gains or loads of their own, the recordings fit far better. A number at the end of its range is
+another sign of it.
 """
 
 from collections.abc import Sequence
@@ -13,14 +14,14 @@ from numpy.typing import NDArray
 
 from tailbeat.identify.servo import as_servos
 from tailbeat.identify.shaft import Bench, free_run
-from tailbeat.identify.space import Parameter
+from tailbeat.identify.space import Parameter, values
 
 Array = NDArray[np.float64]
 FACTORS = np.geomspace(1 / 3, 3, 41)  # of the fitted gain
 # Two groups contradict each other if their own best factors differ by more than `DIFFERENT` and
 # leave less than `LEFT` of the mean square error. Chosen: twelve logs of a real servo at three
 # gains have 1.2 and 0.77; a gain wrong by two or a third has 1.2 to 3.2 and 0.17 to 0.45. A fit
-# that did not end has 1.6 and 0.49 there. Right loads of four made servos have 1.0 and 1.0; of
+# that did not end has 1.6 and 0.49 there. Right loads of four simulated servos have 1.0 and 1.0; of
 # fifteen wrong ones ten are told, and three more by a number at the end of its range.
 DIFFERENT, LEFT = 1.2, 0.55
 NEAR = 0.01  # of the end of a range
@@ -44,10 +45,10 @@ def at_edges(space: tuple[Parameter, ...], z: Array) -> list[str]:
     """A sentence if numbers of the fit `z` (p,) stopped at an end of their range that no servo
     has."""
     stopped = [
-        f"{p.path} {p.from_z(value):.3g} {p.unit}"
-        for p, value in zip(space, z.tolist(), strict=True)
-        if (p.path in BOTH_ENDS and p.from_z(value) < p.low * (1 + NEAR))
-        or (p.path not in OPEN and p.from_z(value) > p.high * (1 - NEAR))
+        f"{p.path} {value:.3g} {p.unit}"
+        for p, value in zip(space, values(space, z).values(), strict=True)
+        if (p.path in BOTH_ENDS and value < p.low * (1 + NEAR))
+        or (p.path not in OPEN and value > p.high * (1 - NEAR))
     ]
     if not stopped:
         return []
@@ -96,8 +97,10 @@ def scan(space: tuple[Parameter, ...], z: Array, benches: Sequence[Bench]) -> li
 def scan_loads(space: tuple[Parameter, ...], z: Array, benches: Sequence[Bench]) -> list[Scan]:
     """The best factor of each pendulum on its load, by rising load; empty if there is one."""
     loads = {one.load for one in benches if one.load.weight > 0}
+    if len(loads) < 2:
+        return []
     found = []
-    for load in sorted(loads, key=lambda one: one.weight) if len(loads) > 1 else ():
+    for load in sorted(loads, key=lambda one: one.weight):
         own, errors = [one for one in benches if one.load == load], []
         for factor in FACTORS:
             scaled = replace(load, inertia=factor * load.inertia, weight=factor * load.weight)

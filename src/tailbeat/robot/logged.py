@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,19 +29,26 @@ SWIMS = "run"  # state in which the policy swims
 def offsets_of(paths: Sequence[Path]) -> Offsets:
     """Offsets of one robot from its logs. Raises BadInput for logs of two robots, without poses, or
     too short."""
+    swims, damage = swims_of(paths)
+    return replace(offsets(swims), damage=damage)
+
+
+def swims_of(paths: Sequence[Path]) -> tuple[list[Logged], tuple[str, ...]]:
+    """The swimming parts of the logs of one robot, and what the logs lack, a sentence each. Raises
+    BadInput, also for logs of two robots."""
     check_same(paths)
-    found = offsets([logged(path) for path in paths])
-    return replace(found, damage=damage_of(paths))
-
-
-def damage_of(paths: Sequence[Path]) -> tuple[str, ...]:
-    """What logs lack, a sentence each. Raises BadInput."""
-    return tuple(f"{path}: {said}" for path in paths for said in losses(read_log(path)))
+    read = {path: read_log(path) for path in paths}
+    damage = tuple(f"{path}: {said}" for path, one in read.items() for said in losses(one))
+    return [_swum(path, one.rows) for path, one in read.items()], damage
 
 
 def logged(path: Path) -> Logged:
     """The swimming part of a log. Raises BadInput."""
-    rows = [row for row in read_log(path).rows if row.get("state") == SWIMS]
+    return _swum(path, read_log(path).rows)
+
+
+def _swum(path: Path, every: Sequence[Mapping[str, Any]]) -> Logged:
+    rows = [row for row in every if row.get("state") == SWIMS]
     whole = [row for row in rows if all(row.get(name) is not None for name in NEEDED)]
     if not rows:
         raise BadInput(f"{path}: its policy swims in no row; give a log of a swim.")
@@ -106,9 +113,9 @@ def check_swum_by(paths: Sequence[Path], policy: Path) -> None:
 def check_same(paths: Sequence[Path]) -> None:
     """Raises BadInput if logs are of different fish, policies or calibrations, or one was given
     twice: it would count as two swims."""
-    seen: dict[bytes, Path] = {}
-    for path in paths:
-        before = seen.setdefault(path.read_bytes() if path.is_file() else str(path).encode(), path)
+    seen: dict[str, Path] = {}
+    for path in filter(Path.is_file, paths):
+        before = seen.setdefault(hashlib.sha256(path.read_bytes()).hexdigest(), path)
         if before is not path:
             raise BadInput(f"{path}: the same log as {before}; give each log once.")
     first = read_notes(paths[0])

@@ -12,7 +12,7 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.store import Entry, check_new_fish, value_at, write_identified
 from tailbeat.identify.logs import Built, Progress, changed, fit_logs
 from tailbeat.identify.swim_columns import Logged
-from tailbeat.robot.logged import check_same, damage_of, logged
+from tailbeat.robot.logged import swims_of
 
 UNITS = {
     "kp": "N m/rad", "kv": "N m s/rad", "damping": "N m s/rad", "force_limit": "N m",
@@ -45,10 +45,9 @@ def refit(
     report = out.with_suffix(".json")
     check_new_fish(out)
     refuse_existing(report)
-    check_same(logs)
-    swims = [freed(logged(path), known) for path in logs]
-    built = fit_logs(fish, swims, progress)
-    done = Refitted(str(out), tuple(str(path) for path in logs), built, damage_of(logs))
+    swims, damage = swims_of(logs)
+    built = fit_logs(fish, [freed(swim, known) for swim in swims], progress)
+    done = Refitted(str(out), tuple(str(path) for path in logs), built, damage)
     note = f"Refitted to {len(logs)} logs of one robot by `tailbeat identify logs`."
     write_identified(source, out, {"name": out.stem, **_entries(fish, built, len(logs))}, note)
     write_json(report, done)
