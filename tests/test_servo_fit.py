@@ -1,5 +1,6 @@
 """The servo comes back from recordings made by the compiled engine model, and real ones fit."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -89,17 +90,21 @@ def test_the_report_names_it_for_every_pair(report):
         assert pair["separated_by"] == remedy(*pair["parameters"])
 
 
-def own_runs(seed: int) -> list[Bench]:
-    """A pendulum on the model's own integration, with encoder counts: intervals can be judged."""
+def own_runs(
+    seed: int, gains: Sequence[float] = (1.0, 3.0), heavier: Sequence[float] = (1.0, 1.0, 1.0)
+) -> list[Bench]:
+    """A pendulum on the model's own integration, with encoder counts: intervals can be judged. Each
+    may be `heavier` than it is said to be."""
     rng = np.random.default_rng(seed)
     found = []
-    for number, gain in enumerate((1.0, 3.0)):
+    for number, (gain, by) in enumerate(zip(gains, heavier, strict=False)):
         time = np.cumsum(rng.uniform(0.004, 0.006, 1000))
         command = 0.8 * np.sin(2 * np.pi * (0.3 + 0.3 * time) * time) + (time > 3)
         load = Load("pendulum", inertia=0.0049, weight=0.48)
         bench = Bench(f"{number}", time - time[0], command, 0 * time, time / time, load, gain)
         servo = {k: v * gain if k == "kp" else v for k, v in described_servo(OWN).items()}
-        angle = free_run(servo, [bench])[0][0]
+        true = replace(load, inertia=by * load.inertia, weight=by * load.weight)
+        angle = free_run(servo, [replace(bench, load=true)])[0][0]
         found.append(replace(bench, angle=np.round(angle / 1.534e-3) * 1.534e-3))
     return found
 

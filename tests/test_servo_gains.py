@@ -1,10 +1,13 @@
-"""Recordings that ask for two gains are said to contradict each other; honest ones are not."""
+"""Recordings that ask for two gains or two loads are said to contradict each other; honest ones are
+not."""
 
 from dataclasses import replace
 
 import pytest
 
-from tailbeat.fish.store import load_fish
+from synthetic_recordings import servo_run
+from tailbeat.fish.store import load_fish, value_at, with_values
+from tailbeat.identify.protocol import limits, servo_commands
 from tailbeat.identify.servo import as_bench
 from tailbeat.identify.servo_gains import scan
 from tailbeat.identify.servo_job import ServoFit, identify_servo
@@ -44,6 +47,29 @@ def test_a_wrong_gain_is_the_first_thing_said(tmp_path, stated):
     more, less = (stated, 1.0) if stated < 3 else (1.0, stated)
     assert f"recordings at gain {more:g} ask for" in report["verdict"][0]
     assert f"those at gain {less:g} ask for" in report["verdict"][0]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("heavier", "told"), [(1.0, False), (2.0, True), (0.5, True)])
+def test_two_pendulums_that_are_said_to_be_one_are_told(tmp_path, heavier, told):
+    """Three recordings at one gain state one pendulum; the second had another."""
+    runs = own_runs(0, (1.0, 1.0, 1.0), (1.0, heavier, 1.0))
+    said = as_report(fitted(runs, tmp_path))["verdict"]
+    first = said[0] if said else ""
+    assert first.startswith("do not trust this fit: ") == told
+    assert ("2.0 times the load" in first and "of two tails" in first) == told
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("softer", [1.0, 0.5])
+def test_two_tails_that_are_said_to_be_one_are_told(tmp_path, softer):
+    commands = servo_commands(FISH, limits(FISH))
+    path = "tail.stiffness_scale"
+    other = with_values(FISH, {path: softer * value_at(FISH, path)})
+    swum = zip((FISH, FISH, other), ("chirp", "triangle", "steps"), strict=True)
+    runs = [as_bench(servo_run(own, commands[f"servo-{name}"], 0), FISH) for own, name in swum]
+    said = fitted(runs, tmp_path).contradictions
+    assert [("times the load that servo-steps" in one) for one in said] == [True] * (softer < 1)
 
 
 def test_without_stated_gains_there_is_nothing_to_contradict(tmp_path):
