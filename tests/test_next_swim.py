@@ -13,7 +13,7 @@ from tailbeat.identify import next_swim
 from tailbeat.identify import posterior as store
 from tailbeat.identify.bands import Drawn, swim_all
 from tailbeat.identify.manoeuvres import manoeuvres
-from tailbeat.identify.next_swim import advise, as_played, choose, spread_after
+from tailbeat.identify.next_swim import _shown, advise, as_played, choose, spread_after
 from tailbeat.identify.protocol import RATE, limits
 from tailbeat.recording import Recording
 from test_posterior import FISH, my_fish, posterior
@@ -39,10 +39,15 @@ def case(seed: int = 0) -> tuple[np.ndarray, dict[str, Drawn]]:
     return (2 * first + second)[:, None], swims
 
 
+def shown(swims: dict[str, Drawn], other: tuple[str, ...] = ()) -> dict:
+    """Candidates with what they would show; the `other` ones are of another kind than the goal."""
+    return {name: (one, _shown(one, None, name not in other)) for name, one in swims.items()}
+
+
 def test_what_tells_most_comes_first_and_what_it_told_counts_no_more():
     goals, swims = case()
     swims["first again"] = made("first again", 10, swims["first"].predicted)
-    found = choose(goals, swims, None, 4)
+    found = choose(goals, shown(swims), 4)
     assert found[0].swim.startswith("first")
     assert found[1].swim == "second"
     assert found[2].gain < 0.01 and found[3].gain < 0.01
@@ -51,7 +56,16 @@ def test_what_tells_most_comes_first_and_what_it_told_counts_no_more():
 def test_a_long_swim_must_tell_more():
     goals, swims = case()
     swims = {"long": made("long", 60, swims["first"].predicted), "short": swims["first"]}
-    assert choose(goals, swims, None, 1)[0].swim == "short"
+    assert choose(goals, shown(swims), 1)[0].swim == "short"
+
+
+def test_a_swim_of_another_kind_tells_less():
+    """The law of the water errs in its own way there: 10 % of a speed."""
+    goals, swims = case()
+    fast = swims["first"].predicted + 1000.0 * (np.arange(4) == 0)
+    swims = {"like": swims["second"], "unlike": made("unlike", 10, fast)}
+    assert choose(goals, shown(swims), 1)[0].swim == "unlike"
+    assert choose(goals, shown(swims, ("unlike",)), 1)[0].swim == "like"
 
 
 def test_the_spread_left_is_that_of_the_linear_estimate():
