@@ -1,4 +1,4 @@
-"""Swims that `identify next` chose against swims by chance, in the virtual pool. Slow: half an hour.
+"""Swims that `identify next` chose against swims by chance, in the pool. Slow: half an hour.
 
 Every fit has six steady swims and three others. Judged are fresh swims of the goal's kind, with
 commands that nobody could choose.
