@@ -110,6 +110,12 @@ def test_the_verb_writes_null_for_what_a_run_cannot_say(tmp_path):
     assert found["measured_speed"] > 0 and found["distance"] > 0
 
 
+def test_a_swim_that_is_given_twice_is_not_counted_twice(tmp_path):
+    write_recording(without_yaw(wandering()), tmp_path / "log.csv")
+    with pytest.raises(BadInput, match=r"log\.csv: given twice; give each recording once"):
+        verb.predict("pulley-fish", [tmp_path / "log.csv", tmp_path / "." / "log.csv"])
+
+
 # ---- no heading ---------------------------------------------------------------------------------
 
 

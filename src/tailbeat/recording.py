@@ -51,9 +51,7 @@ def read_recordings(paths: Sequence[str | Path]) -> list[Recording]:
     protocol may have been played on several days. Raises BadInput, also for a file given twice."""
     files = [Path(path) for path in paths]
     stems = [file.stem for file in files]
-    for number, file in enumerate(files):
-        if file.absolute() in [one.absolute() for one in files[:number]]:
-            raise BadInput(f"{file}: given twice; give each recording once.")
+    refuse_shared({"the command": files})
     found = [read_recording(file) for file in files]
     return [
         replace(one, name=f"{file.absolute().parent.name}/{one.name}")
@@ -64,13 +62,16 @@ def read_recordings(paths: Sequence[str | Path]) -> list[Recording]:
 
 
 def refuse_shared(groups: Mapping[str, Sequence[Path]]) -> None:
-    """Raises BadInput for a file that two options name: what is fitted cannot be a test too."""
+    """Raises BadInput for a file that an option names twice, or two options: what is fitted cannot
+    be a test too."""
     owner: dict[Path, str] = {}
-    for option, paths in groups.items():
-        for path in paths:
-            first = owner.setdefault(path.absolute(), option)
-            if first != option:
-                raise BadInput(f"{path}: given to {first} and to {option}; give it to one of them.")
+    for option, path in ((name, path) for name, paths in groups.items() for path in paths):
+        before = owner.get(path.absolute())
+        if before == option:
+            raise BadInput(f"{path}: given twice; give each recording once.")
+        if before is not None:
+            raise BadInput(f"{path}: given to {before} and to {option}; give it to one of them.")
+        owner[path.absolute()] = option
 
 
 def read_recording(path: str | Path) -> Recording:
