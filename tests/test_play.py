@@ -3,6 +3,7 @@
 import json
 import signal
 import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -72,6 +73,21 @@ def test_a_swim_and_a_bench_played_on_devices_are_those_of_the_virtual_pool(tmp_
 # ---- what ends it -------------------------------------------------------------------------------
 
 
+@pytest.fixture
+def spared(monkeypatch):
+    """A watchdog kills its parent if that stalls for a second. Here the parent would be pytest's
+    own process, and the run would never end; so a shell stands between."""
+    shell = ["sh", "-c", '"$@"; exit $?', "sh", sys.executable]
+    begun = partial(subprocess.Popen, start_new_session=True)
+    monkeypatch.setattr(watchdog, "start", lambda words, **more: begun([*shell, *words], **more))
+
+
+def test_a_test_that_stalls_is_not_killed(spared):
+    with servo_bench() as bench, watchdog.guard(bench.path) as watcher:
+        watcher.beat(torque=True)
+        assert watcher.process.wait(10.0) == -signal.SIGKILL
+
+
 def player_of(bench, watcher) -> Player:
     driver = servo.connect(bench.path, XW430, deadline=PATIENT)
     # A machine that stalls for 0.1 s trips the servo's own watchdog. Its rule is off here, and a
@@ -82,7 +98,7 @@ def player_of(bench, watcher) -> Player:
 
 
 @pytest.mark.realtime
-def test_a_stop_and_a_jammed_tail_turn_torque_off_at_once():
+def test_a_stop_and_a_jammed_tail_turn_torque_off_at_once(spared):
     with servo_bench() as bench, watchdog.guard(bench.path) as watcher:
         player = player_of(bench, watcher)
         threading.Timer(1.0, lambda: setattr(player, "stop_asked", "the operator")).start()
@@ -103,7 +119,7 @@ def test_a_stop_and_a_jammed_tail_turn_torque_off_at_once():
 @pytest.mark.parametrize(
     ("register", "value", "said"), [(146, 76, "servo at 76 deg C"), (144, 97, "supply 9.7 V")]
 )
-def test_a_hot_servo_and_a_low_supply_end_it(register, value, said):
+def test_a_hot_servo_and_a_low_supply_end_it(spared, register, value, said):
     with servo_bench() as bench, watchdog.guard(bench.path) as watcher:
         player = player_of(bench, watcher)
 
@@ -120,7 +136,9 @@ def test_a_hot_servo_and_a_low_supply_end_it(register, value, said):
 
 
 @pytest.mark.realtime
-def test_a_servo_that_is_silent_from_the_start_is_lost_and_torque_is_said_to_be_on(monkeypatch):
+def test_a_servo_that_is_silent_from_the_start_is_lost_and_torque_is_said_to_be_on(
+    spared, monkeypatch
+):
     """Nothing had been read since arming, so nothing was late: it played to a dead servo."""
     with servo_bench() as bench, watchdog.guard(bench.path) as watcher:
         player = player_of(bench, watcher)
