@@ -66,7 +66,7 @@ def contradictions(space: tuple[Parameter, ...], z: Array, benches: Sequence[Ben
     of one of them must be wrong, or for two recordings that state the same and are not of the same
     tail or pendulum; `z` (p,) is the fit."""
     by_gain = _differing(scan(space, z, benches), "gain")
-    if by_gain:
+    if by_gain or len(benches) < 2:
         return by_gain
     loaded = [(one, _by_load(space, z, one)) for one in benches if one.load.kind != "nothing"]
     return _differing(_of_loads(loaded), "load") or _two_loads(loaded)
