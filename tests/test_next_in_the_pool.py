@@ -18,7 +18,7 @@ from tailbeat.identify import posterior as store
 from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.job import FluidConfig, Identified, identify_fluid
 from tailbeat.identify.manoeuvres import SECONDS, Beat, manoeuvres, played
-from tailbeat.identify.next_swim import advise
+from tailbeat.identify.next_recording import advise
 from tailbeat.identify.posterior import Posterior
 from tailbeat.identify.predict import LONG
 from tailbeat.identify.protocol import RATE, fluid_runs, limits
@@ -108,7 +108,7 @@ def heading_error(fish: Fish, judged: Sequence[Run]) -> float:
 
 def compared(tried: Tried, goal: str, judged: Sequence[Run]) -> tuple[float, list[float]]:
     """Heading errors [deg] with three chosen swims, and with three by chance each time."""
-    names = [one.swim for one in advise(tried.first.fish, tried.known, goal, ADDED)]
+    names = [one.record for one in advise(tried.first.fish, tried.known, goal, ADDED)]
     found = heading_error(added(tried.base, names, tried.scratch / goal), judged)
     chance = [heading_error(fish, judged) for fish in tried.chance]
     before = heading_error(tried.first.fish, judged)

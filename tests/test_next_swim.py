@@ -1,4 +1,4 @@
-"""Which swim to record next: the one that tells most about what is asked."""
+"""What to record next: what tells most about what is asked."""
 
 import json
 from dataclasses import replace
@@ -13,7 +13,9 @@ from tailbeat.identify import next_swim
 from tailbeat.identify import posterior as store
 from tailbeat.identify.bands import Drawn, swim_all
 from tailbeat.identify.manoeuvres import manoeuvres
-from tailbeat.identify.next_swim import _shown, advise, as_played, choose, spread_after
+from tailbeat.identify.next_recording import Advice, Doubts, advise
+from tailbeat.identify.next_recording import choose as choose_from
+from tailbeat.identify.next_swim import as_played, recording_of, spread_after
 from tailbeat.identify.protocol import RATE, limits
 from tailbeat.recording import Recording
 from test_posterior import FISH, my_fish, posterior
@@ -41,22 +43,27 @@ def case(seed: int = 0) -> tuple[np.ndarray, dict[str, Drawn]]:
 
 def shown(swims: dict[str, Drawn], other: tuple[str, ...] = ()) -> dict:
     """Candidates with what they would show; the `other` ones are of another kind than the goal."""
-    return {name: (one, _shown(one, None, name not in other)) for name, one in swims.items()}
+    return {name: recording_of(one, None, name not in other) for name, one in swims.items()}
+
+
+def choose(goals: np.ndarray, offers: dict, count: int) -> list[Advice]:
+    """The best swims; test benches leave no doubt."""
+    return choose_from(Doubts(goals, np.zeros((0, goals.shape[1]))), offers, count)
 
 
 def test_what_tells_most_comes_first_and_what_it_told_counts_no_more():
     goals, swims = case()
     swims["first again"] = made("first again", 10, swims["first"].predicted)
     found = choose(goals, shown(swims), 4)
-    assert found[0].swim.startswith("first")
-    assert found[1].swim == "second"
+    assert found[0].record.startswith("first")
+    assert found[1].record == "second"
     assert found[2].gain < 0.01 and found[3].gain < 0.01
 
 
 def test_a_long_swim_must_tell_more():
     goals, swims = case()
     swims = {"long": made("long", 60, swims["first"].predicted), "short": swims["first"]}
-    assert choose(goals, shown(swims), 1)[0].swim == "short"
+    assert choose(goals, shown(swims), 1)[0].record == "short"
 
 
 def test_a_swim_of_another_kind_tells_less():
@@ -64,8 +71,8 @@ def test_a_swim_of_another_kind_tells_less():
     goals, swims = case()
     fast = swims["first"].predicted + 1000.0 * (np.arange(4) == 0)
     swims = {"like": swims["second"], "unlike": made("unlike", 10, fast)}
-    assert choose(goals, shown(swims), 1)[0].swim == "unlike"
-    assert choose(goals, shown(swims, ("unlike",)), 1)[0].swim == "like"
+    assert choose(goals, shown(swims), 1)[0].record == "unlike"
+    assert choose(goals, shown(swims, ("unlike",)), 1)[0].record == "like"
 
 
 def test_the_spread_left_is_that_of_the_linear_estimate():
@@ -97,9 +104,9 @@ def test_a_command_is_swum_as_the_servo_follows_it():
 @pytest.fixture
 def few(monkeypatch):
     """The protocol's turns and two of its other swims: the choice is the same, only shorter."""
-    whole = next_swim.candidates(FISH)
+    whole = next_swim.commands(FISH)
     chosen = {n: r for n, r in whole.items() if n.endswith("turn") or n in ("fluid-01", "fluid-06")}
-    monkeypatch.setattr(next_swim, "candidates", lambda fish: chosen)
+    monkeypatch.setattr(next_swim, "commands", lambda fish: chosen)
 
 
 @pytest.mark.thorough
@@ -107,8 +114,8 @@ def test_a_turn_tells_most_about_turning(few):
     """The unknown number is the drag across the fin, which a fast turn shows."""
     known = posterior(fitted=("fluid-01",))
     found = advise(FISH, known, "turning", 2, draws=5)
-    assert "turn" in found[0].swim and found[0].gain > 0
-    assert "fluid-01" not in [one.swim for one in found]
+    assert "turn" in found[0].record and found[0].gain > 0
+    assert "fluid-01" not in [one.record for one in found]
     with pytest.raises(BadInput, match="allowed are speed, turning, reach"):
         advise(FISH, known, "glory")
 
@@ -130,4 +137,4 @@ def test_the_command_prints_and_writes_its_advice(tmp_path, few):
     done = tailbeat("identify", "next", "--fish", fish, "--count", 1, "--json", out)
     assert done.returncode == 0, done.stderr
     assert "band shrinks by [%]" in done.stdout
-    assert len(json.loads(out.read_text())["swims"]) == 1
+    assert len(json.loads(out.read_text())["recordings"]) == 1

@@ -45,10 +45,10 @@ def refuse_existing(path: Path) -> None:
     check_folder(path.parent)
 
 
-def check_json(path: Path | None, folder: Path, *own: str) -> None:
-    """Raises BadInput if the file of --json exists, or if it is, contains or is inside one of the
-    files and folders `own` that the command itself writes into its `folder`. Call it before the
-    work begins."""
+def check_json(path: Path | None, folder: Path = Path(), *own: str) -> None:
+    """Raises BadInput if the file of --json, None for none, exists, or if it is, contains or is
+    inside one of the files and folders `own` that the command itself writes into its `folder`. Call
+    it before the work begins."""
     if path is None:
         return
     given = Path(os.path.realpath(path))
@@ -145,6 +145,12 @@ def write_json(path: str | Path, data: Any, overwrite: bool = False) -> None:
     that are not finite null. Raises BadInput as `new_file` does."""
     with new_file(path, overwrite) as beside:
         beside.write_text(json.dumps(plain(data), indent=2) + "\n", encoding="utf-8")
+
+
+def put_json(path: Path | None, data: Any) -> None:
+    """Write the file of --json, unless it is None."""
+    if path is not None:
+        write_json(path, data)
 
 
 def plain(value: Any) -> Any:

@@ -9,7 +9,7 @@ import typer
 from tailbeat.cli import output
 from tailbeat.cli.extras import need_camera
 from tailbeat.cli.options import JsonOption
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import check_json, put_json
 
 FishTag = Annotated[int, typer.Option("--fish-tag", help="Id of the fish's tag (family 36h11).")]
 TargetTag = Annotated[int, typer.Option("--target-tag", help="Id of the target's tag.")]
@@ -36,15 +36,13 @@ def tags(
     json: JsonOption = None,
 ) -> None:
     """Write the sheets to print: fish tag, target tag and calibration board, at true size."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     need_camera()
     from tailbeat.vision.sheet import write_sheets
     from tailbeat.vision.tags import board_of
 
     paths = write_sheets(out, (fish_tag, target_tag), _side(side, fish), board_of(square))
-    if json is not None:
-        write_json(json, {"sheets": [str(path) for path in paths]})
+    put_json(json, {"sheets": [str(path) for path in paths]})
     output.say(f"wrote {', '.join(map(str, paths))}; print at 100 % and measure")
 
 
@@ -97,8 +95,7 @@ def calibrate(
 ) -> None:
     """Find the camera's lens parameters and its pose above the pool. The steps are in
     docs/how-to/calibrate-the-camera.md."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     need_camera()
     from tailbeat.link.places import pool_size
     from tailbeat.vision import calibrate as camera
@@ -110,8 +107,7 @@ def calibrate(
     sheet = camera.Measured(square, *tags_, pool_size(pool))
     done = asdict(camera.calibrate(views, survey, picture, sheet, out, count, output.say))
     output.tables({"calibration": [done]})
-    if json is not None:
-        write_json(json, done)
+    put_json(json, done)
 
 
 def track(
@@ -133,8 +129,7 @@ def track(
 ) -> None:
     """Print the poses of fish and target from a camera, live. Exit code 1 if the fish was never
     seen."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     need_camera()
     from tailbeat.vision import follow
 
@@ -142,7 +137,6 @@ def track(
     config = follow.TrackConfig(camera, calibration, ids, exposure, latency, oldest)
     done = follow.track(config, seconds, output.say)
     output.tables({"track": [vars(done)]})
-    if json is not None:
-        write_json(json, vars(done))
+    put_json(json, vars(done))
     if not done.fish_seen:
         raise typer.Exit(1)

@@ -20,7 +20,7 @@ from tailbeat.cli.options import (
     SeedOption,
     ServoPort,
 )
-from tailbeat.files import BadInput, need, new_file, refuse_existing, write_json
+from tailbeat.files import BadInput, check_json, need, new_file, put_json, refuse_existing
 from tailbeat.link.places import LENGTH, WIDTH, pool_size
 
 SAFE_AFTER_KILL = 0.5  # s, required
@@ -58,8 +58,7 @@ def faults(
     if table is not None:
         with new_file(table) as beside:
             beside.write_text(markdown(done.faults), encoding="utf-8")
-    if json is not None:
-        write_json(json, found)
+    put_json(json, found)
     torque_off = all(one.off_s < SAFE_AFTER_KILL for one in done.killed)  # False for NaN
     if not (torque_off and all(one.ok for one in done.faults)):
         raise typer.Exit(1)
@@ -78,8 +77,7 @@ def latency(
     """Measure the timing of the control loop on this machine. It drives emulated devices and
     reports lateness, work, latency and drift. Exit code 1 if the 99.9th percentile of the lateness
     exceeds --allowed."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     if not minutes > 0:
         raise BadInput(f"--minutes {minutes:g}: give a time above 0.")
     need_robot()
@@ -89,8 +87,7 @@ def latency(
     found = loop.latency(policy, fish, minutes, seed, output.say)
     done = drive_json(found.drive) | {"armed_anew": found.armed_anew, "drift_ms": found.drift_ms}
     output.tables({"latency": [done]})
-    if json is not None:
-        write_json(json, done)
+    put_json(json, done)
     if not done["late_p99.9_ms"] <= allowed:
         raise typer.Exit(1)
 
@@ -131,8 +128,7 @@ def doctor(
 ) -> None:
     """List what prevents the fish from swimming, and what to do about it. Nothing moves. Exit code
     1 if something is bad."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     if not emulated and not any((servo, imu, listen, key, camera)):
         raise BadInput(
             "doctor: give --servo, --imu, --listen with --station, --key, --camera, or --emulated."
@@ -156,8 +152,7 @@ def doctor(
         found = examine(policy, fish, parts, logs, cameras)
     rows = [vars(finding) for finding in found]
     output.tables({"doctor": rows})
-    if json is not None:
-        write_json(json, {"findings": rows})
+    put_json(json, {"findings": rows})
     if any(finding.verdict == "bad" for finding in found):
         raise typer.Exit(1)
 
@@ -260,5 +255,4 @@ def film(
     output.say(
         f"wrote {target}: {done.seconds:.1f} s, {done.frames} frames, {done.bytes / 1e6:.1f} MB"
     )
-    if json is not None:
-        write_json(json, done)
+    put_json(json, done)

@@ -16,7 +16,7 @@ from tailbeat.cli.options import (
     SeedOption,
     TargetOption,
 )
-from tailbeat.files import BadInput, need, refuse_existing, write_json
+from tailbeat.files import BadInput, check_json, need, put_json
 from tailbeat.link.places import LENGTH, TARGET, WIDTH, pool_size, within
 
 
@@ -106,8 +106,7 @@ def benchmark(
 ) -> None:
     """Measure speed and accuracy on this machine. It measures step, pool, environment, updates,
     camera and control loop, and compares the step with a bare engine loop."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     if sweep:
         need_training()
         need("sweeps", "ray")
@@ -115,5 +114,4 @@ def benchmark(
 
     result = suite.sweep_benchmark() if sweep else suite.benchmark(env)
     results.benched(result)
-    if json is not None:
-        write_json(json, result)
+    put_json(json, result)

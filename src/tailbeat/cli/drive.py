@@ -18,7 +18,7 @@ from tailbeat.cli.options import (
     PolicyFile,
     SeedOption,
 )
-from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.files import BadInput, put_json, refuse_existing
 from tailbeat.link.addresses import address
 from tailbeat.link.places import ANY_POOL, place, room
 from tailbeat.robot.ports import Ports
@@ -99,8 +99,7 @@ def drive(
 def _show(row: dict[str, Any], json: Path | None) -> None:
     """Print what came of the drive, and write it."""
     output.tables({"drive": [row]})
-    if json is not None:
-        write_json(json, row)
+    put_json(json, row)
 
 
 def _hurry() -> None:

@@ -16,7 +16,7 @@ from tailbeat.cli.options import (
     TwinOption,
 )
 from tailbeat.evaluate.names import NAMES
-from tailbeat.files import BadInput, check_json, need, refuse_existing, write_json
+from tailbeat.files import BadInput, check_json, need, put_json, refuse_existing
 from tailbeat.link.places import LARGEST, SMALLEST, is_pool
 from tailbeat.report.tables import as_rows
 
@@ -151,8 +151,7 @@ def speed_map(
         refuse_existing(path)
     report = speed_map_of(fish, servo or [])
     figures.speed_map(report, out)
-    if json is not None:
-        write_json(json, report)
+    put_json(json, report)
     output.tables({f"speed [m/s], water {report.water}": as_rows(report.rows)})
 
 
@@ -168,8 +167,7 @@ def report(
 
     path, data = of_folder(folder, fish, twin)
     output.say(f"page: {path}")
-    if json is not None:
-        write_json(json, data)
+    put_json(json, data)
 
 
 def _page(
@@ -180,5 +178,4 @@ def _page(
 
     path, _ = of_folder(out, fish, twin, done)
     output.say(f"page: {path}")
-    if json is not None:
-        write_json(json, done)
+    put_json(json, done)

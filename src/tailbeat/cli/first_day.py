@@ -7,7 +7,7 @@ import typer
 
 from tailbeat.cli import output
 from tailbeat.cli.options import JsonOption, PolicyFile, TwinOption
-from tailbeat.files import check_json, refuse_existing, write_json
+from tailbeat.files import check_json, put_json, refuse_existing
 
 
 def first_day(
@@ -35,5 +35,4 @@ def first_day(
     doubt = posterior.at_hand(twin or loaded.contract.fish)
     known = page.measured(loaded, evaluation, margins, doubt)
     output.say(f"page: {page.write(loaded, policy, fish, known, out)}")
-    if json is not None:
-        write_json(json, page.as_report(loaded, policy, fish, known))
+    put_json(json, page.as_report(loaded, policy, fish, known))

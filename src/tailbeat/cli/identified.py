@@ -212,10 +212,11 @@ def _say_rival(result: dict[str, Any]) -> None:
 
 
 def advice(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Table of the swims to record next."""
+    """Table of what to record next."""
     return [
         {
-            "record": row["swim"],
+            "record": row["record"],
+            "kind": row["kind"],
             "band shrinks by [%]": 100 * row["gain"],
             "lab time [min]": row["minutes"],
             "per minute [%]": 100 * row["gain_per_minute"],

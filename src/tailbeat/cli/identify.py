@@ -11,7 +11,7 @@ import typer
 
 from tailbeat.cli import identified, output, progress
 from tailbeat.cli.options import AddedOption, AddressOption, FishOption, JsonOption, SeedOption
-from tailbeat.files import need, refuse_existing, write_json
+from tailbeat.files import check_json, need, put_json
 
 if TYPE_CHECKING:
     from tailbeat.identify.chain import Ahead
@@ -132,20 +132,19 @@ def identify_next(
     goal: Annotated[
         str, typer.Option(help="Prediction to improve: speed, turning or reach.")
     ] = "turning",
-    count: Annotated[int, typer.Option(help="Number of swims to choose.")] = 3,
+    count: Annotated[int, typer.Option(help="Number of recordings to choose.")] = 3,
     json: JsonOption = None,
 ) -> None:
-    """Rank the swims that could be recorded next by what a prediction would gain. Needs the fish's
-    posterior. Each swim is chosen given those above it."""
-    from tailbeat.identify import next_swim
+    """Rank the recordings that could be made next by what a prediction would gain.
+    They are swims, servo commands and conditions of the tail. Needs the fish's posterior. Each is
+    chosen by its gain per minute, given those above it."""
+    from tailbeat.identify import next_recording
 
-    if json is not None:
-        refuse_existing(json)
-    found = next_swim.advise_on(fish, goal, count)
+    check_json(json)
+    found = next_recording.advise_on(fish, goal, count)
     rows = [{**asdict(one), "gain_per_minute": one.gain_per_minute} for one in found]
     output.tables({f"for {goal}": identified.advice(rows)})
-    if json is not None:
-        write_json(json, {"goal": goal, "swims": rows})
+    put_json(json, {"goal": goal, "recordings": rows})
 
 
 def identify_tail(

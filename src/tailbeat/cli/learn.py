@@ -8,7 +8,7 @@ import typer
 from tailbeat.cli import output, progress, results
 from tailbeat.cli.extras import need_training
 from tailbeat.cli.options import FishOption, JsonOption, PolicyFile, SeedOption
-from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.files import BadInput, check_json, put_json
 from tailbeat.report.tables import as_rows
 
 if TYPE_CHECKING:
@@ -35,8 +35,7 @@ def show(file: PolicyFile, json: JsonOption = None) -> None:
 
     contract = asdict(load_policy(file).contract)
     results.contract(contract)
-    if json is not None:
-        write_json(json, contract)
+    put_json(json, contract)
 
 
 def diff(
@@ -51,8 +50,7 @@ def diff(
     found = differences(load_policy(first).contract, load_policy(second).contract)
     rows = [asdict(one) for one in found]
     results.differences(rows)
-    if json is not None:
-        write_json(json, rows)
+    put_json(json, rows)
     if rows:
         raise typer.Exit(1)
 
@@ -91,8 +89,7 @@ def try_(
 ) -> None:
     """Swim a policy to seeded targets in its twin or in the virtual pool. Noise and randomisation
     are on in the twin, unless --exact."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     need_training()
     from tailbeat.evaluate.reach import TrialConfig, try_policy
 
@@ -106,20 +103,17 @@ def try_(
     asked = {"policy": file, "least_arc_deg": least_arc, "arc_deg": arc, "pools": pools}
     output.tables({f"{where}, by bearing": sectors})
     output.tables({where: [asked | row for row in as_rows([done], "sectors")]})
-    if json is not None:
-        write_json(json, asked | vars(done))
+    put_json(json, asked | vars(done))
 
 
 def expect(file: PolicyFile, json: JsonOption = None) -> None:
     """Write into a policy's file what its swims look like to the robot's own sensors. `drive` needs
     it for its sign test and its monitors; `train` does it at its end. The contract does not
     change."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     need_training()
     found = _expect(file)
-    if json is not None:
-        write_json(json, found)
+    put_json(json, found)
 
 
 def expect_or_say(file: str, recipe: str) -> None:

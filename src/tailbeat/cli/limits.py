@@ -7,7 +7,7 @@ import typer
 
 from tailbeat.cli import output, progress
 from tailbeat.cli.options import JsonOption, PoolFish, SeedOption
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import put_json, refuse_existing, write_json
 from tailbeat.report.tables import as_cell, as_rows
 
 if TYPE_CHECKING:
@@ -43,8 +43,7 @@ def limits(
 
     with progress.counting() as count:
         found = limits_of(LimitsConfig(fish, twin, waters, grid, seed), count)
-    if json is not None:
-        write_json(json, found)
+    put_json(json, found)
     if out is not None:
         _files(found, out)
     output.tables(_tables(found))

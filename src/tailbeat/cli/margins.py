@@ -14,7 +14,7 @@ from tailbeat.cli.options import (
     SeedOption,
     TwinOption,
 )
-from tailbeat.files import check_json, need, write_json
+from tailbeat.files import check_json, need, put_json
 
 if TYPE_CHECKING:
     from tailbeat.control.measure import Measure
@@ -59,8 +59,7 @@ def margins(
     margins_figure(done, own, out / "margins.png", overwrite=True)
     _print(done, own)
     output.say(f"figure: {out / 'margins.png'}")
-    if json is not None:
-        write_json(json, done)
+    put_json(json, done)
 
 
 def _print(done: "Margins", m: "Measure") -> None:

@@ -7,7 +7,7 @@ import typer
 
 from tailbeat.cli import output
 from tailbeat.cli.options import FishOption, JsonOption, MessOption, SeedOption
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import check_json, put_json, write_json
 
 SourceOption = Annotated[
     str, typer.Option(help="Who recorded it, and where; written to the metadata.")
@@ -25,13 +25,11 @@ def protocol(
     json: JsonOption = None,
 ) -> None:
     """Write the commands that the test bench plays. docs/how-to/record.md has the steps."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     from tailbeat.identify.commands import write_protocol
 
     paths = write_protocol(kind, fish, out, speed)
-    if json is not None:
-        write_json(json, {"recordings": [str(path) for path in paths]})
+    put_json(json, {"recordings": [str(path) for path in paths]})
     for path in paths:
         output.say(f"wrote {path}")
 
@@ -49,13 +47,11 @@ def record(
     json: JsonOption = None,
 ) -> None:
     """Play a protocol in the virtual pool and record it as a lab would."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     from tailbeat.pool import record as recorder
 
     paths = recorder.record(kind, fish, out, seed, commands or (), mess)
-    if json is not None:
-        write_json(json, {"recordings": [str(path) for path in paths]})
+    put_json(json, {"recordings": [str(path) for path in paths]})
     for path in paths:
         output.say(f"wrote {path}")
 
@@ -69,11 +65,9 @@ def import_fishsim(
     """Convert marker tracks in pixels to a recording in metres."""
     from tailbeat.importers.fishsim import convert
 
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     recording = convert(csv, out, frame_rate)
-    if json is not None:
-        write_json(json, {"recording": str(out), "frames": recording.time.size, **recording.meta})
+    put_json(json, {"recording": str(out), "frames": recording.time.size, **recording.meta})
     dropped = recording.meta["frames_dropped_per_marker"]
     output.say(f"wrote {out}: {recording.time.size} frames, dropped per marker {dropped}")
 
@@ -87,11 +81,9 @@ def import_xl330(
     """Convert a servo's pendulum log to a recording. Gain and load go into its metadata."""
     from tailbeat.importers.xl330 import convert
 
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     recording = convert(log, out, source)
-    if json is not None:
-        write_json(json, {"recording": str(out), "rows": recording.time.size, **recording.meta})
+    put_json(json, {"recording": str(out), "rows": recording.time.size, **recording.meta})
     gain = recording.meta["gain"]
     output.say(f"wrote {out}: {recording.time.size} samples at gain {gain}")
 
@@ -134,8 +126,7 @@ def import_table(
     """Convert any table to a recording in SI units. Name its columns and state its units."""
     from tailbeat.importers.table import TableConfig, convert, parse_pairs
 
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     pairs, known = parse_pairs("--map", columns), parse_pairs("--meta", meta)
     units = [word.strip() for word in unit.split(",") if word.strip()]
     config = TableConfig(pairs, units, known, rows, source, counts_per_turn)

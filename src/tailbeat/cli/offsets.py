@@ -9,7 +9,7 @@ import typer
 
 from tailbeat.cli import output, progress
 from tailbeat.cli.options import FishOption, JsonOption
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import check_json, put_json
 
 if TYPE_CHECKING:
     from tailbeat.identify.offsets import Offset
@@ -23,15 +23,13 @@ def offsets(
     """Tell from swims alone what is wrong on a robot: tag, shaft, gyro, current. It must be the
     same in all swims. Three of a minute with turns to both sides tell most of it; what they cannot
     tell is said."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     from tailbeat.robot.logged import offsets_of
 
     done = offsets_of(logs)
     output.warn(done.damage)
     say_swims(done.seconds, [_row(one) for one in done.offsets], done.untold)
-    if json is not None:
-        write_json(json, done)
+    put_json(json, done)
 
 
 def identify_logs(

@@ -9,7 +9,7 @@ import typer
 from tailbeat.cli import output
 from tailbeat.cli.extras import need_robot
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
-from tailbeat.files import BadInput, need, refuse_existing, write_json
+from tailbeat.files import BadInput, check_json, need, put_json
 from tailbeat.link.addresses import address
 
 if TYPE_CHECKING:
@@ -39,8 +39,7 @@ def play(
     from tailbeat.robot import play as player
     from tailbeat.robot import timing
 
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     if not 0 <= rest <= 3600:
         raise BadInput(f"--rest {rest:g}: give 0 to 3600 s.")
     timing.claim()  # real-time priority, if it is allowed
@@ -54,8 +53,7 @@ def play(
         done = player.play(config, commands, output.say)
     rows = [asdict(one) | {"recording": str(one.recording)} for one in done]
     output.tables({"recordings": rows})
-    if json is not None:
-        write_json(json, {"recordings": rows})
+    put_json(json, {"recordings": rows})
 
 
 def _station(listen: str, station: str, key: Path | None) -> "Station | None":

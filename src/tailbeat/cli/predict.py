@@ -7,7 +7,7 @@ import typer
 
 from tailbeat.cli import identified
 from tailbeat.cli.options import FishOption, JsonOption
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import check_json, put_json
 
 
 def predict(
@@ -35,12 +35,10 @@ def predict(
     a posterior, give 95 % bands and count the swims inside."""
     from tailbeat.evaluate import replay
 
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     found = replay.predict_swims(fish, recordings, fitted_on or [], posterior, check or [])
     result = replay.as_json(found)
-    if json is not None:
-        write_json(json, result)
+    put_json(json, result)
     identified.predicted(result)
     if not found.settled:
         raise typer.Exit(1)
@@ -64,12 +62,10 @@ def coverage(
     from tailbeat.evaluate import replay
     from tailbeat.identify.coverage import as_json
 
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     found = replay.coverage(fish, swims, against)
     result = as_json(found)
-    if json is not None:
-        write_json(json, result)
+    put_json(json, result)
     identified.covered(result)
     if not found.covered:
         raise typer.Exit(1)

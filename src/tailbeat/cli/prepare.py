@@ -9,7 +9,7 @@ import typer
 from tailbeat.cli import output
 from tailbeat.cli.extras import need_robot
 from tailbeat.cli.options import FishOption, JsonOption, ServoPort
-from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.files import BadInput, check_json, write_json
 
 if TYPE_CHECKING:
     from tailbeat.robot.prepare import Change, Looked
@@ -31,8 +31,7 @@ def prepare(
     """Set a servo up for a fish: find it, compare its registers, write those that differ. Nothing
     moves; torque goes off. It asks before it writes; without a terminal it needs --yes. Exit code 1
     if a register does not hold what was written."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     need_robot()
     from tailbeat.fish.store import load_fish
     from tailbeat.robot import prepare as preparing

@@ -12,7 +12,7 @@ from tailbeat.cli.learn import expect_or_say
 from tailbeat.cli.offsets import say_built, say_swims
 from tailbeat.cli.options import JsonOption, PolicyFile
 from tailbeat.cli.training import StartOption
-from tailbeat.files import BadInput, check_json, write_json
+from tailbeat.files import BadInput, check_json, put_json
 
 if TYPE_CHECKING:
     from tailbeat.robot.refit import Refitted
@@ -74,8 +74,7 @@ def refine(
     more: dict[str, Any] = {}
     if plan is not None:
         more["refitted"], more["retrained"] = _retrained(done.policy, logs, *plan)
-    if json is not None:
-        write_json(json, asdict(done) | more)
+    put_json(json, asdict(done) | more)
     if plan is not None and not (more["retrained"] and more["retrained"].better):
         raise typer.Exit(1)
 

@@ -7,7 +7,7 @@ import typer
 from tailbeat.cli import output, progress
 from tailbeat.cli.extras import need_training
 from tailbeat.cli.options import JsonOption, PolicyFile, PoolFish, SeedOption, TwinOption
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import check_json, put_json
 
 if TYPE_CHECKING:
     from tailbeat.evaluate.refinement import Estimate, LabResult, Refinement
@@ -33,8 +33,7 @@ def refinement(
     """Measure in messy labs what refining a policy from its logs gains. It swims, is refined, and
     swims again. Beside it stand the policy as it is, and one with corrections that nobody can
     know."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     need_training()
     from tailbeat.control.measure import centimetres
     from tailbeat.control.policy import load_policy
@@ -48,8 +47,7 @@ def refinement(
     with progress.counting() as count:
         done = swim(loaded, config, count)
     _print(done, centimetres(loaded.contract.measure.arrival))
-    if json is not None:
-        write_json(json, done)
+    put_json(json, done)
 
 
 def _print(done: "Refinement", ring: str) -> None:

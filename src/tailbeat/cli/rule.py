@@ -11,7 +11,7 @@ from tailbeat.cli import output, progress
 from tailbeat.cli.extras import need_training
 from tailbeat.cli.learn import expect_or_say
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
-from tailbeat.files import BadInput, refuse_existing, write_json
+from tailbeat.files import BadInput, check_json, put_json
 
 
 def rule(
@@ -29,8 +29,7 @@ def rule(
     """Write the policy of a hand-made steering rule, to compare learned ones with. Its tail beats
     at one frequency, and its centre turns towards the target. The best of twelve rules is chosen in
     the twin. It is a policy like any other: evaluate it, swim it, refine it."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     if course and task == "follow":
         raise BadInput("--course: of the rule that reaches targets; omit it with --task follow.")
     need_training()
@@ -51,5 +50,4 @@ def rule(
     share = f"{100 * done.reached:.0f} % of {done.targets} targets in the twin"
     output.say(f"{share}, {how}; policy: {done.policy}")
     expect_or_say(done.policy, chosen.name)
-    if json is not None:
-        write_json(json, done)
+    put_json(json, done)

@@ -21,7 +21,7 @@ from tailbeat.cli.options import (
     TourPolicy,
     path_asked,
 )
-from tailbeat.files import BadInput, need, refuse_existing, write_json
+from tailbeat.files import BadInput, check_json, need, put_json, write_json
 from tailbeat.link.addresses import address
 from tailbeat.link.places import LENGTH, WIDTH, pool_size
 
@@ -77,8 +77,7 @@ def station(
     from tailbeat.operator import station as work
     from tailbeat.operator.leader import chosen_leader
 
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     ends = address(robot, "--robot"), address(listen, "--listen")
     asked = path_asked(path, speed, laps, seconds)
     _check_camera(camera, {"--tour": targets, "--path": path})
@@ -105,8 +104,7 @@ def _end_of_tour(leader: "Leader | None", json: Path | None) -> None:
     tour, follow = (leader.tour, leader.follow) if leader else (None, None)
     if follow is not None:
         record = follow.record()
-        if json is not None:
-            write_json(json, record)
+        put_json(json, record)
         if not record.finished:
             raise typer.Exit(1)
     elif json is not None:

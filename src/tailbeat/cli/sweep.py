@@ -12,7 +12,7 @@ import typer
 from tailbeat.cli import output, progress
 from tailbeat.cli.extras import need_training
 from tailbeat.cli.options import AddressOption, JsonOption
-from tailbeat.files import BadInput, check_folder, leaves, need, refuse_existing, write_json
+from tailbeat.files import BadInput, check_folder, check_json, leaves, need, put_json, write_json
 
 if TYPE_CHECKING:
     from tailbeat.cluster.plan import Sweep, Trial
@@ -32,8 +32,7 @@ def sweep(
 ) -> None:
     """Train many policies from one file, try and evaluate each, and compare them. Exit code 1 if a
     trial failed or is not done."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     need_training()
     need("sweeps", "ray")
     from tailbeat.cluster import connection, plan
@@ -49,8 +48,7 @@ def sweep(
         connection.connect(None)
     done = _swim(asked, made, out)
     _print(out, done)
-    if json is not None:
-        write_json(json, done)
+    put_json(json, done)
     if not done.complete:
         raise typer.Exit(1)
 

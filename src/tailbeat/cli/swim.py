@@ -21,7 +21,7 @@ from tailbeat.cli.options import (
     TwinOption,
     path_asked,
 )
-from tailbeat.files import BadInput, check_folder, refuse_existing, write_json
+from tailbeat.files import BadInput, check_folder, check_json, put_json
 
 if TYPE_CHECKING:
     from tailbeat.evaluate.following import FollowConfig
@@ -80,8 +80,7 @@ def swim(
     random targets, then a report; exit code 1 if a target was missed by more than 20 cm
     (for another fish, in its measure). With --path the target moves by the clock; exit code 1 if
     the fish held, or was more than 60 cm from the target after the first 5 s."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     check_folder(out)
     asked = path_asked(path, speed, laps, seconds)
     if asked is not None and fish is not None:
@@ -112,8 +111,7 @@ def _open_loop(fish: str, out: Path, json: Path | None) -> None:
 
     done = open_loop(load_fish(fish), out)
     results.open_loop(done)
-    if json is not None:
-        write_json(json, done)
+    put_json(json, done)
 
 
 def _attend(asked: Asked, page: str, out: Path) -> None:
@@ -152,8 +150,7 @@ def _tour(swum: "Swum", out: Path, json: Path | None) -> None:
     of = len(done.targets)
     close = centimetres(done.arrival_m)
     output.say(f"{done.arrived} of {of} within {close}; page: {out / 'report.html'}")
-    if json is not None:
-        write_json(json, done)
+    put_json(json, done)
     if done.near < of:
         raise typer.Exit(1)
 
@@ -174,7 +171,6 @@ def _follow(config: "FollowConfig", direct: bool, out: Path, json: Path | None) 
     for fault in done.result.faults:
         output.say(fault)
     output.say(f"page: {out / 'report.html'}")
-    if json is not None:
-        write_json(json, done)
+    put_json(json, done)
     if done.result.faults:
         raise typer.Exit(1)

@@ -10,7 +10,7 @@ from tailbeat.cli import output, progress, results
 from tailbeat.cli.extras import need_training
 from tailbeat.cli.learn import SeenImu, expect_or_say, source
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import check_json, put_json
 
 if TYPE_CHECKING:
     from tailbeat.env.errors import Errors
@@ -125,8 +125,7 @@ def train(
     json: JsonOption = None,
 ) -> None:
     """Train a policy through the stages of a recipe. Exit code 1 if it did not pass them all."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     need_training()
     from tailbeat.fish.store import load_fish, with_servo
     from tailbeat.report.learning_figures import courses
@@ -150,8 +149,7 @@ def train(
     results.trained(done := result(run, course))
     if done.finished and space.kind != "turning":
         expect_or_say(str(done.policy), recipe)
-    if json is not None:
-        write_json(json, asdict(done) | {"folder": str(done.folder), "policy": str(done.policy)})
+    put_json(json, asdict(done) | {"folder": str(done.folder), "policy": str(done.policy)})
     if not done.finished:
         raise typer.Exit(1)
 

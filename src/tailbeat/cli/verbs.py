@@ -90,7 +90,7 @@ PANELS = {
         Verb(
             "identify next",
             "identify:identify_next",
-            "Rank the swims that could be recorded next by what a prediction would gain.",
+            "Rank the recordings that could be made next by what a prediction would gain.",
             "--fish mine.toml --goal turning",
         ),
         Verb(

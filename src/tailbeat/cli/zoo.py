@@ -8,7 +8,7 @@ import typer
 from tailbeat.cli import output
 from tailbeat.cli.extras import need_training
 from tailbeat.cli.options import JsonOption, SeedOption
-from tailbeat.files import refuse_existing, write_json
+from tailbeat.files import check_json, put_json
 
 if TYPE_CHECKING:
     from tailbeat.evaluate.zoo_run import Outcome
@@ -32,8 +32,7 @@ def zoo(
     Each is recorded, identified, trained and evaluated, and swims through emulated devices. A
     hand-made steering rule swims to the same targets. The same command resumes. Exit code 1 if a
     fish missed."""
-    if json is not None:
-        refuse_existing(json)
+    check_json(json)
     need_training()
     from tailbeat.evaluate.zoo_run import ZooConfig
     from tailbeat.evaluate.zoo_run import zoo as take
@@ -41,8 +40,7 @@ def zoo(
     config = ZooConfig(out, seed, tuple(only) if only else None, targets, quick)
     found = take(config, output.say)
     output.tables({f"zoo, seed {seed}": [_row(one) for one in found]})
-    if json is not None:
-        write_json(json, {"fish": found})
+    put_json(json, {"fish": found})
     if any(one.reached is None or one.reached < WANTED for one in found):
         raise typer.Exit(1)
 

@@ -11,11 +11,12 @@ from typing import Any, NotRequired, TypedDict
 import tomlkit
 from pydantic import ValidationError
 
-from tailbeat.files import BadInput, new_file, refuse_existing
+from tailbeat.files import BadInput, leaves, new_file, refuse_existing
 from tailbeat.fish.description import Fish, Hardware
 from tailbeat.fish.lab import Lab
 
 PAPER = "pulley-fish"  # the paper's fish
+ENDS = (".interval.0", ".interval.1")
 
 
 class Entry(TypedDict):
@@ -191,6 +192,19 @@ def write_identified(
     heading = "".join(f"# {line}\n" for line in note.splitlines())
     with new_file(target, overwrite) as beside:
         beside.write_text(heading + tomlkit.dumps(document), encoding="utf-8")
+
+
+def intervals(name_or_path: str | Path) -> dict[str, tuple[float, float]]:
+    """The 95 % interval (low, high) of every identified number of a fish's file, in SI, by dotted
+    path. Raises BadInput as `load_fish`."""
+    written, fish = leaves("", _toml(fish_path(name_or_path))), load_fish(name_or_path)
+    found = {}
+    for name in (one for one in written if one.endswith(ENDS[0])):
+        path = name.removesuffix(ENDS[0])
+        low, high, own = (written[path + end] for end in (*ENDS, ".value"))
+        scale = value_at(fish, path) / own if own else 1.0  # they are written in SI
+        found[path] = (scale * low, scale * high)
+    return found
 
 
 def _child(node: Any, key: str) -> Any:

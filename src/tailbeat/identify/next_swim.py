@@ -1,9 +1,9 @@
-"""Which swim to record next: the one from which a chosen prediction would gain most.
+"""What a swim would tell about a prediction, from the draws of a posterior.
 
-The draws of a posterior swim every candidate and every goal. Draws that differ in a goal, such as
-the speed of a turn, and in what a candidate would show tell how much the candidate would tell. To
-first order this is a linear regression of the goals on what is seen, with the camera's error and
-the twin's discrepancy as noise (the linear Bayes estimate). Nothing is recorded or fitted.
+The draws swim every candidate and every goal. Draws that differ in a goal, such as the speed of a
+turn, and in what a candidate would show tell how much the candidate would tell. To first order this
+is a linear regression of the goals on what is seen, with the camera's error and the twin's
+discrepancy as noise (the linear Bayes estimate). Nothing is recorded or fitted.
 
 The law of the water errs in its own way for every kind of swim: fitted to one kind, a twin may be
 wrong about another, however much the numbers have in common. So a swim of another kind than the
@@ -16,17 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.rollout import Start, swim
-from tailbeat.fish.store import load_fish
 from tailbeat.fish.twin import compile_twin
-from tailbeat.identify.bands import Discrepancy, Drawn, noise, swim_all
+from tailbeat.identify.bands import Discrepancy, Drawn, noise
 from tailbeat.identify.check_swims import check_swims
 from tailbeat.identify.gait import Gait, Track
 from tailbeat.identify.launch import launch_of
 from tailbeat.identify.manoeuvres import manoeuvres
-from tailbeat.identify.posterior import Posterior, fishes, needed
 from tailbeat.identify.protocol import RATE, fluid_runs, limits
 from tailbeat.identify.quantities import UNITS
 from tailbeat.identify.runs import Run
@@ -39,61 +36,22 @@ GOAL = np.array([0.0, 0.0, 10.0, 1.0])  # added to a goal's size: m/s, m, deg, d
 # Error of a swim of another kind than the goal's, over its own size. Chosen: twins of nine swims
 # were 15 to 30 % off in headings of a kind that they were not fitted to.
 OTHER = np.array([0.1, 0.1, 0.25, 0.25])
-# Goals: swims by the end of their names, and quantities of `UNITS` that count.
-GOALS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "speed": ("", ("speed",)),
-    "turning": ("turn", ("heading", "turn_rate")),
-    "reach": ("wander", ("distance", "heading")),
-}
 
 
-@dataclass(frozen=True)
-class Advice:
-    """A swim to record: `gain` is the fraction by which the goal's band shrinks on top of those
-    before it in the list, `minutes` the lab time with the wait for calm water."""
+@dataclass(frozen=True, eq=False)
+class SwimRecording:
+    """A swim that could be recorded: the lab time in `minutes`, and what it would show of each draw
+    (n, s), in units of its error."""
 
-    swim: str
-    gain: float
     minutes: float
-
-    @property
-    def gain_per_minute(self) -> float:
-        """Gain over lab time [1/min]."""
-        return self.gain / self.minutes
+    shown: Array
+    kind: str = "swim"
 
 
-def advise_on(fish: str, goal: str, count: int = 3) -> list[Advice]:
-    """`advise` for a fish's file with its posterior beside it. Raises BadInput without one."""
-    if count < 1:
-        raise BadInput(f"--count {count}: give 1 or more.")
-    return advise(load_fish(fish), needed(fish), goal, count)
-
-
-def advise(
-    fish: Fish, posterior: Posterior, goal: str, count: int = 3, draws: int = 100
-) -> list[Advice]:
-    """The `count` protocol swims not yet fitted that shrink the goal's band most per minute, each
-    given those before it. Raises BadInput for an unknown goal, or another fish's posterior."""
-    if goal not in GOALS:
-        raise BadInput(f"--goal {goal}: allowed are {', '.join(GOALS)}.")
-    drawn = fishes(fish, posterior, draws)
-    made = candidates(fish)
-    swum = dict(zip(made, swim_all(drawn, list(made.values())), strict=True))
-    own = _of_kind(swum, fish, GOALS[goal][0])
-    wanted = _goals([swum[name] for name in own], GOALS[goal][1])
-    open_to = {
-        name: (one, _shown(one, posterior.discrepancy, name in own))
-        for name, one in swum.items()
-        if name not in posterior.fitted
-    }
-    return choose(wanted, open_to, count)
-
-
-def candidates(fish: Fish) -> dict[str, Run]:
-    """Every swim of the protocol as a run. Raises BadInput for a crank."""
+def commands(fish: Fish) -> dict[str, Recording]:
+    """Every swim of the protocol, and every check swim. Raises BadInput for a crank."""
     limit = limits(fish)
-    commands = {**fluid_runs(fish, limit), **manoeuvres(fish, limit), **check_swims(fish, limit)}
-    return as_played(commands, fish)
+    return {**fluid_runs(fish, limit), **manoeuvres(fish, limit), **check_swims(fish, limit)}
 
 
 def as_played(commands: Mapping[str, Recording], fish: Fish) -> dict[str, Run]:
@@ -118,14 +76,14 @@ def as_played(commands: Mapping[str, Recording], fish: Fish) -> dict[str, Run]:
     return found
 
 
-def _of_kind(names: Iterable[str], fish: Fish, kind: str) -> list[str]:
+def of_kind(names: Iterable[str], fish: Fish, kind: str) -> list[str]:
     """The swims of a kind, the end of their names; of none, those with a steady beat from rest."""
     steady = set(fluid_runs(fish, limits(fish)))
     return [name for name in names if name.endswith(kind) and (kind or name in steady)]
 
 
-def _goals(swims: Sequence[Drawn], names: Sequence[str]) -> Array:
-    """What each draw predicts for the goal (n, g), over its own size and `GOAL`."""
+def scaled(swims: Sequence[Drawn], names: Sequence[str]) -> Array:
+    """What each draw predicts of these quantities (n, g), over its size in the fish and `GOAL`."""
     columns = [list(UNITS).index(name) for name in names]
     scales = [np.abs(one.centre) + GOAL for one in swims]
     return np.concatenate(
@@ -133,33 +91,12 @@ def _goals(swims: Sequence[Drawn], names: Sequence[str]) -> Array:
     )
 
 
-def choose(goals: Array, swims: Mapping[str, tuple[Drawn, Array]], count: int) -> list[Advice]:
-    """The best swims one after the other, from the goals (n, g) of n draws, and candidates with
-    what they would show (`_shown`)."""
-    seen: list[Array] = []
-    found: list[Advice] = []
-    left = dict(swims)
-    for _ in range(min(count, len(left))):
-        before = spread_after(goals, seen)
-        rated = [
-            Advice(name, 1 - spread_after(goals, [*seen, shown]) / before, _minutes(one))
-            for name, (one, shown) in left.items()
-        ]
-        best = max(rated, key=lambda one: one.gain_per_minute)
-        found.append(best)
-        seen.append(left.pop(best.swim)[1])
-    return found
-
-
-def _minutes(swim: Drawn) -> float:
-    return float((swim.run.track.time[-1] + CALM) / 60)
-
-
-def _shown(swim: Drawn, known: Discrepancy | None, own_kind: bool = True) -> Array:
-    """What a recording of the swim would show of each draw (n, 4), in units of its error."""
+def recording_of(swim: Drawn, known: Discrepancy | None, own_kind: bool = True) -> SwimRecording:
+    """What a recording of the swim would tell; less if it is not of the goal's `own_kind`."""
     apart = 0.0 if own_kind else OTHER * np.abs(swim.centre)
     error = np.sqrt(SEEN**2 + noise(swim, known) ** 2 + apart**2)
-    return np.asarray(swim.predicted / error)
+    minutes = float((swim.run.track.time[-1] + CALM) / 60)
+    return SwimRecording(minutes, np.asarray(swim.predicted / error))
 
 
 def spread_after(goals: Array, seen: Sequence[Array]) -> float:
