@@ -30,8 +30,9 @@ from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.operator.paths import LAP, eight
 from tailbeat.pool.plant import Surroundings
-from tailbeat.train.config import RunConfig, action_space
+from tailbeat.train.config import RunConfig
 from tailbeat.train.recipes import recipe_of
+from tailbeat.train.spaces import action_space
 from tailbeat.train.train import train
 
 FISH, NAME = load_fish("pulley-fish-pool"), "pulley-fish-pool-follow"

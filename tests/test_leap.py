@@ -22,10 +22,11 @@ from tailbeat.files import BadInput, write_json
 from tailbeat.train import callback as at
 from tailbeat.train import checkpoint
 from tailbeat.train.callback import TrainingCallback
-from tailbeat.train.config import RunConfig, action_space, check
+from tailbeat.train.config import RunConfig, check
 from tailbeat.train.episodes import Episodes
 from tailbeat.train.progress import Progress, TrainingRow
 from tailbeat.train.recipes import following, paper, quick, recipe_of, smoke
+from tailbeat.train.spaces import action_space
 from tailbeat.train.train import environment, learner, train
 from tailbeat.train.verdict import certain
 from test_train import FISH, planned_for

@@ -29,8 +29,9 @@ from tailbeat.fish.store import load_fish, with_values
 from tailbeat.identify.tag_pose import tracked_pose
 from tailbeat.operator.tour import draw_targets
 from tailbeat.pool.water import Water
-from tailbeat.train.config import RunConfig, action_space, measured_run
+from tailbeat.train.config import RunConfig, measured_run
 from tailbeat.train.export import export
+from tailbeat.train.spaces import action_space
 from test_policy import FISH, sights, untrained
 
 HALF = Measure(size=0.5, reach=0.4, speed=0.5, mass=0.3)

@@ -35,13 +35,13 @@ from tailbeat.env.vector_env import training_seeds
 from tailbeat.env.world import World, seeds_from
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import load_fish
-from tailbeat.train import checkpoint
-from tailbeat.train import config as config
+from tailbeat.train import checkpoint, spaces
 from tailbeat.train.callback import TrainingCallback
-from tailbeat.train.config import RunConfig, action_space, check
+from tailbeat.train.config import RunConfig, check
 from tailbeat.train.episodes import Episodes
 from tailbeat.train.progress import Progress, TrainingRow
 from tailbeat.train.recipes import paper, quick, recipe_of, smoke
+from tailbeat.train.spaces import action_space
 from tailbeat.train.train import train
 
 pytestmark = pytest.mark.long
@@ -63,7 +63,7 @@ def test_ten_stages_raise_one_difficulty_at_a_time():
     assert rates == pytest.approx([*falls, *falls, *(0.5 * FALL**k for k in range(4))])
     assert learning_rate(STAGES, 9, (1.0, 1.0, 1e-9)) == LOWEST
     assert quick().stages == STAGES
-    assert config.ACTIONS == ("generator", "direct", "filtered", "turning")
+    assert spaces.ACTIONS == ("generator", "direct", "filtered", "turning")
 
 
 def test_a_stage_scales_noise_and_physics():

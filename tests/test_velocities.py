@@ -24,8 +24,9 @@ from tailbeat.env.task import Settings, Task
 from tailbeat.env.world import World
 from tailbeat.fish.store import load_fish
 from tailbeat.pool import mess
-from tailbeat.train.config import RunConfig, action_space, begin, check
+from tailbeat.train.config import RunConfig, begin, check
 from tailbeat.train.recipes import recipe_of
+from tailbeat.train.spaces import action_space
 
 FISH = load_fish("pulley-fish-pool")
 ASKEW = np.radians(12)

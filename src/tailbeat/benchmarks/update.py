@@ -13,9 +13,10 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.logger import configure
 
 from tailbeat.fish.store import load_fish
-from tailbeat.train.config import RunConfig, action_space
+from tailbeat.train.config import RunConfig
 from tailbeat.train.recipes import Recipe, paper, quick
 from tailbeat.train.sac import rounds
+from tailbeat.train.spaces import action_space
 from tailbeat.train.train import environment, learner
 
 FISH = "pulley-fish-pool"

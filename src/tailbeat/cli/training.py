@@ -14,6 +14,7 @@ from tailbeat.files import check_json, put_json
 
 if TYPE_CHECKING:
     from tailbeat.env.errors import Errors
+    from tailbeat.env.hardship import Hardship
     from tailbeat.env.randomize import Randomisation
 
 PhysicsOption = Annotated[
@@ -54,6 +55,15 @@ TrainedBuild = Annotated[
     typer.Option(
         help="How wrong fish are built in training, up to a level's sizes if these are above the"
         " usual ranges: clean, everyday, rough, wrecked, or a TOML file with a table [lab]."
+    ),
+]
+
+TrainedHard = Annotated[
+    str,
+    typer.Option(
+        help="After the last stage, a polish of ten times the length with robots that are worse, up"
+        " to a level's sizes: clean (none), everyday, rough, wrecked, or a TOML file with a table"
+        " [lab]."
     ),
 ]
 
@@ -117,6 +127,7 @@ def train(
     imu: SeenImu = None,
     mess: TrainedMess = "clean",
     build: TrainedBuild = "clean",
+    hard: TrainedHard = "clean",
     velocities: SeesVelocities = False,
     averages: SeesAverages = False,
     normalised: Normalised = None,
@@ -129,8 +140,9 @@ def train(
     need_training()
     from tailbeat.fish.store import load_fish, with_servo
     from tailbeat.report.learning_figures import courses
-    from tailbeat.train.config import RunConfig, action_space
+    from tailbeat.train.config import RunConfig
     from tailbeat.train.recipes import recipe_of
+    from tailbeat.train.spaces import action_space
     from tailbeat.train.train import result
     from tailbeat.train.train import train as learn
 
@@ -143,6 +155,7 @@ def train(
         run = RunConfig(*told, velocities=velocities, averages=averages)
         run = replace(run, draws=_draws(fish, physics), yaw_rate=source(imu) or "imu")
         run = replace(run, errors=_wrong(mess), build=_built(build), start=start)
+        run = replace(run, hard=_hardship(hard))
         output.say(f"replay buffer: {run.buffer_bytes / 1e6:.0f} MB, in every checkpoint too")
         course = learn(run, resume, report, stage)
     courses({f"{space.kind}, seed {seed}": course.history}, out / "curve.png")
@@ -167,6 +180,13 @@ def _built(name: str) -> "Randomisation | None":
     from tailbeat.pool import mess
 
     return None if name == "clean" else mess.build(mess.level(name))
+
+
+def _hardship(name: str) -> "Hardship | None":
+    """Hardships of the polish at a level; None at the clean one. Raises BadInput."""
+    from tailbeat.pool import mess
+
+    return None if name == "clean" else mess.hardship(mess.level(name))
 
 
 def _draws(fish: str, physics: str) -> Any:

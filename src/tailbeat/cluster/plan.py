@@ -39,6 +39,7 @@ class Varied(_Part):
     imu: tuple[Literal["bno055", "none"], ...] = ()
     mess: tuple[Literal["clean", "everyday", "rough", "wrecked"], ...] = ()
     build: tuple[Literal["clean", "everyday", "rough", "wrecked"], ...] = ()
+    hard: tuple[Literal["clean", "everyday", "rough", "wrecked"], ...] = ()
     velocities: tuple[bool, ...] = ()
     averages: tuple[bool, ...] = ()
     seed: tuple[NonNegativeInt, ...] = Field(default=(0,), min_length=1)
@@ -98,6 +99,7 @@ class Trial:
     imu: str | None
     mess: str | None
     build: str | None
+    hard: str | None
     velocities: bool | None
     averages: bool | None
     seed: int

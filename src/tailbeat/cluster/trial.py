@@ -35,10 +35,11 @@ from tailbeat.identify.posterior import factors_of
 from tailbeat.pool import mess
 from tailbeat.robot.fits import check_same_body
 from tailbeat.train import checkpoint
-from tailbeat.train.config import RunConfig, action_space, check, measured_run
+from tailbeat.train.config import RunConfig, check, measured_run
 from tailbeat.train.expect import FEWER, FISH, SECONDS, of_file
 from tailbeat.train.progress import CURVE, TrainingRow, begun
 from tailbeat.train.recipes import recipe_of
+from tailbeat.train.spaces import action_space
 from tailbeat.train.train import train
 
 TRIAL, TRAINED, TRIED, RESULT = "trial.json", "trained.json", "tried.json", "result.json"
@@ -51,6 +52,7 @@ def run_of(trial: Trial, sweep: Sweep, folder: Path) -> RunConfig:
     recipe = replace(recipe_of(trial.recipe, trial.task), **changed)
     fish = with_servo(load_fish(trial.fish), trial.servo)
     wrong, built = trial.mess or "clean", trial.build or "clean"
+    hard = trial.hard or "clean"
     return RunConfig(
         fish,
         folder / "run",
@@ -65,6 +67,7 @@ def run_of(trial: Trial, sweep: Sweep, folder: Path) -> RunConfig:
         draws=factors_of(trial.fish) if trial.physics == "posterior" else None,
         errors=None if wrong == "clean" else mess.widths(mess.level(wrong)),
         build=None if built == "clean" else mess.build(mess.level(built)),
+        hard=None if hard == "clean" else mess.hardship(mess.level(hard)),
         velocities=bool(trial.velocities),
         averages=bool(trial.averages),
         yaw_rate="camera" if trial.imu == "none" else "imu",

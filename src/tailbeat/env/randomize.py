@@ -80,18 +80,21 @@ FIELDS = (
     "opt.density",
     "opt.wind",
     "tendon_invweight0",  # not drawn, computed from the masses
+    *(WORSE := ("dof_frictionloss", "qpos_spring")),  # drawn by `hardship.py` alone
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Physics:
     """The batch's own fields (n, …), which the engine uses, and their nominal values. `draws`
-    (d, zones, 5) are a posterior's coefficients over the nominal ones, None without one."""
+    (d, zones, 5) are a posterior's coefficients over the nominal ones, None without one. `fins`
+    (n,) are the fins' heights over the described ones."""
 
     twin: Twin
     pool: batch.Batch
     fields: dict[str, Array]
     nominal: dict[str, Array]
+    fins: Array
     draws: Array | None = None
 
 
@@ -99,7 +102,7 @@ def expand(twin: Twin, pool: batch.Batch, draws: Array | None = None) -> Physics
     """Give every fish its own copy of the fields that are drawn."""
     fields = {name: pool.expand(name) for name in FIELDS}
     nominal = {name: np.array(values[0]) for name, values in fields.items()}
-    return Physics(twin, pool, fields, nominal, draws)
+    return Physics(twin, pool, fields, nominal, np.ones(len(fields["body_mass"])), draws)
 
 
 def randomize(physics: Physics, ranges: Randomisation, fish: int, rng: np.random.Generator) -> None:
@@ -119,6 +122,9 @@ def randomize(physics: Physics, ranges: Randomisation, fish: int, rng: np.random
     _scale(physics, "opt.density", fish, (), _factor(ranges.density, rng))
     flow = ranges.current * rng.normal(size=2)
     physics.fields["opt.wind"][fish] = [*flow, 0.0]
+    physics.fins[fish] = 1.0
+    for name in WORSE:
+        physics.fields[name][fish] = physics.nominal[name]
 
 
 NO_FORWARD = int(mujoco.mjtStage.mjSTAGE_NONE)  # a reset needs no forward pass

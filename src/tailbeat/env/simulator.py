@@ -11,7 +11,8 @@ from mujoco import batch
 from numpy.typing import NDArray
 
 from tailbeat.control.actions import PERIOD
-from tailbeat.env import randomize
+from tailbeat.env import hardship, randomize
+from tailbeat.env.hardship import Hardship
 from tailbeat.env.randomize import Randomisation
 from tailbeat.fish import surge
 from tailbeat.fish.description import Fish
@@ -78,6 +79,10 @@ class TwinSimulator:
     def draw(self, fish: int, ranges: Randomisation, rng: np.random.Generator) -> None:
         """Draw from the nominal twin, not from the last draw."""
         randomize.randomize(self.physics, ranges, fish, rng)
+
+    def harden(self, fish: int, hard: Hardship, rng: np.random.Generator) -> Array:
+        """Draw hardships after the physics; returns the steady pull (2,) [N]."""
+        return hardship.harden(self.physics, hard, fish, rng)
 
     def ready(self, chosen: NDArray[np.int64]) -> None:
         """Recompute what the engine derives from masses, and the drawn lift coefficients."""

@@ -14,8 +14,9 @@ from tailbeat.control.corrections import Corrections
 from tailbeat.control.measure import ARRIVAL, PATIENCE, Measure
 from tailbeat.control.motion import MotionFilter
 from tailbeat.control.policy import Contract
-from tailbeat.env import errors, randomize
+from tailbeat.env import errors, hardship, randomize
 from tailbeat.env.errors import Errors
+from tailbeat.env.hardship import Hardship
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.reward import Reward
 from tailbeat.env.sensors import SensorModel
@@ -96,6 +97,7 @@ class Settings:
     motion: MotionFilter | None = None  # of the observed velocities; None: they are not observed
     averages: Averages | None = None  # their time constants; None: they are not observed
     errors: Errors | None = None
+    hard: Hardship | None = None  # in the twin alone; None: no robot is worse than usual
     corrections: Corrections | None = None  # of one robot; None: its readings stay as they are
 
 
@@ -152,6 +154,8 @@ def check_settings(fish: Fish, settings: Settings) -> ActionSpace:
     randomize.check(settings.physics)
     if settings.errors is not None:
         errors.check_widths(settings.errors)
+    if settings.hard is not None:
+        hardship.check(settings.hard)
     _check_task(settings.task)
     return space
 

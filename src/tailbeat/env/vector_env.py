@@ -17,6 +17,7 @@ from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.observation import rows
 from tailbeat.env import rendering
+from tailbeat.env.hidden import HIDDEN, hidden
 from tailbeat.env.reward import TERMS
 from tailbeat.env.simulator import Flags
 from tailbeat.env.task import Settings
@@ -31,7 +32,11 @@ def observation_space(settings: Settings, count: int | None = None) -> gymnasium
     """The observation space: 24 unbounded numbers, with velocities 28, with averages too 42, or a
     batch of them."""
     observed = len(rows(settings.motion is not None, settings.averages is not None))
-    shape = (observed,) if count is None else (count, observed)
+    return unbounded((observed,) if count is None else (count, observed))
+
+
+def unbounded(shape: tuple[int, ...]) -> gymnasium.spaces.Box:
+    """A space of unbounded numbers."""
     return gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
 
 
@@ -163,7 +168,8 @@ class Behind:
 
 class FishVecEnv(VecEnv):
     """Interface to SB3: the same world, without copies or processes. Rewards are multiplied by
-    `reward_scale`; `last` has the data of the last step."""
+    `reward_scale`; `last` has the data of the last step. An `informed` one appends to each
+    observation what only critics see (`hidden.py`)."""
 
     def __init__(
         self,
@@ -173,15 +179,18 @@ class FishVecEnv(VecEnv):
         seed: int | None = None,
         threads: int = 0,
         reward_scale: float = 1.0,
+        informed: bool = False,
     ) -> None:
         self.world = World(fish, settings or Settings(), training_seeds(seed, count), threads)
+        self.informed = informed
         self.render_mode = "rgb_array"
         self.reward_scale = reward_scale
         self.returns, self.lengths = np.zeros(count), np.zeros(count, dtype=int)
         self.sums = {name: np.zeros(count) for name in TERMS}
         self.actions: Array = np.zeros((count, act.size(self.world.space)))
-        spaces = observation_space(self.world.settings), action_space(act.size(self.world.space))
-        super().__init__(count, *spaces)
+        own = observation_space(self.world.settings)
+        seen = unbounded((own.shape[0] + HIDDEN * informed,))
+        super().__init__(count, seen, action_space(act.size(self.world.space)))
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Reseed the generators at the next reset. SB3 would give the fish seed, seed + 1, … . Then
@@ -195,7 +204,7 @@ class FishVecEnv(VecEnv):
             self.world.reseed([int(seed or 0) for seed in self._seeds])
             self._reset_seeds()
         self._forget(np.ones(self.num_envs, bool))
-        return self.world.reset()
+        return self._with_hidden(self.world.reset())
 
     def step_async(self, actions: Array) -> None:
         """Keep the actions for `step_wait`."""
@@ -211,7 +220,7 @@ class FishVecEnv(VecEnv):
         place, target = self.world.pose[:, :2].copy(), self.world.target.copy()
         self.last = Behind(before, done.frames, place, target, self.world.went, done.terms.effort)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        seen = done.observation
+        seen = self._with_hidden(done.observation)
         for fish in np.flatnonzero(ended):
             infos[fish] = {
                 "terminal_observation": seen[fish].copy(),
@@ -222,8 +231,12 @@ class FishVecEnv(VecEnv):
             }
         if ended.any():
             self._forget(ended)
-            seen = np.where(ended[:, None], self.world.reset(ended), seen)
+            first = self._with_hidden(self.world.reset(ended))
+            seen = np.where(ended[:, None], first, seen)
         return seen, (self.reward_scale * done.reward).astype(np.float32), ended, infos
+
+    def _with_hidden(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.hstack([seen, hidden(self.world)]) if self.informed else seen
 
     def _count(self, done: Outcome) -> None:
         self.returns += done.reward

@@ -72,16 +72,13 @@ class World:
         self.simulator: Any = simulator or TwinSimulator(fish, self.count, threads, settings.draws)
         self.rngs = [np.random.default_rng(seed) for seed in seeds]
         self.seen = sensors.empty(self.count, self.steps_per_episode)
-        self.wrong = errors.rows(wrong or [errors.NONE] * self.count)
-        self.fixed = bool(wrong)
+        self.wrong, self.fixed = errors.rows(wrong or [errors.NONE] * self.count), bool(wrong)
         self.right = not self.fixed and settings.errors is None  # nobody has anything wrong
         self.pushes = np.zeros((self.count, self.steps_per_episode, 2), dtype=np.float32)
-        self.age = np.zeros(self.count, dtype=np.int64)
-        self.along = np.zeros(self.count, dtype=np.int64)  # index of the present target of a scene
-        self.target = np.zeros((self.count, 2))
+        self.age, self.along = np.zeros((2, self.count), dtype=np.int64)  # steps; target of a scene
+        self.target, self.pull = np.zeros((2, self.count, 2))  # m; N, steady part of the pushes
         self.paths = np.zeros((self.count, self.steps_per_episode + 1, 2))  # of moving targets
-        self.here = np.zeros(self.count)  # steps since the target appeared
-        self.counted, self.near = np.zeros(self.count), np.zeros(self.count)  # steps; beside it
+        self.here, self.counted, self.near = np.zeros((3, self.count))  # steps at a target
         self.pose = np.zeros((self.count, 3))
         self.went = np.zeros((self.count, 2, 2))  # how tag and target moved in the last step [m]
         self.state = act.reset(self.space, self.count)
@@ -143,6 +140,9 @@ class World:
             self.simulator.qvel[fish, :3] = self.scene.velocity[fish]
         self._draw_path(fish, rng)
         self.pushes[fish] = randomize.pulses(settings.physics, self.steps_per_episode, rng)
+        if settings.hard is not None:
+            self.pull[fish] = self.simulator.harden(fish, settings.hard, rng)
+            self.pushes[fish] += self.pull[fish]
         if settings.errors is not None:
             self.wrong[fish] = errors.rows([errors.draw(settings.errors, rng)])[0]
         elif not self.fixed:

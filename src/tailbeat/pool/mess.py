@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.env.errors import BURSTS, Errors, true_frame
+from tailbeat.env.hardship import Hardship
 from tailbeat.env.randomize import Randomisation
 from tailbeat.files import BadInput
 from tailbeat.fish.lab import Lab as Figures
@@ -83,6 +84,7 @@ NUISANCES = (
 )  # fmt: skip
 BY_NAME = {one.name: one for one in NUISANCES}
 LEVELS = {"clean": 0.0, "everyday": 1.0, "rough": 2.0, "wrecked": 3.0}
+MOST_ROBOTS = 0.85  # fraction of a training's episodes with a hardship (chosen)
 EDGE = 2.0  # m from the middle, where the size of `lens` is meant
 
 
@@ -182,6 +184,15 @@ def build(sizes: Sizes) -> Randomisation:
         "current": size["current"],
     }
     return replace(Randomisation(), **{name: max(usual[name], own[name]) for name in own})
+
+
+def hardship(sizes: Sizes) -> Hardship:
+    """Hardships for a training, up to these sizes: of most robots the servo is weaker, fades and
+    has friction, the tail is bent, stiffer and sticks, the fins are lower, a tether pulls."""
+    size = _si(sizes)
+    torque = (1 + size["servo torque"]) * (1 + size["fading"]) - 1
+    own = ("stiffness", "fin", "friction", "sticking", "bend")
+    return Hardship(MOST_ROBOTS, torque, pull=size["tether pull"], **{n: size[n] for n in own})
 
 
 def fingerprint() -> str:

@@ -17,6 +17,7 @@ from tailbeat.control.policy import Contract, Policy, decide, load_policy
 from tailbeat.env import randomize
 from tailbeat.env.assess import Summary, Swims, assess
 from tailbeat.env.errors import Errors
+from tailbeat.env.hardship import Hardship
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.world import World
 from tailbeat.files import BadInput, refuse_existing
@@ -34,7 +35,7 @@ from tailbeat.train.refine import write
 from tailbeat.train.train import silent, train
 
 Array = NDArray[np.float64]
-Widths = TypeVar("Widths", Errors, Randomisation)
+Widths = TypeVar("Widths", Errors, Randomisation, Hardship)
 RETRAINED = "retrained.onnx"
 SURE = 1.64  # standard errors by which the new policy must be sooner: 95 %
 TARGETS, SEED = 250, 31_000  # by which parent and new policy are compared
@@ -106,6 +107,7 @@ def run_again(contract: Contract, fish: Fish, out: Path, start: Path | None) -> 
         averages=contract.averages is not None,
         errors=_widths(Errors(), told.get("errors")),
         build=_widths(randomize.none(), told.get("build")),
+        hard=_widths(Hardship(), told.get("hard")),
         start=start,
         measure=contract.measure,
         measured=True,

@@ -16,13 +16,15 @@ from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import decide, load_policy
 from tailbeat.env import curriculum, rendering
 from tailbeat.env.assess import Decide, Settled, Summary, Swims, assess, never
+from tailbeat.env.task import Settings
 from tailbeat.env.vector_env import FishVecEnv
 from tailbeat.env.world import World
 from tailbeat.files import BadInput
 from tailbeat.train import checkpoint
 from tailbeat.train.config import RunConfig
 from tailbeat.train.episodes import Episodes, EpisodeSums
-from tailbeat.train.export import Facts, act, export
+from tailbeat.train.export import act, export
+from tailbeat.train.facts import facts
 from tailbeat.train.progress import Progress, Report, TrainingRow
 from tailbeat.train.sac import QuickSAC
 from tailbeat.train.verdict import examine
@@ -85,18 +87,22 @@ class TrainingCallback(BaseCallback):
     def _enter(self) -> None:
         """Set the world and the learning rate to the present stage."""
         recipe, stage = self.run.recipe, self.progress.stage
-        self.env.world.change(self.run.settings(stage))
+        self.env.world.change(self._settings())
         if isinstance(self.model, QuickSAC):  # correlated noise helps only at first
             self.model.memory = recipe.memory if stage == 0 else 0.0
         self.model.lr_schedule = self._rate  # SB3 ignores `learning_rate` once it is built
         self._set_pace()
         self.episodes.enter()
 
+    def _settings(self) -> Settings:
+        """The world's settings now."""
+        return self.run.settings(self.progress.stage, self.progress.passed_at is not None)
+
     def _rate(self, _: float) -> float:
         """Learning rate: that of the stage, of a leap, or of the polish, falling to the lowest."""
         recipe, progress = self.run.recipe, self.progress
         if progress.passed_at is not None:
-            done = (self.model._n_updates - progress.passed_at) / max(recipe.polish, 1)
+            done = (self.model._n_updates - progress.passed_at) / max(self.run.polish, 1)
             return max(recipe.late_rate * (1 - done), curriculum.LOWEST)
         if progress.leapt is not None:
             return recipe.late_rate
@@ -125,7 +131,7 @@ class TrainingCallback(BaseCallback):
             progress.leapt = None
             self._go_to(progress.passed())
         if progress.passed_at is not None:
-            if updates >= progress.passed_at + recipe.polish:
+            if updates >= progress.passed_at + self.run.polish:
                 self._finish()
         elif progress.seconds - progress.stage_began > 3600 * recipe.budget_hours:
             progress.stalled = True
@@ -164,6 +170,7 @@ class TrainingCallback(BaseCallback):
         shutil.copyfile(self.run.out / "policy.onnx", self.kept())
         if progress.stage == last:
             progress.passed_at, progress.leapt = self.model._n_updates, None
+            self.env.world.change(self._settings())
             self._set_pace()
         elif progress.stage == 0 and self.run.recipe.leap:
             progress.leapt = self.model._n_updates
@@ -185,19 +192,19 @@ class TrainingCallback(BaseCallback):
     def _finish(self) -> None:
         """Hand over what the polish made, unless it reaches its targets later than before."""
         before, now = self.kept(), self.run.out / "policy.onnx"
-        if self.run.recipe.polish:
+        if self.run.polish:
             self.write_policy()
             earlier = self._lateness(partial(decide, load_policy(before)))
             if self._lateness(self._decide) > earlier:
                 shutil.copyfile(before, now)
-        settings, film = self.run.settings(self.progress.stage), before.with_suffix(".mp4")
+        settings, film = self._settings(), before.with_suffix(".mp4")
         rendering.film(partial(decide, load_policy(now)), self.run.fish, settings, film)
         self.progress.finished = True
 
     def _lateness(self, decided: Decide) -> float:
         """Mean time [s] to the targets of the last stage; a miss counts as the longest."""
         swims = self._swim(decided, EXAM_SEED, count=POLISHED)
-        longest = self.run.settings(self.progress.stage).task.seconds
+        longest = self._settings().task.seconds
         return float(swims.lateness(longest).mean())
 
     # ---- reports and checkpoints ----------------------------------------------------------------
@@ -216,28 +223,14 @@ class TrainingCallback(BaseCallback):
     def _swim(
         self, decided: Decide, seed: int, settled: Settled = never, count: int = EXAM
     ) -> Swims:
-        build = partial(World, self.run.fish, self.run.settings(self.progress.stage))
+        build = partial(World, self.run.fish, self._settings())
         return assess(decided, build, count, seed, settled)
 
     def write_policy(self) -> None:
         """Write `policy.onnx` with the present networks into the run's folder."""
         if not hasattr(self, "seen"):
             self._examine()
-        stage = self.run.recipe.stages[self.progress.stage]
-        training: Facts = {
-            "stage": stage.name,
-            "stages_passed": self.progress.passed(),
-            "seed": self.run.seed,
-            "recipe": self.run.recipe.name,
-            "physics": self.run.record().physics,
-            "errors": _widths(self.run.errors),
-            "build": _widths(self.run.build),
-            "updates": self.model._n_updates,
-            "control_steps": self.progress.control_steps,
-            "hours": round(self.progress.seconds / 3600, 3),
-            "target_speed": self.run.settings(self.progress.stage).task.target_speed,
-            "rounded": isinstance(self.model, QuickSAC) and self.model.rounded,
-        }
+        training = facts(self.run, self.progress, self.model, self._settings())
         export(self.model, self.run, self.seen, training, self.run.out / "policy.onnx")
 
     def keep(self) -> None:
@@ -252,7 +245,7 @@ class TrainingCallback(BaseCallback):
         row = self._row()
         self.last = time.monotonic(), row.control_steps, row.updates
         self.progress.history.append(row)
-        row = self.progress.estimated(row, self.run.recipe.polish)
+        row = self.progress.estimated(row, self.run.polish)
         self.progress.history[-1] = row
         self.due["report"] = time.monotonic() + REPORT_SECONDS
         for name, value in vars(row).items():
@@ -291,9 +284,3 @@ class TrainingCallback(BaseCallback):
                 f"{self.run.out}: the training diverged before update {self.model._n_updates}: a"
                 f" weight is not finite. The last checkpoint is intact: continue with --resume."
             )
-
-
-def _widths(widths: object | None) -> str:
-    """Half widths of what was drawn in training, in SI."""
-    given = {} if widths is None else {name: w for name, w in vars(widths).items() if w}
-    return ", ".join(f"{name} {width:.3g}" for name, width in given.items()) or "none"

@@ -4,20 +4,21 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import psutil
 from numpy.typing import NDArray
 from torch import cuda
 
-from tailbeat.control.actions import ActionSpace, Direct, Filtered, Turning, generator
+from tailbeat.control.actions import ActionSpace
 from tailbeat.control.camera_yaw import Source
 from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.observation import rows
-from tailbeat.env import randomize
+from tailbeat.env import hardship, randomize
 from tailbeat.env.curriculum import averages_of, scaled, settings_of, velocity_filter
 from tailbeat.env.errors import Errors
+from tailbeat.env.hardship import Hardship
+from tailbeat.env.hidden import HIDDEN
 from tailbeat.env.measured import measure_of
 from tailbeat.env.randomize import Randomisation
 from tailbeat.env.task import Settings, check_settings
@@ -26,23 +27,24 @@ from tailbeat.fish.description import Fish
 from tailbeat.fish.store import digest
 from tailbeat.train.progress import RUN, begun, measure_of_run
 from tailbeat.train.recipes import Recipe, quick
+from tailbeat.train.spaces import action_space
 
 Array = NDArray[np.float64]
-ACTIONS = ("generator", "direct", "filtered", "turning")
 # Options of `train` by the entry of `run.json` that they set, or by its first part.
 OPTIONS = {
     "actions.kind": "--actions", "actions.binds": "--binds", "actions.floor": "--floor",
     "actions.offset": "--centre", "recipe": "--recipe or --task",
     "recipe.normalised": "--normalised or --no-normalised", "seed": "--seed",
     "physics": "--physics", "yaw_rate": "--imu", "errors": "--mess", "build": "--build",
-    "velocities": "--velocities", "averages": "--averages", "start": "--start",
+    "hard": "--hard", "velocities": "--velocities", "averages": "--averages", "start": "--start",
 }  # fmt: skip
 # What older runs had, whose `run.json` does not say so.
 EARLIER = {
     "errors": None, "velocities": False, "averages": False, "recipe.normalised": False,
-    "build": None, "start": None, "physics": "ranges", "yaw_rate": "imu",
+    "hard": None, "build": None, "start": None, "physics": "ranges", "yaw_rate": "imu",
     **{f"measure.{name}": ratio for name, ratio in vars(PAPER).items()},
 }  # fmt: skip
+LONGER = 10  # times the recipe's polish, with hardships (chosen)
 WORKING_SET = 1.5e9  # bytes for torch, engine and 64 fish without the buffer (measured: 1.1e9)
 
 
@@ -50,8 +52,8 @@ WORKING_SET = 1.5e9  # bytes for torch, engine and 64 fish without the buffer (m
 class RunRecord:
     """Contents of `run.json`: the fish's name and digest, action space, recipe, seed, what the
     physics are drawn from (`ranges` or `posterior` with its digest), the fish's measure, the
-    source of the yaw rate, the half widths of what a robot has wrong (None: nothing), and the run
-    whose networks it started with (None: none)."""
+    source of the yaw rate, the half widths of what a robot has wrong (None: nothing), the run whose
+    networks it started with (None: none), and the hardships of its polish (None: none)."""
 
     fish: str
     fish_digest: str
@@ -66,6 +68,7 @@ class RunRecord:
     averages: bool = False
     build: Randomisation | None = None
     start: str | None = None
+    hard: Hardship | None = None
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,8 @@ class RunConfig:
     without. `build` are half widths of the physics; None takes the usual ones. With `velocities`
     the policy also observes filtered velocities, its own and the target's, as a policy that follows
     always does; with `averages` slow averages too, which takes the velocities along. `start` is the
-    folder of a run with whose networks it begins, as if they had passed the last stage.
+    folder of a run with whose networks it begins, as if they had passed the last stage. With `hard`
+    the polish is `LONGER` and draws these hardships, and critics see what is hidden from the actor.
     """
 
     fish: Fish
@@ -102,6 +106,7 @@ class RunConfig:
     build: Randomisation | None = None
     start: Path | None = None
     measured: bool = False
+    hard: Hardship | None = None
 
     @property
     def discount(self) -> float:
@@ -112,8 +117,18 @@ class RunConfig:
         """The action space."""
         return self.actions or action_space(None, self.fish, self.recipe.binds)
 
-    def settings(self, stage: int) -> Settings:
-        """The environment's settings in a stage."""
+    @property
+    def informed(self) -> bool:
+        """Whether the critics see what is hidden from the actor."""
+        return self.hard is not None
+
+    @property
+    def polish(self) -> int:
+        """Updates after the last stage."""
+        return self.recipe.polish * (1 if self.hard is None else LONGER)
+
+    def settings(self, stage: int, polishing: bool = False) -> Settings:
+        """The environment's settings in a stage, or in the polish after the last one."""
         recipe, share = self.recipe, self.recipe.stages[stage].noise
         found = settings_of(recipe.stages[stage], self.space(), recipe.task, self.measure)
         if self.velocities or self.averages:
@@ -124,6 +139,8 @@ class RunConfig:
         if self.averages:
             found = replace(found, averages=averages_of(self.measure))
         wrong = scaled(self.errors, share) if self.errors is not None and share else None
+        if polishing and self.hard is not None:
+            found = replace(found, hard=hardship.sized(self.hard, self.measure))
         return replace(found, draws=self.draws, yaw_rate=self.yaw_rate, errors=wrong)
 
     @property
@@ -131,7 +148,7 @@ class RunConfig:
         """Size of the replay buffer in memory and in every checkpoint [bytes]."""
         settings = self.settings(0)
         kinds = settings.motion is not None, settings.averages is not None
-        return self.recipe.buffer_bytes(len(rows(*kinds)))
+        return self.recipe.buffer_bytes(len(rows(*kinds)) + HIDDEN * self.informed)
 
     def record(self) -> RunRecord:
         """What must be equal when the run is resumed."""
@@ -149,6 +166,7 @@ class RunConfig:
             self.averages,
             self.build,
             None if self.start is None else str(self.start),
+            self.hard,
         )
 
 
@@ -168,43 +186,6 @@ def _physics(draws: Array | None) -> str:
     return f"posterior {hashlib.sha256(draws.tobytes()).hexdigest()[:12]}"
 
 
-def action_space(
-    kind: str | None,
-    fish: Fish,
-    binds: str = "fundamental",
-    floor: float = 0.0,
-    centre: float | None = None,
-) -> ActionSpace:
-    """A fish's action space by name; None is the motor's own: the generator of a pulley, turning of
-    a crank. The ceiling is the band's upper edge; `binds` is what stays below it, fundamental or
-    signal; `floor` [Hz] is the lowest fundamental; `centre` [rad] the largest centre, None for that
-    of the paper's fish in proportion to the range. Raises BadInput."""
-    crank = fish.motor.range is None
-    kind = kind or ("turning" if crank else "generator")
-    allowed = ACTIONS[3:] if crank else ACTIONS[:3]
-    if kind not in allowed:
-        raise BadInput(
-            f"--actions {kind}: {fish.name}'s motor is a {fish.motor.kind}; allowed are"
-            f" {', '.join(allowed)}."
-        )
-    if floor and kind not in ("generator", "turning"):
-        raise BadInput(f"--floor {floor:g}: {kind} actions have no floor; omit it.")
-    if centre is not None and not (kind == "generator" and 0 < centre <= np.pi):
-        raise BadInput(f"--centre {centre:g}: above 0 to 3.14 rad, and only of generator actions.")
-    if kind == "turning":
-        return Turning(fish.band[1], floor)
-    low, high = fish.motor.range or (-np.pi, np.pi)
-    if kind == "direct":
-        return Direct(low, high)
-    if kind == "filtered":
-        return Filtered(low, high)
-    if binds not in ("fundamental", "signal"):
-        raise BadInput(f"--binds {binds}: allowed are fundamental, signal.")
-    bound: Literal["fundamental", "signal"] = "signal" if binds == "signal" else "fundamental"
-    found = generator(low, high, fish.band[1], bound, floor)
-    return found if centre is None else replace(found, offset=centre)
-
-
 def check(run: RunConfig, resume: bool) -> None:
     """Check folder, fish, device and memory. Raises BadInput."""
     if not run.hours > 0:
@@ -215,6 +196,11 @@ def check(run: RunConfig, resume: bool) -> None:
         raise BadInput(
             f"recipe.normalised = true: recipe {run.recipe.name} has SB3's own update, which has no"
             f" such critics; leave it out, or take recipe quick or smoke."
+        )
+    if run.hard is not None and not (run.recipe.quick and run.recipe.polish):
+        raise BadInput(
+            f"--hard: recipe {run.recipe.name} has no polish for this task; take recipe quick and"
+            f" task reach."
         )
     if run.start is not None and not run.recipe.quick:
         raise BadInput(f"--start: recipe {run.recipe.name} has no warm start; take quick or smoke.")

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.sac.policies import SACPolicy
 from torch.nn import functional
 
 from tailbeat.control.measure import Measure
@@ -68,7 +69,8 @@ def _course(observed: int) -> dict[str, Single]:
 
 class TargetFeatures(BaseFeaturesExtractor):
     """Observations (n, k) to (n, k + 3), or (n, k + 5) with averages, for SB3's
-    `features_extractor_class`; no weights."""
+    `features_extractor_class`; no weights. The last `hidden` numbers of an observation are for
+    critics: one that `shows` them appends them to the features, else they may also be absent."""
 
     above: torch.Tensor
     constant: torch.Tensor
@@ -81,10 +83,14 @@ class TargetFeatures(BaseFeaturesExtractor):
     both: torch.Tensor
     slow: torch.Tensor
 
-    def __init__(self, observation_space: Any, measure: Measure) -> None:
-        observed = observation_space.shape[0]
+    def __init__(
+        self, observation_space: Any, measure: Measure, hidden: int = 0, shows: bool = False
+    ) -> None:
+        observed = observation_space.shape[0] - hidden
+        self.observed, self.shows = observed, shows
         self.has_course = observed == len(REMEMBERING)
-        super().__init__(observation_space, observed + ADDED + 2 * self.has_course)
+        wide = observed + ADDED + 2 * self.has_course + hidden * shows
+        super().__init__(observation_space, wide)
         held = _matrices(measure, observed)
         if self.has_course:
             held |= _course(observed)
@@ -93,6 +99,11 @@ class TargetFeatures(BaseFeaturesExtractor):
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
         """The observation with the features appended."""
+        seen, hidden = seen[:, : self.observed], seen[:, self.observed :]
+        found = self._features(seen)
+        return torch.cat([found, hidden], dim=1) if self.shows else found
+
+    def _features(self, seen: torch.Tensor) -> torch.Tensor:
         above = functional.linear(seen, self.above, self.constant)
         close = above / functional.linear(seen, self.below, self.range)
         if not self.has_course:
@@ -103,3 +114,15 @@ class TargetFeatures(BaseFeaturesExtractor):
             functional.linear(close, self.place) * functional.linear(seen, self.way), self.turn
         )
         return torch.cat([seen, close, turned / speed], dim=1)
+
+
+class InformedPolicy(SACPolicy):
+    """SB3's policy of SAC, whose critics see the hidden numbers of an observation; the actor does
+    not. SB3 gives both the same arguments, so the critics' extractor is made here."""
+
+    def make_critic(self, features_extractor: Any = None) -> Any:
+        """A critic whose features have the hidden numbers."""
+        kwargs = self.features_extractor_kwargs | {"shows": True}
+        return super().make_critic(
+            features_extractor or self.features_extractor_class(self.observation_space, **kwargs)
+        )

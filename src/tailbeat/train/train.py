@@ -12,13 +12,14 @@ import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.logger import configure
 
+from tailbeat.env.hidden import HIDDEN
 from tailbeat.env.vector_env import FishVecEnv
 from tailbeat.files import BadInput, write_json
 from tailbeat.train import checkpoint
 from tailbeat.train import config as config
 from tailbeat.train.callback import TrainingCallback
 from tailbeat.train.config import RunConfig
-from tailbeat.train.features import TargetFeatures
+from tailbeat.train.features import InformedPolicy, TargetFeatures
 from tailbeat.train.progress import CURVE, Progress, Report, TrainingResult, TrainingRow
 from tailbeat.train.recipes import DEPTH
 from tailbeat.train.replay import RelabelBuffer
@@ -122,6 +123,7 @@ def environment(run: RunConfig) -> FishVecEnv:
         run.settings(0),
         seed=run.seed,
         reward_scale=recipe.reward_scale,
+        informed=run.informed,
     )
 
 
@@ -142,12 +144,14 @@ def learner(run: RunConfig, env: FishVecEnv) -> SAC:
     if recipe.close_up:
         shape["features_extractor_class"] = TargetFeatures
         shape["features_extractor_kwargs"] = {"measure": run.measure}
+    if run.informed:
+        shape["features_extractor_kwargs"] |= {"hidden": HIDDEN}
     if recipe.quick:
         shape["optimizer_kwargs"] = {"fused": True}
         more |= {"memory": recipe.memory, "rounded": recipe.rounded}
         more |= {"normalised": recipe.normalised, "taught": run.start is not None}
     return kind(
-        "MlpPolicy",
+        InformedPolicy if run.informed else "MlpPolicy",
         env,
         learning_rate=recipe.rates[0],
         gamma=run.discount,

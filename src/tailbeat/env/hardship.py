@@ -1,0 +1,94 @@
+"""Robots that are worse than their description: drawn at the end of a training.
+
+A policy that reaches its targets in all usual fish meets these in most of its episodes. The numbers
+are those that decide in messy labs: a weak servo, friction, a stiff and sticking tail, low fins
+(docs/experiments/2026-11-hard-robots.md).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.control.measure import Measure
+from tailbeat.env.randomize import Physics
+from tailbeat.files import BadInput
+
+Array = NDArray[np.float64]
+FIN_ZONE = "fin"  # parts of this zone are fins, as in the pool
+# Powers of 1 + size: fish that swim worse are drawn more often than such as swim better (chosen).
+TORQUE, STIFFNESS, FIN = (-1.0, 0.0), (-0.5, 1.0), (-1.0, 0.5)
+
+
+@dataclass(frozen=True)
+class Hardship:
+    """Largest sizes, in a fraction `share` of all episodes.
+
+    The factors on the servo's `torque`, the tail's `stiffness` and the height of every `fin` are 1
+    plus these, to a power drawn between those above. `friction` at the shaft [N m], `sticking` of
+    the loose tail [rad] and the steady `pull` of a tether [N] are drawn from 0 up, `bend` of the
+    tail at rest [rad] to either side.
+    """
+
+    share: float = 0.0
+    torque: float = 0.0
+    stiffness: float = 0.0
+    fin: float = 0.0
+    friction: float = 0.0
+    sticking: float = 0.0
+    bend: float = 0.0
+    pull: float = 0.0
+
+
+def check(hard: Hardship) -> None:
+    """Raises BadInput for a share beyond 0 to 1, or a size that is negative or not finite."""
+    for name, value in vars(hard).items():
+        most = 1.0 if name == "share" else np.inf
+        if not 0 <= value <= most or not np.isfinite(value):
+            allowed = "0 to 1" if name == "share" else "0 or more"
+            raise BadInput(f"hardship: {name} = {value:g}; allowed is {allowed}.")
+
+
+def sized(paper: Hardship, measure: Measure) -> Hardship:
+    """The sizes for the paper's fish in another fish's measure. Friction is that of its lab."""
+    return replace(paper, pull=paper.pull * measure.push)
+
+
+def harden(physics: Physics, hard: Hardship, fish: int, rng: np.random.Generator) -> Array:
+    """Draw one fish's hardships, after its other physics and before `refresh`. Returns the steady
+    pull (2,) [N]."""
+    worse, torque, stiffer, fin, rub, stick, bent, pull, towards = rng.uniform(size=9).tolist()
+    if worse >= hard.share:
+        return np.zeros(2)
+    fields, usual, shaft = physics.fields, physics.nominal, physics.twin.model.joint("motor")
+    weaker, steeper = (
+        _factor(hard.torque, TORQUE, torque),
+        _factor(hard.stiffness, STIFFNESS, stiffer),
+    )
+    fields["actuator_forcerange"][fish] = weaker * usual["actuator_forcerange"]
+    # the hinges come after the motor
+    joints, dofs, places = (int(n) + 1 for n in (shaft.id, shaft.dofadr[0], shaft.qposadr[0]))
+    springs = steeper * usual["jnt_stiffness"][joints:]
+    fields["jnt_stiffness"][fish, joints:] = springs
+    fields["dof_frictionloss"][fish, dofs - 1] += rub * hard.friction
+    fields["dof_frictionloss"][fish, dofs:] += stick * hard.sticking / len(springs) * springs
+    fields["qpos_spring"][fish, places:] += (2 * bent - 1) * hard.bend / len(springs)
+    _lower(physics, fish, _factor(hard.fin, FIN, fin))
+    angle = 2 * np.pi * towards
+    return pull * hard.pull * np.array([np.cos(angle), np.sin(angle)])
+
+
+def _factor(size: float, powers: tuple[float, float], draw: float) -> float:
+    low, high = powers
+    return float((1 + size) ** (low + (high - low) * draw))
+
+
+def _lower(physics: Physics, fish: int, factor: float) -> None:
+    """Other heights of the fins: forces in proportion, since the law of a plate is of its area. The
+    water that the fins carry stays as it is."""
+    zones = list(physics.twin.fish.zones)
+    if FIN_ZONE not in zones:
+        return
+    own = physics.twin.zones == zones.index(FIN_ZONE)
+    physics.fields["geom_fluid"][fish, own, 1:6] *= factor
+    physics.fins[fish] = factor
