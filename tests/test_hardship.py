@@ -48,7 +48,7 @@ def drawn(hard: Hardship, count: int = 60, twice: bool = False) -> Physics:
 
 
 def test_sizes_are_those_of_a_level_and_a_servo_also_fades():
-    assert WRECKED.torque == pytest.approx(1.6 * 1.36 - 1)
+    assert WRECKED.torque == WRECKED.gain == pytest.approx(1.6 * 1.36 - 1)
     assert (WRECKED.friction, WRECKED.pull) == pytest.approx((0.3, 0.06))
     assert (WRECKED.sticking, WRECKED.bend) == pytest.approx(np.radians([9, 15]))
     none = mess.hardship(mess.level("clean"))
@@ -62,12 +62,15 @@ def test_draws_stay_in_their_sizes_reach_them_and_do_not_add_up():
         assert np.array_equal(values, again.fields[name]), name
     fields, usual = physics.fields, physics.nominal
     torque = fields["actuator_forcerange"][:, 0, 1] / usual["actuator_forcerange"][0, 1]
+    gain = fields["actuator_gainprm"][:, 0, 0] / usual["actuator_gainprm"][0, 0]
+    assert np.array_equal(fields["actuator_biasprm"][:, 0, 1], -fields["actuator_gainprm"][:, 0, 0])
     stiffness = fields["jnt_stiffness"][:, -1] / usual["jnt_stiffness"][-1]
     rub = fields["dof_frictionloss"][:, 3] - usual["dof_frictionloss"][3]
     bend = (fields["qpos_spring"] - usual["qpos_spring"]).sum(axis=1)
     sticking = (fields["dof_frictionloss"][:, 4:] / fields["jnt_stiffness"][:, 4:]).sum(axis=1)
     for values, low, high in (
         (torque, 1 / (1 + hard.torque), 1.0),
+        (gain, 1 / (1 + hard.gain), (1 + hard.gain) ** 0.25),
         (stiffness, (1 + hard.stiffness) ** -0.5, 1 + hard.stiffness),
         (physics.fins, 1 / (1 + hard.fin), (1 + hard.fin) ** 0.5),
         (rub, 0.0, hard.friction),
@@ -101,7 +104,8 @@ BEAT = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])  # 2 Hz with the whole first har
 
 
 @pytest.mark.parametrize(
-    ("name", "most"), [("torque", 0.95), ("fin", 0.95), ("friction", 0.95), ("sticking", 0.99)]
+    ("name", "most"),
+    [("torque", 0.95), ("gain", 0.95), ("fin", 0.95), ("friction", 0.95), ("sticking", 0.99)],
 )
 def test_each_hardship_alone_slows_the_fish(name, most):
     """There is less force from the tail, or from the fins. A tail that sticks is hardly slower at a

@@ -17,21 +17,22 @@ from tailbeat.files import BadInput
 Array = NDArray[np.float64]
 FIN_ZONE = "fin"  # parts of this zone are fins, as in the pool
 # Powers of 1 + size: fish that swim worse are drawn more often than such as swim better (chosen).
-TORQUE, STIFFNESS, FIN = (-1.0, 0.0), (-0.5, 1.0), (-1.0, 0.5)
+POWERS = ((-1.0, 0.0), (-1.0, 0.25), (-0.5, 1.0), (-1.0, 0.5))  # of torque, gain, stiffness, fin
 
 
 @dataclass(frozen=True)
 class Hardship:
     """Largest sizes, in a fraction `share` of all episodes.
 
-    The factors on the servo's `torque`, the tail's `stiffness` and the height of every `fin` are 1
-    plus these, to a power drawn between those above. `friction` at the shaft [N m], `sticking` of
-    the loose tail [rad] and the steady `pull` of a tether [N] are drawn from 0 up, `bend` of the
-    tail at rest [rad] to either side.
+    The factors on the servo's `torque` and `gain`, the tail's `stiffness` and the height of every
+    `fin` are 1 plus these, to a power drawn between those above. `friction` at the shaft [N m],
+    `sticking` of the loose tail [rad] and the steady `pull` of a tether [N] are drawn from 0 up,
+    `bend` of the tail at rest [rad] to either side.
     """
 
     share: float = 0.0
     torque: float = 0.0
+    gain: float = 0.0
     stiffness: float = 0.0
     fin: float = 0.0
     friction: float = 0.0
@@ -57,23 +58,23 @@ def sized(paper: Hardship, measure: Measure) -> Hardship:
 def harden(physics: Physics, hard: Hardship, fish: int, rng: np.random.Generator) -> Array:
     """Draw one fish's hardships, after its other physics and before `refresh`. Returns the steady
     pull (2,) [N]."""
-    worse, torque, stiffer, fin, rub, stick, bent, pull, towards = rng.uniform(size=9).tolist()
+    worse, *draws, rub, stick, bent, pull, towards = rng.uniform(size=10).tolist()
     if worse >= hard.share:
         return np.zeros(2)
     fields, usual, shaft = physics.fields, physics.nominal, physics.twin.model.joint("motor")
-    weaker, steeper = (
-        _factor(hard.torque, TORQUE, torque),
-        _factor(hard.stiffness, STIFFNESS, stiffer),
-    )
-    fields["actuator_forcerange"][fish] = weaker * usual["actuator_forcerange"]
+    sizes = zip((hard.torque, hard.gain, hard.stiffness, hard.fin), POWERS, draws, strict=True)
+    torque, gain, stiffness, fin = (_factor(*one) for one in sizes)
+    fields["actuator_forcerange"][fish] = torque * usual["actuator_forcerange"]
+    for name in ("actuator_gainprm", "actuator_biasprm"):
+        fields[name][fish] = gain * usual[name]
     # the hinges come after the motor
     joints, dofs, places = (int(n) + 1 for n in (shaft.id, shaft.dofadr[0], shaft.qposadr[0]))
-    springs = steeper * usual["jnt_stiffness"][joints:]
+    springs = stiffness * usual["jnt_stiffness"][joints:]
     fields["jnt_stiffness"][fish, joints:] = springs
     fields["dof_frictionloss"][fish, dofs - 1] += rub * hard.friction
     fields["dof_frictionloss"][fish, dofs:] += stick * hard.sticking / len(springs) * springs
     fields["qpos_spring"][fish, places:] += (2 * bent - 1) * hard.bend / len(springs)
-    _lower(physics, fish, _factor(hard.fin, FIN, fin))
+    _lower(physics, fish, fin)
     angle = 2 * np.pi * towards
     return pull * hard.pull * np.array([np.cos(angle), np.sin(angle)])
 

@@ -187,12 +187,14 @@ def build(sizes: Sizes) -> Randomisation:
 
 
 def hardship(sizes: Sizes) -> Hardship:
-    """Hardships for a training, up to these sizes: of most robots the servo is weaker, fades and
-    has friction, the tail is bent, stiffer and sticks, the fins are lower, a tether pulls."""
+    """Hardships for a training, up to these sizes: of most robots the servo is weaker and softer,
+    fades and rubs, the tail is bent, stiffer and sticks, the fins are lower, a tether pulls."""
     size = _si(sizes)
-    torque = (1 + size["servo torque"]) * (1 + size["fading"]) - 1
-    own = ("stiffness", "fin", "friction", "sticking", "bend")
-    return Hardship(MOST_ROBOTS, torque, pull=size["tether pull"], **{n: size[n] for n in own})
+    torque, gain = (
+        (1 + size[name]) * (1 + size["fading"]) - 1 for name in ("servo torque", "servo gain")
+    )
+    own = {n: size[n] for n in ("stiffness", "fin", "friction", "sticking", "bend")}
+    return Hardship(MOST_ROBOTS, torque, gain, pull=size["tether pull"], **own)
 
 
 def fingerprint() -> str:
