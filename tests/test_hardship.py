@@ -154,6 +154,14 @@ def test_hidden_numbers_are_what_was_drawn_in_the_fish_s_own_frame():
     assert np.abs(hidden(plain)).max() < 1e-6
 
 
+def test_a_crank_has_hardships_too():
+    world = World(load_fish("crank-fish"), Settings(hard=replace(WRECKED, share=1.0)), [1, 2])
+    world.reset()
+    for _ in range(20):
+        world.step(np.zeros((2, 3)))
+    assert np.isfinite(hidden(world)).all() and np.ptp(hidden(world)[:, 0]) > 0.01
+
+
 # ---- the training -------------------------------------------------------------------------------
 
 

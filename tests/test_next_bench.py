@@ -54,6 +54,13 @@ def test_a_recording_leaves_what_the_formula_says():
     assert left(np.zeros((0, 1)), []) == 0.0
 
 
+def test_without_a_bench_nothing_of_it_is_in_doubt():
+    assert doubted(FISH, {}) == {}
+    assert doubted(FISH, {"zones.fin.kutta": (1.0, 2.0)}) == {}
+    bare = FISH.model_copy(update={"tail": FISH.tail.model_copy(update={"k_eff": None})})
+    assert doubted(bare, KNOWN) == {}
+
+
 def test_one_number_is_moved_at_a_time_and_the_torques_of_a_servo_also_together():
     moved = doubted(FISH, about((*TAIL, *SERVO), 0.1))
     sigma = 0.1 / 1.96

@@ -47,10 +47,13 @@ class BenchRecording:
 
 def doubted(fish: Fish, known: Intervals) -> Moved:
     """The fish with one number moved up by one standard deviation, for each number of tail and
-    servo that has an interval; of the servo's torques also all together. Empty without any.
+    servo that has an interval; of the servo's torques also all together. Empty without any, or if
+    the tail has no `k_eff`: then no test bench has seen it.
 
     The largest torque matters only to commands that reach it, which a higher and a lower one tell
     differently. So the fish with a lower one stands beside."""
+    if fish.tail.k_eff is None:
+        return {}
     load = _load_doubt(fish)
     moved = {
         path: values
@@ -166,7 +169,8 @@ def _of_command(
     error = DEVIATION * np.sqrt(BLOCK * RATE)  # the residuals of one block count as one
     expected = _angle(own, command)
     away = [[_angle(one, command) - expected for one in each] for each in moved]
-    seen = np.array([one_of(each, np.argmin) for each in away]) / error
+    shown = np.array([one_of(each, np.argmin) for each in away]) / error
+    seen = np.nan_to_num(shown)  # a servo that is unstable at the step tells nothing
     hidden = (_angle(Shaft(own.servo, _scaled(own.tail, 1 + doubt)), command) - expected) / error
     across = seen @ hidden
     told = seen @ seen.T - np.outer(across, across) / (1 + hidden @ hidden)
