@@ -18,6 +18,7 @@ from tailbeat.control.policy import decide, load_policy
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish, with_values
 from tailbeat.pool import mess
+from tailbeat.train import checkpoint
 from tailbeat.train.again import run_again, surely_less, train_again
 from tailbeat.train.config import RunConfig
 from tailbeat.train.recipes import paper, smoke
@@ -49,7 +50,8 @@ def test_a_run_begins_with_the_networks_of_another_in_the_last_stage(parent, tmp
     assert kept.contract.fish_digest != before.contract.fish_digest
     assert kept.contract.measure == before.contract.measure  # by which its networks see
     assert json.loads((run.out / "run.json").read_text())["start"] == str(parent)
-    assert done.history[-1].updates >= TINY.polish
+    place = checkpoint.find(run.out)
+    assert place is not None and checkpoint.read_state(place).updates >= TINY.polish
 
 
 @pytest.mark.thorough
