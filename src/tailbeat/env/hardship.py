@@ -61,14 +61,13 @@ def harden(physics: Physics, hard: Hardship, fish: int, rng: np.random.Generator
     worse, *draws, rub, stick, bent, pull, towards = rng.uniform(size=10).tolist()
     if worse >= hard.share:
         return np.zeros(2)
-    fields, usual, shaft = physics.fields, physics.nominal, physics.twin.model.joint("motor")
+    fields, usual = physics.fields, physics.nominal
     sizes = zip((hard.torque, hard.gain, hard.stiffness, hard.fin), POWERS, draws, strict=True)
     torque, gain, stiffness, fin = (_factor(*one) for one in sizes)
     fields["actuator_forcerange"][fish] = torque * usual["actuator_forcerange"]
     for name in ("actuator_gainprm", "actuator_biasprm"):
         fields[name][fish] = gain * usual[name]
-    # the hinges come after the motor
-    joints, dofs, places = (int(n) + 1 for n in (shaft.id, shaft.dofadr[0], shaft.qposadr[0]))
+    joints, dofs, places = first_hinge(physics)
     springs = stiffness * usual["jnt_stiffness"][joints:]
     fields["jnt_stiffness"][fish, joints:] = springs
     fields["dof_frictionloss"][fish, dofs - 1] += rub * hard.friction
@@ -77,6 +76,13 @@ def harden(physics: Physics, hard: Hardship, fish: int, rng: np.random.Generator
     _lower(physics, fish, fin)
     angle = 2 * np.pi * towards
     return pull * hard.pull * np.array([np.cos(angle), np.sin(angle)])
+
+
+def first_hinge(physics: Physics) -> tuple[int, int, int]:
+    """Joint, degree of freedom and coordinate of the first hinge; the hinges come last, after the
+    motor."""
+    shaft = physics.twin.model.joint("motor")
+    return int(shaft.id) + 1, int(shaft.dofadr[0]) + 1, int(shaft.qposadr[0]) + 1
 
 
 def _factor(size: float, powers: tuple[float, float], draw: float) -> float:

@@ -8,6 +8,7 @@ The policy sees none of it, so its contract does not change.
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.env.hardship import first_hinge
 from tailbeat.env.world import World
 
 Array = NDArray[np.float64]
@@ -45,8 +46,8 @@ def hidden(world: World) -> NDArray[np.float32]:
 def _built(world: World) -> Array:
     """The build (n, 7)."""
     physics = world.simulator.physics
-    fields, usual, shaft = physics.fields, physics.nominal, physics.twin.model.joint("motor")
-    joints, dofs, places = (int(n) + 1 for n in (shaft.id, shaft.dofadr[0], shaft.qposadr[0]))
+    fields, usual = physics.fields, physics.nominal
+    joints, dofs, places = first_hinge(physics)
     springs = fields["jnt_stiffness"][:, joints:]
     limit = usual["actuator_forcerange"][0, 1]
     loss = fields["dof_frictionloss"] - usual["dof_frictionloss"]
