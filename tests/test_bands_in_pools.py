@@ -49,7 +49,7 @@ def protocol(seed: int, water: Water, first: int):
 
 def of_policy(seed: int, water: Water, count: int):
     """Swims of the default policy to targets all around it."""
-    policy = load_policy("pulley-fish-pool-course")
+    policy = load_policy("pulley-fish-pool-reach")
     pool = pool_of(policy, EvaluationConfig(pool="full", episodes=count, seed=seed))
     found = conditions_of(replace(pool, waters=(water,)), ["reach"])
     (open_water,) = (one for one in found if one.name == "reach open")

@@ -133,7 +133,7 @@ def test_the_wheel_brings_the_robot_no_laboratory(robot):
     inside = Path(here.stdout.strip()).parent
     assert inside.is_relative_to(robot.parent) and (inside / "py.typed").is_file()
     policies = [path.stem for path in inside.rglob("*.onnx")]
-    kinds = ("course", "follow", "follow-rule", "generator")
+    kinds = ("follow", "follow-rule", "generator", "reach")
     assert sorted(policies) == [f"pulley-fish-pool-{one}" for one in kinds]
 
 

@@ -25,7 +25,7 @@ from tailbeat.pool import mess
 from tailbeat.pool.water import ensemble
 from tailbeat.robot.refit import freed
 
-NAME = "pulley-fish-pool-course"
+NAME = "pulley-fish-pool-reach"
 TWIN, FISH, POLICY = load_fish("pulley-fish-pool"), load_fish("pulley-fish"), load_policy(NAME)
 BESIDE = {"setpoint": 0.0, "encoder": 0.0, "late": 0.0, "current x": 0.0, "current y": 0.0}
 SIZES = {"servo gain": 30, "servo torque": 40, "stiffness": 40, "friction": 0.15}

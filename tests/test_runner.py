@@ -16,7 +16,7 @@ from tailbeat.fish.store import load_fish
 
 FISH = load_fish("pulley-fish-pool")
 # One of each action space and version of the contract.
-KINDS = ("follow", "generator", "direct", "filtered", "signal", "course")
+KINDS = ("follow", "generator", "direct", "filtered", "signal", "reach")
 
 
 @pytest.mark.parametrize(

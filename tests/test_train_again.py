@@ -77,7 +77,7 @@ def test_noise_is_called_better_as_rarely_as_it_says():
 
 
 def test_a_training_is_read_from_its_contract(tmp_path):
-    contract = load_policy("pulley-fish-pool-course").contract
+    contract = load_policy("pulley-fish-pool-reach").contract
     run = run_again(contract, WEAK, tmp_path / "run", None)
     wrong, build = mess.widths(mess.level("wrecked")), mess.build(mess.level("rough"))
     for name in vars(wrong):
@@ -118,7 +118,7 @@ def test_what_cannot_be_started_from_is_refused(parent, tmp_path):
 
 
 def test_options_that_go_together_are_asked_for(tmp_path):
-    words = ("refine", "pulley-fish-pool-course", "--log", tmp_path / "no.mcap", "--out", tmp_path)
+    words = ("refine", "pulley-fish-pool-reach", "--log", tmp_path / "no.mcap", "--out", tmp_path)
     assert "--retrain and --fish go together" in complaint(*words, "--retrain")
     assert "--retrain and --fish go together" in complaint(*words, "--fish", FISH.name)
     assert "--start only with them" in complaint(*words, "--start", tmp_path)

@@ -10,7 +10,7 @@ from tailbeat.files import BadInput
 if TYPE_CHECKING:
     from tailbeat.operator.target_path import PathAsked
 
-SHIPPED = "pulley-fish-pool-course"  # the policy that is taken by default
+SHIPPED = "pulley-fish-pool-reach"  # the policy that is taken by default
 FOLLOWS = "pulley-fish-pool-follow"  # where the target moves
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result here as JSON.")]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]

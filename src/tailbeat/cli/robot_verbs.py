@@ -14,7 +14,7 @@ ROBOT = {
             "drive",
             "drive:drive",
             "Run the fish's control loop at 50 Hz: arm, swim, turn torque off.",
-            "pulley-fish-pool-course --emulated --log swim.mcap --seconds 30",
+            "pulley-fish-pool-reach --emulated --log swim.mcap --seconds 30",
         ),
         Verb(
             "station",

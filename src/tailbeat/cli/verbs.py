@@ -130,7 +130,7 @@ PANELS = {
             "policy diff",
             "learn:diff",
             "List the fields in which two policies' contracts differ.",
-            "runs/mine/policy.onnx pulley-fish-pool-course",
+            "runs/mine/policy.onnx pulley-fish-pool-reach",
         ),
         Verb(
             "policy try",
