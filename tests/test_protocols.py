@@ -107,6 +107,9 @@ def test_check_swims_stay_inside_the_limits_and_every_seed_has_others():
         assert np.abs(angle).max() <= limit.angle + 1e-9
         assert np.abs(np.gradient(angle, command.time)).max() < 1.3 * FULL * limit.speed
         assert angle[0] == 0.0
+    # They turn as hard as policies do: some rest against the range's end, as cut setpoints do.
+    rests = [np.mean(np.abs(c.columns["command_rad"]) > 0.99 * limit.angle) for c in made.values()]
+    assert np.mean(rests[:10]) > 0.05 > max(rests[10:])
     other = check_swims(FISH, limit, seed=1)
     for name, command in made.items():
         mine, theirs = (one.columns["command_rad"] for one in (command, other[name]))

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -11,11 +11,6 @@ from tailbeat.cli.extras import need_training
 from tailbeat.cli.learn import SeenImu, expect_or_say, source
 from tailbeat.cli.options import FishOption, JsonOption, SeedOption
 from tailbeat.files import check_json, put_json
-
-if TYPE_CHECKING:
-    from tailbeat.env.errors import Errors
-    from tailbeat.env.hardship import Hardship
-    from tailbeat.env.randomize import Randomisation
 
 PhysicsOption = Annotated[
     Literal["ranges", "posterior"],
@@ -139,6 +134,7 @@ def train(
     check_json(json)
     need_training()
     from tailbeat.fish.store import load_fish, with_servo
+    from tailbeat.pool.mess import for_training
     from tailbeat.report.learning_figures import courses
     from tailbeat.train.config import RunConfig
     from tailbeat.train.recipes import recipe_of
@@ -151,11 +147,10 @@ def train(
         if normalised is not None:
             chosen = replace(chosen, normalised=normalised)
         space = action_space(actions, described, binds or chosen.binds, floor, centre)
-        told = described, out, chosen, space, seed, hours, device
-        run = RunConfig(*told, velocities=velocities, averages=averages)
+        run = RunConfig(described, out, chosen, space, seed, hours, device, velocities=velocities)
         run = replace(run, draws=_draws(fish, physics), yaw_rate=source(imu) or "imu")
-        run = replace(run, errors=_wrong(mess), build=_built(build), start=start)
-        run = replace(run, hard=_hardship(hard))
+        wrong, drawn, worse = for_training(mess, build, hard)
+        run = replace(run, errors=wrong, build=drawn, hard=worse, averages=averages, start=start)
         output.say(f"replay buffer: {run.buffer_bytes / 1e6:.0f} MB, in every checkpoint too")
         course = learn(run, resume, report, stage)
     courses({f"{space.kind}, seed {seed}": course.history}, out / "curve.png")
@@ -165,28 +160,6 @@ def train(
     put_json(json, asdict(done) | {"folder": str(done.folder), "policy": str(done.policy)})
     if not done.finished:
         raise typer.Exit(1)
-
-
-def _wrong(mess: str) -> "Errors | None":
-    """Half widths of what robots get wrong at a level; None for the clean one. Raises BadInput."""
-    from tailbeat.pool.mess import level, widths
-
-    return None if mess == "clean" else widths(level(mess))
-
-
-def _built(name: str) -> "Randomisation | None":
-    """Half widths of the physics at a level; None, the usual ones, at the clean one. Raises
-    BadInput."""
-    from tailbeat.pool import mess
-
-    return None if name == "clean" else mess.build(mess.level(name))
-
-
-def _hardship(name: str) -> "Hardship | None":
-    """Hardships of the polish at a level; None at the clean one. Raises BadInput."""
-    from tailbeat.pool import mess
-
-    return None if name == "clean" else mess.hardship(mess.level(name))
 
 
 def _draws(fish: str, physics: str) -> Any:

@@ -32,7 +32,7 @@ from tailbeat.evaluate.trial import CHUNK
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.store import load_fish, with_servo
 from tailbeat.identify.posterior import factors_of
-from tailbeat.pool import mess
+from tailbeat.pool.mess import for_training
 from tailbeat.robot.fits import check_same_body
 from tailbeat.train import checkpoint
 from tailbeat.train.config import RunConfig, check, measured_run
@@ -51,8 +51,8 @@ def run_of(trial: Trial, sweep: Sweep, folder: Path) -> RunConfig:
     changed: dict[str, Any] = dict(trial.changed)
     recipe = replace(recipe_of(trial.recipe, trial.task), **changed)
     fish = with_servo(load_fish(trial.fish), trial.servo)
-    wrong, built = trial.mess or "clean", trial.build or "clean"
-    hard = trial.hard or "clean"
+    levels = (name or "clean" for name in (trial.mess, trial.build, trial.hard))
+    wrong, built, hard = for_training(*levels)
     return RunConfig(
         fish,
         folder / "run",
@@ -65,12 +65,12 @@ def run_of(trial: Trial, sweep: Sweep, folder: Path) -> RunConfig:
         device="cuda" if sweep.gpus else "cpu",
         checkpoint_minutes=sweep.checkpoint_minutes,
         draws=factors_of(trial.fish) if trial.physics == "posterior" else None,
-        errors=None if wrong == "clean" else mess.widths(mess.level(wrong)),
-        build=None if built == "clean" else mess.build(mess.level(built)),
-        hard=None if hard == "clean" else mess.hardship(mess.level(hard)),
         velocities=bool(trial.velocities),
         averages=bool(trial.averages),
         yaw_rate="camera" if trial.imu == "none" else "imu",
+        errors=wrong,
+        build=built,
+        hard=hard,
     )
 
 

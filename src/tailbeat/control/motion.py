@@ -11,7 +11,7 @@ Needs only numpy; training and robot run this code.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,7 +125,11 @@ def _corrected(constants: MotionFilter, state: MotionState, frames: Array) -> Mo
 def observed(state: MotionState, yaw: Array) -> Array:
     """Velocities (n, 4) [m/s] seen from fish of heading `yaw` (n,) [rad]: the target's ahead and to
     the left, the fish's own ahead and to the left."""
-    c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
-    x, y = state.velocity[..., 0], state.velocity[..., 1]
-    seen = np.stack([c * x + s * y, c * y - s * x], axis=-1)
+    seen = ahead_and_left(state.velocity, yaw[:, None])
     return np.asarray(seen[:, [TARGET, FISH]].reshape(-1, OBSERVED))
+
+
+def ahead_and_left(vectors: NDArray[Any], yaw: NDArray[Any]) -> NDArray[Any]:
+    """Vectors (…, 2) of the pool, seen from fish of heading `yaw` (…,) [rad]."""
+    x, y, cos, sin = vectors[..., 0], vectors[..., 1], np.cos(yaw), np.sin(yaw)
+    return np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)

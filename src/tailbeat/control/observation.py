@@ -162,12 +162,10 @@ def observe(samples: Samples, measure: Measure = PAPER) -> NDArray[np.float32]:
 def relative(frames: Array) -> Array:
     """Of frames (n, k, 6), see `Samples`: distance of the target, its distance ahead and to the
     left [m], staleness [s]: (n, k, 4)."""
-    x, y = frames[..., 3] - frames[..., 0], frames[..., 4] - frames[..., 1]
-    cos, sin = np.cos(frames[..., 2]), np.sin(frames[..., 2])
-    seen = np.empty((*x.shape, 4))
-    seen[..., 0] = np.hypot(x, y)
-    seen[..., 1] = cos * x + sin * y
-    seen[..., 2] = cos * y - sin * x
+    apart = frames[..., 3:5] - frames[..., :2]
+    seen = np.empty((*apart.shape[:-1], 4))
+    seen[..., 0] = np.hypot(apart[..., 0], apart[..., 1])
+    seen[..., 1:3] = motion.ahead_and_left(apart, frames[..., 2])
     seen[..., 3] = frames[..., 5]
     return seen
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.control.measure import Measure
-from tailbeat.env.randomize import Physics
+from tailbeat.env.randomize import Physics, set_servo
 from tailbeat.files import BadInput
 
 Array = NDArray[np.float64]
@@ -64,9 +64,7 @@ def harden(physics: Physics, hard: Hardship, fish: int, rng: np.random.Generator
     fields, usual = physics.fields, physics.nominal
     sizes = zip((hard.torque, hard.gain, hard.stiffness, hard.fin), POWERS, draws, strict=True)
     torque, gain, stiffness, fin = (_factor(*one) for one in sizes)
-    fields["actuator_forcerange"][fish] = torque * usual["actuator_forcerange"]
-    for name in ("actuator_gainprm", "actuator_biasprm"):
-        fields[name][fish] = gain * usual[name]
+    set_servo(physics, fish, gain, torque)
     joints, dofs, places = first_hinge(physics)
     springs = stiffness * usual["jnt_stiffness"][joints:]
     fields["jnt_stiffness"][fish, joints:] = springs

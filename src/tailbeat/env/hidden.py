@@ -8,6 +8,7 @@ The policy sees none of it, so its contract does not change.
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.control.motion import ahead_and_left
 from tailbeat.env.hardship import first_hinge
 from tailbeat.env.world import World
 
@@ -38,7 +39,7 @@ def hidden(world: World) -> NDArray[np.float32]:
         world.wrong[name] / (size * (m.size if name in PLACES else 1.0))
         for name, size in WRONG.items()
     ]
-    seen = [_in_its_frame(values, yaw) / size for values, size in ways]
+    seen = [ahead_and_left(np.asarray(values), yaw) / size for values, size in ways]
     found = np.column_stack([_built(world), *seen, *wrong])  # a diverged fish has no numbers
     return np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
 
@@ -62,10 +63,3 @@ def _built(world: World) -> Array:
         bent[:, places:].sum(axis=1) / BEND,
     )
     return np.column_stack(columns)
-
-
-def _in_its_frame(vectors: Array, yaw: Array) -> Array:
-    """Vectors (n, 2) of the world, ahead and to the left of each fish."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    x, y = np.asarray(vectors).T
-    return np.column_stack([cos * x + sin * y, cos * y - sin * x])

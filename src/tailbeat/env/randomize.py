@@ -161,16 +161,20 @@ def _fluid(physics: Physics, width: float, fish: int, rng: np.random.Generator) 
 
 
 def _servo(physics: Physics, ranges: Randomisation, fish: int, rng: np.random.Generator) -> None:
-    gain, limit = _factor(ranges.servo_gain, rng), _factor(ranges.servo_limit, rng)
-    for name in ("actuator_gainprm", "actuator_biasprm"):
-        physics.fields[name][fish] = physics.nominal[name] * gain
-    physics.fields["actuator_forcerange"][fish] = physics.nominal["actuator_forcerange"] * limit
+    set_servo(physics, fish, _factor(ranges.servo_gain, rng), _factor(ranges.servo_limit, rng))
     delay = physics.nominal["actuator_delay"]
     if delay[0] > 0:
         # the engine's buffer holds one step more than the nominal delay
         longest = delay + physics.twin.model.opt.timestep
         drawn = delay + ranges.servo_delay * rng.uniform(-1, 1)
         physics.fields["actuator_delay"][fish] = np.clip(drawn, 1e-4, longest)
+
+
+def set_servo(physics: Physics, fish: int, gain: float, limit: float) -> None:
+    """One fish's servo, with factors on its gain (and damping) and on its torque limit."""
+    for name in ("actuator_gainprm", "actuator_biasprm"):
+        physics.fields[name][fish] = physics.nominal[name] * gain
+    physics.fields["actuator_forcerange"][fish] = physics.nominal["actuator_forcerange"] * limit
 
 
 def refresh(physics: Physics, fish: NDArray[np.int64]) -> None:

@@ -1,10 +1,10 @@
 """Swims to measure how far a twin is from real water (`bands.py`). They are never fitted.
 
 Most wander as policies do: frequency, stroke and centre change about every second, as fast as the
-servo can. A twin errs more on such swims than on steady ones: with sums of sines and slow sweeps,
-which were taken before, bands were too narrow for a policy's swims. In other water than the twin's
-own it may err more on steady beats, so there are some of these too
-(docs/experiments/2026-11-what-swims-tell.md).
+servo can, and a centre may be so far aside that half of each stroke is cut off. A twin errs more on
+such swims than on steady ones: with sums of sines and slow sweeps, which were taken before, bands
+were too narrow for a policy's swims. In other water than the twin's own it may err more on steady
+beats, so there are some of these too (docs/experiments/2026-11-what-swims-tell.md).
 """
 
 import numpy as np
@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 SECONDS = 10.0
 RAMP = 0.5  # s, in which a swim grows from rest
 WANDER, STEADY = 10, 5  # swims of each kind
+# Largest centre of a wandering swim, over the largest angle: a policy's, about which it cannot beat
+# freely (`control.actions.Generator`).
+TURNED = 0.95
 ASIDE = 0.3  # rad: largest centre of a steady beat, so that some turn
 
 
@@ -30,7 +33,9 @@ def check_swims(fish: Fish, limit: ServoLimits, seed: int = 0) -> dict[str, Reco
         rng = np.random.default_rng([seed, number])
         if number < WANDER:
             kind, begin = "wander", "middle"
-            command = wandering(fast(limit, FULL), (0.0, fish.band[1]), SECONDS, rng)
+            command = wandering(
+                fast(limit, FULL), (0.0, fish.band[1]), SECONDS, rng, TURNED * limit.angle
+            )
         else:
             kind, begin = "steady", "end"
             command = played(limit, [_beat(fish, rng, number - WANDER)])[0]

@@ -197,6 +197,18 @@ def hardship(sizes: Sizes) -> Hardship:
     return Hardship(MOST_ROBOTS, torque, gain, pull=size["tether pull"], **own)
 
 
+def for_training(
+    wrong: str, built: str, hard: str
+) -> tuple[Errors | None, Randomisation | None, Hardship | None]:
+    """`errors`, `build` and `hard` of a training up to these levels, by name or file; None is the
+    usual, of the clean one. Raises BadInput."""
+    return (
+        None if wrong == "clean" else widths(level(wrong)),
+        None if built == "clean" else build(level(built)),
+        None if hard == "clean" else hardship(level(hard)),
+    )
+
+
 def fingerprint() -> str:
     """Hash of the sizes and levels."""
     what = [[astuple(one) for one in NUISANCES], LEVELS, BURSTS, FADING, EDGE]

@@ -14,6 +14,7 @@ from matplotlib.patches import Circle
 
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.measure import ARRIVAL, NEAR, centimetres
+from tailbeat.control.motion import ahead_and_left
 from tailbeat.evaluate.comparison import Kind
 from tailbeat.evaluate.rates import ConditionResult
 from tailbeat.evaluate.reach import Cell, Group, ReachResult
@@ -83,12 +84,11 @@ def reach_map(runs: Runs, title: str = "") -> Figure:
 def _in_start_frame(runs: Runs) -> tuple[Any, Any]:
     """Paths (n, k, 2) and targets (n, 2), x ahead and y left of each fish at its start."""
     start = runs.pose[:, :1]
-    c, s = np.cos(start[..., 2]), np.sin(start[..., 2])
-    turned = []
-    for place in (runs.pose[..., :2], runs.target[:, :1]):
-        x, y = np.moveaxis(place - start[..., :2], 2, 0)
-        turned.append(np.stack([c * x + s * y, c * y - s * x], axis=2))
-    return turned[0], turned[1][:, 0]
+    paths, targets = (
+        ahead_and_left(place - start[..., :2], start[..., 2])
+        for place in (runs.pose[..., :2], runs.target[:, :1])
+    )
+    return paths, targets[:, 0]
 
 
 @styled
