@@ -200,8 +200,8 @@ def hardship(sizes: Sizes) -> Hardship:
 def for_training(
     wrong: str, built: str, hard: str
 ) -> tuple[Errors | None, Randomisation | None, Hardship | None]:
-    """`errors`, `build` and `hard` of a training up to these levels, by name or file; None is the
-    usual, of the clean one. Raises BadInput."""
+    """What a training draws up to these levels (names or files): its `errors`, `build` and `hard`.
+    None, the usual, at the clean level. Raises BadInput."""
     return (
         None if wrong == "clean" else widths(level(wrong)),
         None if built == "clean" else build(level(built)),
