@@ -34,6 +34,7 @@ from tailbeat.env.task import Settings
 from tailbeat.env.vector_env import training_seeds
 from tailbeat.env.world import World, seeds_from
 from tailbeat.files import BadInput, write_json
+from tailbeat.fish.period import PERIOD
 from tailbeat.fish.store import load_fish
 from tailbeat.train import checkpoint, spaces
 from tailbeat.train.callback import TrainingCallback
@@ -119,6 +120,16 @@ def test_unknown_names_are_refused():
     plain, floored = action_space("generator", FISH), action_space("generator", FISH, floor=1.0)
     assert vars(floored) == {**vars(plain), "floor": 1.0}
     assert recipe_of("paper") == paper() and not paper().relabel
+
+
+def test_a_horizon_is_the_time_after_which_rewards_count_1_e():
+    far = recipe_of("quick", horizon=10.0)
+    assert far.discount ** (10.0 / PERIOD) == pytest.approx(np.exp(-1), rel=2e-3)
+    assert far == replace(quick(), discount=far.discount) and far.horizon == pytest.approx(10.0)
+    assert recipe_of("quick", horizon=quick().horizon) == quick()
+    for refused in (0.0, 0.9, 61.0, float("nan")):
+        with pytest.raises(BadInput, match=r"--horizon .*: allowed are 1 to 60 s"):
+            recipe_of("quick", horizon=refused)
 
 
 # ---- a run, its end and its resumption ----------------------------------------------------------

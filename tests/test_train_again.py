@@ -21,7 +21,7 @@ from tailbeat.pool import mess
 from tailbeat.train import checkpoint
 from tailbeat.train.again import run_again, surely_less, train_again
 from tailbeat.train.config import RunConfig
-from tailbeat.train.recipes import paper, smoke
+from tailbeat.train.recipes import paper, recipe_of, smoke
 from tailbeat.train.train import train
 
 FISH = load_fish("pulley-fish-pool")
@@ -88,6 +88,8 @@ def test_a_training_is_read_from_its_contract(tmp_path):
     plain = run_again(load_policy("pulley-fish-pool-generator").contract, WEAK, tmp_path, None)
     assert plain.errors is None and plain.build is None and not plain.averages
     assert run.measured and run.measure == contract.measure  # the same task for the same robot
+    far = replace(contract, training={**contract.training, "horizon": 8.0})
+    assert run_again(far, WEAK, tmp_path, None).recipe == recipe_of("quick", horizon=8.0)
     odd = replace(contract, training={**contract.training, "errors": "horn much"})
     with pytest.raises(BadInput, match="which this tailbeat cannot read"):
         run_again(odd, WEAK, tmp_path, None)

@@ -87,6 +87,14 @@ TrainedActions = Annotated[
     typer.Option(help="generator, direct or filtered; of a crank turning. Default: the first."),
 ]
 
+HorizonOption = Annotated[
+    float | None,
+    typer.Option(
+        help="How far the policy looks ahead in training [s], 1 to 60: rewards that much later"
+        " count 1/e. Default: the recipe's."
+    ),
+]
+
 StartOption = Annotated[
     Path | None,
     typer.Option(
@@ -126,6 +134,7 @@ def train(
     velocities: SeesVelocities = False,
     averages: SeesAverages = False,
     normalised: Normalised = None,
+    horizon: HorizonOption = None,
     start: StartOption = None,
     stage: ContinuedStage = None,
     json: JsonOption = None,
@@ -143,9 +152,8 @@ def train(
     from tailbeat.train.train import train as learn
 
     with progress.training() as report:
-        described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe, task)
-        if normalised is not None:
-            chosen = replace(chosen, normalised=normalised)
+        described, chosen = with_servo(load_fish(fish), servo), recipe_of(recipe, task, horizon)
+        chosen = chosen if normalised is None else replace(chosen, normalised=normalised)
         space = action_space(actions, described, binds or chosen.binds, floor, centre)
         run = RunConfig(described, out, chosen, space, seed, hours, device, velocities=velocities)
         run = replace(run, draws=_draws(fish, physics), yaw_rate=source(imu) or "imu")

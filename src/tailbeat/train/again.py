@@ -99,7 +99,7 @@ def run_again(contract: Contract, fish: Fish, out: Path, start: Path | None) -> 
     return RunConfig(
         fish=fish,
         out=out,
-        recipe=recipe_of(name, task),
+        recipe=recipe_of(name, task, told.get("horizon")),
         actions=contract.actions,
         seed=int(told.get("seed", 0)),
         yaw_rate=contract.yaw_rate,

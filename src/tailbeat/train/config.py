@@ -34,7 +34,8 @@ Array = NDArray[np.float64]
 OPTIONS = {
     "actions.kind": "--actions", "actions.binds": "--binds", "actions.floor": "--floor",
     "actions.offset": "--centre", "recipe": "--recipe or --task",
-    "recipe.normalised": "--normalised or --no-normalised", "seed": "--seed",
+    "recipe.normalised": "--normalised or --no-normalised", "recipe.discount": "--horizon",
+    "seed": "--seed",
     "physics": "--physics", "yaw_rate": "--imu", "errors": "--mess", "build": "--build",
     "hard": "--hard", "velocities": "--velocities", "averages": "--averages", "start": "--start",
 }  # fmt: skip

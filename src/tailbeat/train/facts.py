@@ -16,6 +16,7 @@ def facts(run: RunConfig, progress: Progress, model: SAC, settings: Settings) ->
         "stages_passed": progress.passed(),
         "seed": run.seed,
         "recipe": run.recipe.name,
+        "horizon": round(run.recipe.horizon, 3),
         "physics": run.record().physics,
         "errors": _widths(run.errors),
         "build": _widths(run.build),

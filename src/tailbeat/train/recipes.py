@@ -8,6 +8,7 @@ import numpy as np
 from tailbeat.env.curriculum import FOLLOWING, MOVING, STAGES, Stage
 from tailbeat.env.task import Task
 from tailbeat.files import BadInput
+from tailbeat.fish.period import PERIOD
 
 WIDTH, DEPTH = 286, 3  # of actor and critics (paper)
 # numbers of a transition in single precision, beside two observations: action, reward, two ends,
@@ -70,6 +71,11 @@ class Recipe:
         """Threads of one torch operation, or None for torch's default. A quick update runs two
         threads of its own with one each; SB3's update runs on one and splits its operations."""
         return 1 if self.quick else None
+
+    @property
+    def horizon(self) -> float:
+        """Time after which rewards count 1/e, in the measure of the paper's fish [s]."""
+        return PERIOD / (1 - self.discount)
 
     def buffer_bytes(self, observed: int) -> int:
         """Size of the replay buffer in memory and in every checkpoint [bytes], with so many
@@ -157,6 +163,7 @@ def smoke() -> Recipe:
 
 
 TASKS = ("reach", "follow")
+HORIZONS = 1.0, 60.0  # s; a whole swim to a target lasts 30 (chosen)
 EPISODES = 120  # with moving targets that are judged at once; all of them last half a minute
 # With moving targets: the share of exploring fish beside them that asks for a verdict, and updates
 # between two, since one takes half a minute in which nothing is learnt (chosen).
@@ -177,11 +184,17 @@ def following(recipe: Recipe) -> Recipe:
     return replace(judged, stages=FOLLOWING, task=task, rounded=False)
 
 
-def recipe_of(name: str, task: str = "reach") -> Recipe:
-    """A recipe by its name, for a task, reach or follow. Raises BadInput."""
+def recipe_of(name: str, task: str = "reach", horizon: float | None = None) -> Recipe:
+    """A recipe by its name, for a task, reach or follow, that looks ahead by `horizon` [s], None
+    for its own. Raises BadInput."""
     if name not in RECIPES:
         raise BadInput(f"--recipe {name}: allowed are {', '.join(RECIPES)}.")
     if task not in TASKS:
         raise BadInput(f"--task {task}: allowed are {', '.join(TASKS)}.")
     found = RECIPES[name]()
+    if horizon is not None:
+        least, most = HORIZONS
+        if not least <= horizon <= most:
+            raise BadInput(f"--horizon {horizon:g}: allowed are {least:g} to {most:g} s.")
+        found = replace(found, discount=1 - PERIOD / horizon)
     return following(found) if task == "follow" else found
