@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -97,8 +98,11 @@ def test_unknown_versions_and_strangers_are_refused(tmp_path):
         load_policy(tmp_path / "bare.onnx")
     with pytest.raises(BadInput, match="no such file"):
         load_policy(tmp_path / "none.onnx")
-    with pytest.raises(BadInput, match=r"examples/policies .* pulley-fish-pool-signal\.onnx"):
-        load_policy("pulley-fish-pool-signal")
+    for name in ("pulley-fish-pool-signal", "pulley-fish-pool-course"):  # the second was a default
+        with pytest.raises(BadInput, match=r"examples/policies\*/: give") as refused:
+            load_policy(name)
+        told = set(re.findall(r"\S+\.onnx", str(refused.value).split("examples/policies*/")[1]))
+        assert told & {path.name for path in POLICIES.values()}
 
 
 def test_only_a_name_is_told_where_policies_of_the_repository_lie(tmp_path):

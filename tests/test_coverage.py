@@ -124,6 +124,24 @@ def test_quantities_without_columns_are_left_out_and_said(protocol):
     assert all("recordings" in line for line in found.missing)
 
 
+def test_glitches_leave_a_verdict_as_it_was(protocol, slow):
+    """Jumps of the shaft in the recordings would widen their range: everything looks covered."""
+    broken = [glitched(one, [40, 140, 240]) for one in protocol]
+    clean, found = (coverage([slow], some, FISH) for some in (protocol, broken))
+    assert len(found.glitches) == len(protocol) and not clean.glitches
+    for a, b in zip(clean.quantities, found.quantities, strict=True):
+        assert a.covered == b.covered
+        assert b.high == pytest.approx(a.high, rel=0.03)
+        assert b.outside == pytest.approx(a.outside, abs=0.02)
+
+
+def glitched(one: Recording, at: list[int]) -> Recording:
+    """A recording with a shaft that reads its range's end in some rows."""
+    angle = np.array(one.columns["motor_angle_rad"])
+    angle[at] = 1.39
+    return replace(one, columns={**one.columns, "motor_angle_rad": angle})
+
+
 def test_bad_input_is_one_sentence(protocol):
     blind = replace(protocol[0], columns={"x_m": protocol[0].time})
     with pytest.raises(BadInput, match="motor_angle_rad is missing"):

@@ -36,7 +36,7 @@ EDGES = {
         "fish.store": "fish_of",
         "identify.bands": "as_rows as_json",
         "identify.chain": "Drawings.page",
-        "identify.coverage": "as_json",
+        "identify.coverage_report": "as_json",
         "identify.estimate": "as_row",
         "identify.fluid_report": "as_report",
         "identify.glitch_report": "as_rows",

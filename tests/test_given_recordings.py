@@ -120,7 +120,8 @@ def test_a_release_that_is_cut_off_while_it_swings_is_refused():
 
 def test_a_swim_of_two_rows_is_no_traceback(tmp_path):
     write_recording(rows(SWIM, slice(0, 2)), tmp_path / "two.csv")
-    assert as_run(read_recording(tmp_path / "two.csv"), FISH).from_rest is False
+    with pytest.raises(BadInput, match=r"a swim lasts 0\.5 s or more\. Leave this one out\.$"):
+        as_run(read_recording(tmp_path / "two.csv"), FISH)
 
 
 # ---- options ------------------------------------------------------------------------------------

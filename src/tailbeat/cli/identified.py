@@ -249,6 +249,7 @@ def covered(result: dict[str, Any]) -> None:
         for band in result["bands"]
     ]
     tables({"swims against recordings": rows, "the motor's power": bands})
+    _say_glitches(result)
     for line in (*result["missing"], *result["advice"]):
         say(line)
     if result["covered"]:

@@ -60,7 +60,7 @@ def coverage(
     """Check whether an identification's recordings cover a policy's swims. List what to record
     next. Exit code 1 if over 5 % of a quantity is outside the recorded range."""
     from tailbeat.evaluate import replay
-    from tailbeat.identify.coverage import as_json
+    from tailbeat.identify.coverage_report import as_json
 
     check_json(json)
     found = replay.coverage(fish, swims, against)

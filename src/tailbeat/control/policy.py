@@ -148,12 +148,19 @@ def policy_path(name_or_path: str | Path) -> Path:
     path = shipped().get(str(name_or_path), Path(name_or_path))
     if path.is_file():
         return path
-    others = ""
-    if path.name == str(name_or_path) and path.suffix != ".onnx":  # a name, not a file
-        others = f" Policies in examples/policies are not shipped: give the path of {path}.onnx."
     raise BadInput(
         f"{path}: no such file; give a policy, an .onnx file or one of {', '.join(shipped())}."
-        f"{others}"
+        f"{_others(path)}"
+    )
+
+
+def _others(path: Path) -> str:
+    """Where a policy may be that is given by a name; earlier defaults have their seed there."""
+    if path.name != str(path) or path.suffix == ".onnx":
+        return ""
+    return (
+        f" Others, earlier defaults too, are in the source's examples/policies*/: give the path of"
+        f" {path}.onnx or {path}-0.onnx there."
     )
 
 

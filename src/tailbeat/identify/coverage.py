@@ -6,9 +6,8 @@ outside their own range is subtracted, so recordings always cover themselves.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,9 @@ from numpy.typing import NDArray
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.period import PERIOD
+from tailbeat.identify.clean import clean_swim
 from tailbeat.identify.gait import Track, distance
+from tailbeat.identify.glitches import Glitch
 from tailbeat.identify.motor_power import HIGHEST, Spectrum, central, share, spectra
 from tailbeat.identify.runs import check_motor
 from tailbeat.recording import Recording, uniform
@@ -113,11 +114,13 @@ class Band:
 
 @dataclass(frozen=True)
 class Coverage:
-    """The compared quantities; `missing` says which could not be compared, and why."""
+    """The compared quantities; `missing` says which could not be compared, and why; `glitches` of
+    swims and recordings were left out."""
 
     quantities: tuple[Quantity, ...]
     bands: tuple[Band, ...]
     missing: tuple[str, ...]
+    glitches: tuple[Glitch, ...] = ()
 
     @property
     def covered(self) -> bool:
@@ -146,36 +149,23 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def as_json(found: Coverage) -> dict[str, Any]:
-    """The result of `tailbeat coverage`: SI, fractions from 0 to 1."""
-    return {
-        "covered": found.covered,
-        "limit": LIMIT,
-        "quantities": [_row(one) for one in found.quantities],
-        "bands": [asdict(band) for band in found.bands],
-        "missing": list(found.missing),
-        "advice": found.advice,
-    }
-
-
-def _row(one: Quantity) -> dict[str, Any]:
-    numbers = {name: value for name, value in asdict(one).items() if name != "term"}
-    named = {"quantity": one.term.name, "unit": one.term.unit, "covered": one.covered}
-    return {**named, "outside": one.outside, **numbers}
-
-
 def coverage(swims: Sequence[Recording], recordings: Sequence[Recording], fish: Fish) -> Coverage:
     """Compare a policy's swims with the recordings that a fish was identified on.
 
-    Both need `motor_angle_rad`. Yaw rate needs `yaw_rad`; speed also needs `x_m` and `y_m`. Raises
-    BadInput for a recording that lacks the motor's angle, is too short, or exceeds the motor's
-    range, and if the motor never moves.
+    Both need `motor_angle_rad`. Yaw rate needs `yaw_rad`; speed also needs `x_m` and `y_m`. Without
+    their glitches, since one jump of an angle is a motor rate that nothing swims. Raises BadInput
+    for a recording that lacks the motor's angle, is too short, or exceeds the motor's range, and if
+    the motor never moves.
     """
     for one in (*swims, *recordings):
         _check(one)
     for one in recordings:  # angles in degrees would make every swim look covered
+        check_motor(one, fish, one.columns["motor_angle_rad"], most=0.1)
+    cleaned = [clean_swim(one) for one in (*swims, *recordings)]
+    for one, _ in cleaned[len(swims) :]:
         check_motor(one, fish, one.columns["motor_angle_rad"])
-    played, recorded = ([uniform(r, PERIOD) for r in group] for group in (swims, recordings))
+    kept = [uniform(one, PERIOD) for one, _ in cleaned]
+    played, recorded = kept[: len(swims)], kept[len(swims) :]
     found, missing = [_power(played, recorded, fish)], []
     for term, measure in MEASURES:
         a, b = _pooled(played, measure, fish), _pooled(recorded, measure, fish)
@@ -184,7 +174,8 @@ def coverage(swims: Sequence[Recording], recordings: Sequence[Recording], fish: 
             missing.append(f"{term.name} is not compared: no columns for it in the {side}")
         else:
             found.append(_compared(term, a, b))
-    return Coverage(tuple(found), _bands(played, recorded, fish), tuple(missing))
+    glitches = tuple(glitch for _, some in cleaned for glitch in some)
+    return Coverage(tuple(found), _bands(played, recorded, fish), tuple(missing), glitches)
 
 
 def _check(recording: Recording) -> None:

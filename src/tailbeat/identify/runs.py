@@ -40,6 +40,7 @@ from tailbeat.recording import Recording, markers, require
 Array = NDArray[np.float64]
 SAMPLE = 0.02  # s between samples of a twin's run
 FIRST_WAY = 1.0  # s; their mean direction is the first heading if none was recorded
+SHORTEST = 0.5  # s of a replayed run, whose errors are those of a path (chosen)
 REPLAYED = Options(replayed=True)
 
 
@@ -79,6 +80,12 @@ def as_run(recording: Recording, fish: Fish) -> Run:
     given = recording.time.size
     recording, glitches = clean_swim(recording)
     motor = recording.columns.get("motor_angle_rad")
+    lasts = float(recording.time[-1] - recording.time[0])
+    if motor is not None and lasts < SHORTEST:
+        raise BadInput(
+            f"{recording.name}: lasts {lasts:.2f} s; a swim lasts {SHORTEST:g} s or more. Leave"
+            f" this one out."
+        )
     if motor is None and fish.motor.kind != "crank":
         raise BadInput(
             f"{recording.name}: column motor_angle_rad is missing; {fish.name} has a servo, so give"
