@@ -80,7 +80,7 @@ def test_a_discrepancy_of_earlier_releases_is_left_out(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda path: path.write_text("time_s,angle\n0,1\n"), "not a posterior"),
+        (lambda path: path.write_text("time_s,angle\n0,1\n"), "not a Parquet file"),
         (lambda path: path.unlink(), "no such file"),
         (lambda path: write_recording(*plain_table(path)), "not a posterior"),
         (lambda path: rewrite(path, draws=np.full((2, 1), np.nan)), "not finite"),

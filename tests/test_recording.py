@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import polars as pl
 import pytest
 
 from tailbeat.files import BadInput
@@ -120,6 +121,23 @@ def test_a_wrong_parquet_is_refused(tmp_path):
     (tmp_path / "x.parquet").write_bytes(b"not parquet")
     with pytest.raises(BadInput, match="not a Parquet file"):
         read_recording(tmp_path / "x.parquet")
+
+
+def test_a_damaged_parquet_is_read_or_refused(tmp_path):
+    """One byte changed anywhere in the footer; some of these panic in polars."""
+    time = np.arange(0.0, 5.0, 0.01)
+    whole, damaged = tmp_path / "whole.parquet", tmp_path / "damaged.parquet"
+    pl.DataFrame({"time_s": time, "angle_rad": np.sin(time)}).write_parquet(whole)
+    refused = 0
+    for place in range(1, 600):
+        content = bytearray(whole.read_bytes())
+        content[-place] = 251
+        damaged.write_bytes(content)
+        try:
+            read_recording(damaged)
+        except BadInput:
+            refused += 1
+    assert 100 < refused < 600
 
 
 def test_resampling_keeps_a_straight_line_and_unwraps_angles():

@@ -80,7 +80,7 @@ def read_recording(path: str | Path) -> Recording:
     file = Path(path)
     if not file.is_file():
         raise BadInput(f"{file}: no such file; give a recording as CSV or Parquet.")
-    frame, meta = _read_parquet(file) if file.suffix == ".parquet" else _read_csv(file)
+    frame, meta = read_parquet(file) if file.suffix == ".parquet" else _read_csv(file)
     return _checked(file, frame, meta)
 
 
@@ -98,13 +98,16 @@ def _checked(file: Path, frame: pl.DataFrame, meta: Mapping[str, str]) -> Record
     return Recording(file.stem, time, numbers, meta, labels)
 
 
-def _read_parquet(file: Path) -> tuple[pl.DataFrame, dict[str, str]]:
+def read_parquet(file: Path) -> tuple[pl.DataFrame, dict[str, str]]:
+    """A file's columns, and its metadata but for Arrow's. Raises BadInput if it is not Parquet, or
+    damaged."""
     try:
-        meta = pl.read_parquet_metadata(file)
-        frame = pl.read_parquet(file)
-    except pl.exceptions.PolarsError as error:
-        reason = _first_line(error)
-        raise BadInput(f"{file}: not a Parquet file ({reason}); give another.") from None
+        frame, meta = pl.read_parquet(file), pl.read_parquet_metadata(file)
+    # some damage panics in polars, which is no Exception
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+        raise BadInput(
+            f"{file}: not a Parquet file ({_first_line(error)}); give another."
+        ) from None
     return frame, {key: text for key, text in meta.items() if key != "ARROW:schema"}
 
 
@@ -144,7 +147,7 @@ def _parse(file: Path, body: Sequence[str]) -> pl.DataFrame:
     return frame.select(pl.all().str.strip_chars().replace("", None).name.map(str.strip))
 
 
-def _first_line(error: Exception) -> str:
+def _first_line(error: BaseException) -> str:
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 

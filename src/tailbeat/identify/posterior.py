@@ -26,6 +26,7 @@ from tailbeat.identify.fluid import with_row
 from tailbeat.identify.quantities import UNITS
 from tailbeat.identify.runs import Run
 from tailbeat.identify.space import Parameter
+from tailbeat.recording import read_parquet
 
 Array = NDArray[np.float64]
 SUFFIX = "-posterior.parquet"
@@ -176,10 +177,9 @@ def read(path: Path) -> Posterior:
     finite."""
     if not path.is_file():
         raise BadInput(f"{path}: no such file; `tailbeat identify fluid` writes it.")
+    frame, stated = read_parquet(path)
     try:
-        frame = pl.read_parquet(path)
-        facts = json.loads(pl.read_parquet_metadata(path)["tailbeat_posterior"])
-        found = _from(frame, facts)
+        found = _from(frame, json.loads(stated["tailbeat_posterior"]))
     except (pl.exceptions.PolarsError, KeyError, TypeError, ValueError):
         raise BadInput(
             f"{path}: not a posterior of `tailbeat identify`; identify the fish again."

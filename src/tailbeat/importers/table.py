@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 from numpy.typing import NDArray
 
 from tailbeat.files import BadInput, refuse_existing
@@ -27,7 +26,7 @@ from tailbeat.importers.settings import (
     same,
 )
 from tailbeat.recording import TEXTS as TEXT_COLUMNS
-from tailbeat.recording import Recording, changes, write_recording
+from tailbeat.recording import Recording, changes, read_parquet, write_recording
 
 Labels = Mapping[str, NDArray[np.str_]]
 
@@ -121,10 +120,7 @@ def read_table(file: Path, rows: str | None = None) -> Table:
 
 
 def _read_parquet(file: Path) -> Table:
-    try:
-        frame, stated = pl.read_parquet(file), pl.read_parquet_metadata(file)
-    except pl.exceptions.PolarsError:
-        raise BadInput(f"{file}: not a Parquet file; give another.") from None
+    frame, stated = read_parquet(file)
     columns = {name: frame[name].to_list() for name in frame.columns}
     return Table(file, columns, stated=checked(file, stated))
 
