@@ -19,9 +19,6 @@ Array = NDArray[np.float64]
 SECONDS = 10.0
 RAMP = 0.5  # s, in which a swim grows from rest
 WANDER, STEADY = 10, 5  # swims of each kind
-# Largest centre of a wandering swim, over the largest angle: a policy's, about which it cannot beat
-# freely (`control.actions.Generator`).
-TURNED = 0.95
 ASIDE = 0.3  # rad: largest centre of a steady beat, so that some turn
 
 
@@ -33,9 +30,7 @@ def check_swims(fish: Fish, limit: ServoLimits, seed: int = 0) -> dict[str, Reco
         rng = np.random.default_rng([seed, number])
         if number < WANDER:
             kind, begin = "wander", "middle"
-            command = wandering(
-                fast(limit, FULL), (0.0, fish.band[1]), SECONDS, rng, TURNED * limit.angle
-            )
+            command = wandering(fast(limit, FULL), (0.0, fish.band[1]), SECONDS, rng)
         else:
             kind, begin = "steady", "end"
             command = played(limit, [_beat(fish, rng, number - WANDER)])[0]
