@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from tailbeat.control.measure import Measure
 from tailbeat.env.randomize import Physics, set_servo
 from tailbeat.files import BadInput
+from tailbeat.fish.description import FIN_ZONE
 
 Array = NDArray[np.float64]
-FIN_ZONE = "fin"  # parts of this zone are fins, as in the pool
 # Powers of 1 + size: fish that swim worse are drawn more often than such as swim better (chosen).
 POWERS = ((-1.0, 0.0), (-1.0, 0.25), (-0.5, 1.0), (-1.0, 0.5))  # of torque, gain, stiffness, fin
 

@@ -17,6 +17,7 @@ from tailbeat.fish.lab import Lab
 # Of a servo: which driver and which table speak to it.
 Family = Literal["dynamixel-x", "dynamixel-p", "feetech-sts", "feetech-scs"]
 PERIOD = 0.02  # s, of the robot's loop
+FIN_ZONE = "fin"  # its parts are fins: they carry circulation in the pool
 COEFFICIENTS = ("blunt", "slender", "angular", "kutta", "magnus")  # the engine's order
 
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.fish.bodies import Body, Part
-from tailbeat.fish.description import Fish, Servo
+from tailbeat.fish.description import FIN_ZONE, Fish, Servo
 from tailbeat.fish.linkage import moment_arms
 from tailbeat.fish.twin import compile_twin, inertial
 from tailbeat.pool.kinematics import FRAME, pose
@@ -26,7 +26,6 @@ Rows = NDArray[np.void]
 LONGEST = 0.06  # m, longest strip: a head has four to six
 TIE = 3e5  # N/m, for inextensible tendons: 0.5 % softer at the shaft than rigid
 TIE_DAMPING = 30.0  # N s/m
-FIN_ZONE = "fin"  # zone whose parts carry circulation
 
 # Added mass of a rectangular plate over that of a section (DNV-RP-C205), heave and pitch, by aspect
 # ratio; 1 to 3 were checked against a vortex-ring lattice.
