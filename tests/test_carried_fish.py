@@ -13,7 +13,7 @@ from mujoco.batch import MODEL_FIELDS
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
-from policies import POLICIES
+from policies import EARLIER, POLICIES
 from support import complaint, tailbeat
 from tailbeat.control.actions import Generator
 from tailbeat.control.policy import KEY, Policy, _digests, as_text, load_policy, shipped
@@ -86,10 +86,10 @@ def test_the_contract_has_the_digest_of_the_file_that_the_environment_swims(own,
 
 
 @pytest.mark.parametrize("name", POLICIES)
-def test_every_policy_carries_the_shipped_fish_and_is_signed_as_it_was(name):
+def test_every_policy_carries_its_fish_and_is_signed_as_it_was(name):
     text = onnx.load(str(POLICIES[name])).metadata_props[0].value
     policy = load_policy(POLICIES[name])
-    inside, fish = carried(policy.contract), load_fish("pulley-fish-pool")
+    inside, fish = carried(policy.contract), load_fish(str(EARLIER))
     assert inside == fish.model_copy(update={"servo": inside.servo})
     assert json.loads(as_text(policy.contract)) == json.loads(text)
 
@@ -103,7 +103,9 @@ def test_an_older_policy_is_read_and_signed_as_it_was(tmp_path):
     onnx.save(model, str(tmp_path / "older.onnx"))
     policy = load_policy(tmp_path / "older.onnx")
     assert policy.contract.description is None
-    assert carried(policy.contract) == load_fish("pulley-fish-pool")
+    assert twin_of(policy, str(EARLIER)) == load_fish(str(EARLIER))
+    with pytest.raises(BadInput, match="description has changed"):
+        carried(policy.contract)  # the shipped fish was identified anew since
     assert json.loads(as_text(policy.contract)) == held
 
 

@@ -15,7 +15,7 @@ pytest.importorskip("onnx", reason="the train extra is not installed")
 
 import onnx
 
-from policies import POLICIES
+from policies import EARLIER, POLICIES
 from tailbeat.control import actions as act
 from tailbeat.control.actions import PERIOD, Direct, Generator
 from tailbeat.control.contract_diff import differences
@@ -200,13 +200,14 @@ def test_other_weights_fail_the_golden_pairs(tmp_path):
 
 
 def test_a_policy_for_another_fish_band_or_period_is_refused():
-    check_fits(CONTRACT, FISH.name, digest(FISH), FISH.band, PERIOD)
+    own = digest(load_fish(str(EARLIER)))
+    check_fits(CONTRACT, FISH.name, own, FISH.band, PERIOD)
     with pytest.raises(BadInput, match="fish is pulley-fish-pool, here crank-fish"):
         check_fits(CONTRACT, "crank-fish", "", FISH.band, PERIOD)
     with pytest.raises(BadInput, match="description has changed"):
-        check_fits(CONTRACT, FISH.name, "0", FISH.band, PERIOD)
+        check_fits(CONTRACT, FISH.name, digest(FISH), FISH.band, PERIOD)  # identified anew since
     with pytest.raises(BadInput, match=r"band is 1-4 Hz, here 1-9 Hz; period is 20 ms, here 10 ms"):
-        check_fits(CONTRACT, FISH.name, digest(FISH), (1.0, 9.0), 0.01)
+        check_fits(CONTRACT, FISH.name, own, (1.0, 9.0), 0.01)
 
 
 def test_a_fish_is_known_by_its_physics():

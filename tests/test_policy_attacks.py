@@ -18,6 +18,7 @@ from tailbeat.control.motion import MotionFilter
 from tailbeat.control.network_file import LARGEST, _fields, check_network
 from tailbeat.control.policy import KEY, _digests, as_text, decide, load_policy, shipped
 from tailbeat.files import BadInput
+from tailbeat.fish.store import digest, load_fish
 from tailbeat.link import datagrams as link
 from tailbeat.robot import timing
 from tailbeat.robot.fits import carried, check_named
@@ -228,6 +229,7 @@ def test_an_old_file_signed_anew_for_another_fish_is_refused(tmp_path):
     """Without the fish inside, the shipped fish of the contract's name must match it."""
     held = json.loads(as_text(CONTRACT))["contract"]
     old = {k: one for k, one in held.items() if k not in ("description", "measure")}
+    old["fish_digest"] = digest(load_fish("pulley-fish-pool"))
     contract = load_policy(carrying(tmp_path, old)).contract
     assert carried(contract).name == "pulley-fish-pool"
     other = {**old, "fish": "crank-fish", "fish_digest": "0", "band": [0.0, 99.0]}

@@ -112,7 +112,9 @@ def rewrite(path, **changes):
 LEFT = np.array([0.05, 0.05, 2.0, 2.0])  # in sizes of a swim
 
 
-def swims(number: int, seed: int, factor: float = 1.0, left: float = 1.0) -> list[Drawn]:
+def swims(
+    number: int, seed: int, factor: float | np.ndarray = 1.0, left: float = 1.0
+) -> list[Drawn]:
     """Swims in water in which all is `factor` times as large as in the twin, with `left` times
     `LEFT` beyond draws of 1 % of a usual swim."""
     rng = np.random.default_rng(seed)
@@ -141,7 +143,7 @@ def test_the_discrepancy_is_a_factor_and_what_the_draws_do_not_explain(factor):
 def test_a_factor_is_followed_as_far_as_swims_tell_it():
     """One swim whose draws are as wide as its error tells nothing of the water."""
     (one,) = swims(1, 0)
-    wide = replace(one, predicted=one.centre * np.linspace(1.0, 3.0, 64)[:, None])
+    wide = replace(one, predicted=one.centre * np.linspace(1.0, 5.0, 64)[:, None])
     told = discrepancy([replace(wide, measured=1.3 * wide.centre)]).speed
     assert 1.0 < told.factor < 1.02 and told.error == pytest.approx(banded.FACTOR, rel=0.05)
     many = discrepancy([replace(o, measured=1.3 * o.centre) for o in swims(20, 1)]).speed
@@ -158,14 +160,15 @@ def test_bands_hold_95_percent_of_fresh_swims(held_out):
     for seed in range(150):
         factor = 1 + 0.25 * rng.normal()
         known = discrepancy(swims(held_out, seed, factor))
-        other = factor + TRANSFER * rng.normal()  # of another kind of swims
+        kind = np.array(list(TRANSFER.values()))
+        other = factor + kind * rng.normal()  # of another kind of swims
         for fresh in swims(4, 1000 + seed, other):
             found = bands(fresh, known)
             inside += [band.inside for band in found]
             alone += [band.inside for band in bands(fresh, None)]
             width.append(found[0].high - found[0].low)
             plain.append(2 * 2.2 * abs(factor - 1) * fresh.centre[0])
-    assert 0.92 <= np.mean(inside) <= 0.985
+    assert 0.92 <= np.mean(inside) <= 0.99
     assert np.mean(alone) < 0.5
     assert np.mean(width) < 0.8 * np.mean(plain)
 
@@ -189,13 +192,19 @@ def test_a_quantity_that_few_swims_told_has_wider_bands_and_one_that_none_told_h
 
 def test_a_band_is_about_the_fish_where_its_draws_lie_on_one_side():
     """A number at an end of its range moves all its draws one way, and a band about their median
-    would leave out the fish's own prediction."""
+    would leave out the fish's own prediction. They scatter less than draws on both sides: half a
+    normal distribution has 0.60 of its deviation, the same as draws that are all moved by as much
+    again."""
     (swum,) = swims(1, 0)
     aside = swum.centre + np.abs(swum.predicted - swum.centre)
     (band, *_) = bands(replace(swum, predicted=aside), None)
     (same, *_) = bands(swum, None)
     assert (band.low + band.high) / 2 == band.predicted == swum.predicted[0, 0]
-    assert band.high - band.low == pytest.approx(same.high - same.low)
+    share = (band.high - band.low) / (same.high - same.low)
+    assert share == pytest.approx(0.6, abs=0.1)
+    moved = replace(swum, predicted=np.vstack([swum.centre, aside[1:] + 3.0]))
+    (far, *_) = bands(moved, None)
+    assert far.high - far.low == pytest.approx(band.high - band.low, rel=0.1)
 
 
 def test_a_draw_that_diverged_does_not_widen_a_band_and_many_make_it_endless():

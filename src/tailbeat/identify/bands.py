@@ -27,9 +27,9 @@ Array = NDArray[np.float64]
 # the numbers turn a swim, so does what the law lacks.
 LEAST = {"speed": 0.02, "distance": 0.1, "heading": 1.0, "turn_rate": 0.2}
 FACTOR = 0.3  # standard deviation of the factor from 1, before any swim (chosen)
-# How far the factor of one kind of swim is from that of another: what makes 95 % of the bands hold
-# in seventeen waters (docs/experiments/2026-11-what-swims-tell.md).
-TRANSFER = 0.02
+# How far the factor of one kind of swim is from that of another, by quantity: what makes each of
+# twelve counts in six waters hold in 88 % (docs/experiments/2026-11-what-swims-tell.md).
+TRANSFER = {"speed": 0.03, "distance": 0.03, "heading": 0.06, "turn_rate": 0.06}
 AT_ONCE = 512  # swims in one batch, of all fish: about 0.2 GB of samples
 MOST = 100.0  # largest error that is looked for, in sizes of a swim
 
@@ -105,11 +105,13 @@ class Drawn:
 
     @property
     def spread(self) -> Array:
-        """Standard deviation (4,) of the draws about the centre, from the nearest 68 %; infinite if
-        over half of the draws diverged."""
+        """Standard deviation (4,) of the draws about their median, from the nearest 68 %; infinite
+        if over half of the draws diverged. How far the median is from the centre is no doubt: it is
+        nearly the same factor for all swims (docs/experiments/2026-11-what-swims-tell.md)."""
         if 2 * len(self.swum) < len(self.predicted):
             return np.full(len(UNITS), np.inf)
-        return np.asarray(np.quantile(np.abs(self.swum - self.centre), 0.68, axis=0))
+        middle = np.median(self.swum, axis=0)
+        return np.asarray(np.quantile(np.abs(self.swum - middle), 0.68, axis=0))
 
     @property
     def size(self) -> Array:
@@ -189,7 +191,7 @@ def bands(swim: Drawn, known: Discrepancy | None, share: float = 0.95) -> list[B
     alone."""
     factor, error, _, told = _columns(known)
     middle = factor * swim.centre
-    apart = np.hypot(error, TRANSFER if known else 0.0) * swim.centre
+    apart = np.hypot(error, list(TRANSFER.values()) if known else 0.0) * swim.centre
     deviation = np.sqrt((factor * swim.spread) ** 2 + noise(swim, known) ** 2 + apart**2)
     half = stats.t.ppf(0.5 + share / 2, np.maximum(told - 1, 1)) * deviation
     rows = (swim.measured, middle, middle - half, middle + half)
