@@ -6,7 +6,7 @@ from tailbeat.control.policy import shipped
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 KEPT = EXAMPLES / "policies"
-EARLIER = KEPT / "pulley-fish-pool.toml"  # the twin in which all of them were trained
+EARLIER = KEPT / "pulley-fish-pool-earlier.toml"  # the twin in which all of them were trained
 MESSY = sorted((EXAMPLES / "policies-messy").glob("*.onnx"))
 PACE = sorted((EXAMPLES / "policies-follow").glob("*.onnx"))
 ALL = (*shipped().values(), *sorted(KEPT.glob("*.onnx")), *MESSY, *PACE)
