@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from policies import EARLIER
 from tailbeat.cli.evaluate import _walls
 from tailbeat.control.actions import Generator
 from tailbeat.control.policy import load_policy, shipped
@@ -26,7 +27,7 @@ from tailbeat.fish.store import load_fish
 from tailbeat.pool.mess import lab_at
 from tailbeat.report.page import of_folder
 
-TWIN = load_fish("pulley-fish-pool")
+TWIN = load_fish(str(EARLIER))
 POLICY = "pulley-fish-pool-generator"
 EPISODES = 3
 SPACE = load_policy(POLICY).contract.actions
