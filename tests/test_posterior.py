@@ -193,8 +193,7 @@ def test_a_quantity_that_few_swims_told_has_wider_bands_and_one_that_none_told_h
 def test_a_band_is_about_the_fish_where_its_draws_lie_on_one_side():
     """A number at an end of its range moves all its draws one way, and a band about their median
     would leave out the fish's own prediction. They scatter less than draws on both sides: half a
-    normal distribution has 0.60 of its deviation, the same as draws that are all moved by as much
-    again."""
+    normal distribution has 0.60 of its deviation. Moving all of them alike changes nothing."""
     (swum,) = swims(1, 0)
     aside = swum.centre + np.abs(swum.predicted - swum.centre)
     (band, *_) = bands(replace(swum, predicted=aside), None)

@@ -181,6 +181,14 @@ def test_a_result_says_how_it_was_made():
 # ---- fish and policies that a result was measured with -------------------------------------------
 
 
+def test_no_two_fish_or_policies_share_a_file_s_name():
+    """A result is told by these names: the earlier twin, named as today's, hid that one."""
+    folders = [result_files.ROOT / folder for folder in result_files.FOLDERS]
+    files = [path for one in folders for path in one.glob("*.*")]
+    known = [path for path in files if path.suffix in (".toml", ".onnx")]
+    assert len(result_files.shipped()) == len(known)
+
+
 def test_steps_name_fish_and_policies_by_name_path_wildcard_and_loop():
     def named(*steps):
         return result_files.named(steps)

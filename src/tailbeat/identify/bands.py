@@ -106,8 +106,8 @@ class Drawn:
     @property
     def spread(self) -> Array:
         """Standard deviation (4,) of the draws about their median, from the nearest 68 %; infinite
-        if over half of the draws diverged. How far the median is from the centre is no doubt: it is
-        nearly the same factor for all swims (docs/experiments/2026-11-what-swims-tell.md)."""
+        if over half of the draws diverged. How far the median is from the centre does not count: it
+        is nearly one factor for all swims (docs/experiments/2026-11-what-swims-tell.md)."""
         if 2 * len(self.swum) < len(self.predicted):
             return np.full(len(UNITS), np.inf)
         middle = np.median(self.swum, axis=0)
