@@ -189,6 +189,13 @@ def identify_servo(
     cross_validate: Annotated[
         bool, typer.Option(help="Also fit with each gain left out in turn.")
     ] = False,
+    datasheet: Annotated[
+        str | None,
+        typer.Option(
+            help="Stall torque [N m] and no-load speed [rev/min] at the recordings' supply, as"
+            " 4.9,75, or a servo of the catalogue; for numbers that the recordings leave open."
+        ),
+    ] = None,
     seeds: Annotated[
         int, typer.Option(help="Number of independent searches; the best is kept.")
     ] = 5,
@@ -199,10 +206,14 @@ def identify_servo(
 ) -> None:
     """Fit the servo to recorded commands and encoder angles. The load on the shaft is known."""
     from tailbeat.identify import servo_search, stages
+    from tailbeat.identify.datasheet import datasheet as read_datasheet
     from tailbeat.report import bench_figures
 
     effort = replace(servo_search.ServoConfig().effort, generations=generations)
-    config = servo_search.ServoConfig(seeds, seed, effort, gears, gain, load, cross_validate)
+    sheet = None if datasheet is None else read_datasheet(datasheet)
+    config = servo_search.ServoConfig(
+        seeds, seed, effort, gears, gain, load, cross_validate, 0, sheet
+    )
     paths = stages.Paths(fish, fit, out, validate or [], json)
     if address is not None:
         ahead = _on_cluster(address)

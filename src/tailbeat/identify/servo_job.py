@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
+from tailbeat.identify.datasheet import Datasheet, disagreements
 from tailbeat.identify.estimate import Estimate
 from tailbeat.identify.intervals import estimates
 from tailbeat.identify.naive_servo import Naive, naive_servos
@@ -77,7 +78,7 @@ class ServoFit:
     `servo` has the seven numbers that the twin compiles [SI], at the `gain` register. `seconds` [s]
     is the duration of the search. `left_out` is empty without cross-validation. `naive` has the
     naive predictors, fitted on the same recordings. `contradictions` are recordings that cannot be
-    of one servo, or of none.
+    of one servo, or of none; `datasheet` is the one that counted, if any.
     """
 
     space: tuple[Parameter, ...]
@@ -90,6 +91,7 @@ class ServoFit:
     left_out: tuple[LeftOut, ...] = ()
     naive: tuple[Naive, ...] = ()
     contradictions: tuple[str, ...] = ()
+    datasheet: Datasheet | None = None
 
     @property
     def to_naive(self) -> float:
@@ -141,7 +143,7 @@ def identify_servo(
     ]
     found = values(space, fits[0].z)
     servo = _compiled_servo(found, gain, fit, overlays)
-    warnings = tuple(_warnings(space, fits[0], fit))
+    warnings = (*_warnings(space, fits[0], fit), *disagreements(found, config.datasheet))
     return ServoFit(
         space,
         tuple(fits),
@@ -152,6 +154,7 @@ def identify_servo(
         seconds=time.monotonic() - began,
         naive=naive_servos(fit, validate),
         contradictions=(*at_edges(space, fits[0].z), *contradictions(space, fits[0].z, fit)),
+        datasheet=config.datasheet,
     )
 
 

@@ -25,8 +25,10 @@ from tailbeat.identify.trust import Contest, Errors, Verdict, doubts, share_left
 
 # What to record if the data do not separate two numbers.
 SEPARATES = {
-    frozenset(("kv", "damping")): "steps large enough to reach the force limit (kv acts inside it)",
-    frozenset(("force_limit", "damping")): "steps against a larger load",
+    frozenset(
+        ("kv", "damping")
+    ): "steps large enough to reach the force limit (kv acts inside it), or give --datasheet",
+    frozenset(("force_limit", "damping")): "steps against a larger load, or give --datasheet",
     frozenset(("delay", "armature")): "a chirp beyond the servo's bandwidth",
     frozenset(("friction", "load_friction")): "the same commands with another load",
     frozenset(("friction", "stiction")): "the same commands with another load",
@@ -75,6 +77,8 @@ def as_report(found: ServoFit) -> dict[str, Any]:
         "tailbeat": version("tailbeat"),
         "seconds": found.seconds,
     }
+    if found.datasheet is not None:
+        report["datasheet"] = asdict(found.datasheet)
     if found.left_out:
         report["cross_validation"] = [asdict(one) for one in found.left_out]
     return report
@@ -119,7 +123,9 @@ def toml_values(found: ServoFit, recordings: Sequence[str]) -> dict[str, Entry |
     written: dict[str, Entry | str] = {"servo": "identified"}
     for name, value in found.servo.items():
         row = rows[name]
-        remark = source if row.decided else f"{source}; not decided by the data"
+        told = found.datasheet is not None and name in found.datasheet.numbers
+        sources = f"{source} and by the datasheet" if told else source
+        remark = sources if row.decided else f"{sources}; not decided by the data"
         shift = value - row.value
         written[f"servos.identified.{name}"] = {
             "value": float(f"{value:.6g}"),

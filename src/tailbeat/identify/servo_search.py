@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tailbeat.files import BadInput
+from tailbeat.identify.datasheet import Datasheet, deviations, known
 from tailbeat.identify.search import Effort, Fit, search_once
 from tailbeat.identify.servo import COUNTED, GEARS, blocks, residual_function, servo_space
 from tailbeat.identify.servo_doubt import delay_doubt, load_doubt, with_honest_intervals
@@ -24,7 +25,8 @@ class ServoConfig:
     """Number of `seeds` from `first_seed` on, and how many `more` while none agrees with the
     recordings (one search of a hundred did not); effort; whether to fit the `gears`' friction too;
     the `gain` register that the fish will run with (None: the recordings' middle); the `load` on
-    the shaft (None: as recorded, else the tail); whether to also fit without each gain in turn."""
+    the shaft (None: as recorded, else the tail); whether to also fit without each gain in turn; the
+    servo's `datasheet`, if it shall count."""
 
     seeds: int = 5
     first_seed: int = 0
@@ -36,6 +38,7 @@ class ServoConfig:
     load: str | None = None
     cross_validate: bool = False
     more: int = 0
+    datasheet: Datasheet | None = None
 
 
 def check(config: ServoConfig) -> None:
@@ -75,12 +78,19 @@ def _frictionless(space: tuple[Parameter, ...], fit: Fit) -> bool:
 
 
 def _search(
-    fit: Sequence[Bench], config: ServoConfig, scratch: Path, gears: bool
+    fit: Sequence[Bench],
+    config: ServoConfig,
+    scratch: Path,
+    gears: bool,
+    told: tuple[Parameter, ...] | None = None,
 ) -> Callable[[int, Progress], Fit]:
-    """The search from a seed."""
-    space = servo_space(fit, gears)
+    """The search from a seed; with what a datasheet has `told` of the free numbers, if it is
+    given."""
+    space = told or servo_space(fit, gears)
     residuals = residual_function(fit, space)
     place = scratch / _key(fit, config) / ("gears" if gears else "plain")
+    if told is not None:
+        place = place / "datasheet"
 
     def search(seed: int, progress: Progress) -> Fit:
         return search_once(residuals, space, seed, config.effort, place, progress)
@@ -110,15 +120,21 @@ def _seeds(
             break
         fits.append(search(seed, progress))
         fits.sort(key=lambda found: found.cost)
+    if config.datasheet is not None:
+        space = known(space, config.datasheet, fits[0].residuals, COUNTED * len(fit))
+        again = _search(fit, config, scratch, gears, space)
+        fits = sorted((again(seed, progress) for seed in seeds), key=lambda found: found.cost)
     residuals = residual_function(fit, space)
-    best = with_honest_intervals(fits[0], residuals, blocks(fit), bounds(space))
+    sure = deviations(space, config.datasheet)
+    best = with_honest_intervals(fits[0], residuals, blocks(fit), bounds(space), sure)
     doubt = load_doubt(space, best.z, fit) + delay_doubt(space)
     return space, [replace(best, covariance=best.covariance + doubt), *fits[1:]]
 
 
 def _key(fit: Sequence[Bench], config: ServoConfig) -> str:
     """Name of the scratch folder, a digest of what is fitted: only the same work is resumed."""
-    digest = hashlib.sha256(repr((config.effort, config.gears, version("tailbeat"))).encode())
+    given = config.effort, config.gears, config.datasheet, version("tailbeat")
+    digest = hashlib.sha256(repr(given).encode())
     for bench in fit:
         digest.update(repr((bench.load, bench.gain)).encode())
         for signal in (bench.time, bench.command, bench.angle, bench.enabled):

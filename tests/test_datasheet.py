@@ -1,0 +1,101 @@
+"""Slow recordings leave a servo's fast motion open, and its datasheet decides it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tailbeat.files import BadInput
+from tailbeat.fish.store import load_fish
+from tailbeat.identify.datasheet import DOUBT, RPM, Datasheet, datasheet, deviations, told
+from tailbeat.identify.search import Effort
+from tailbeat.identify.servo import described_servo, servo_space
+from tailbeat.identify.servo_job import ServoFit, identify_servo
+from tailbeat.identify.servo_report import as_report, toml_values
+from tailbeat.identify.servo_search import ServoConfig
+from tailbeat.identify.shaft import Bench, Load, free_run
+
+FISH = load_fish("pulley-fish")
+COUNT = 2 * np.pi / 4096  # rad of an encoder's count
+PENDULUM = Load("pendulum", inertia=0.016, weight=1.3)
+# Like the STS3250 whose real logs showed the gap; its firmware damps inside the limit.
+TRUTH = {"kp": 50.0, "kv": 0.6, "armature": 0.008, "damping": 0.65, "friction": 0.03}
+REST = {"force_limit": 5.1, "delay": 0.002}
+SHEET = Datasheet(4.9, 7.87)
+SHORT = Effort(generations=40, population=32, polish=15, scouts=300)
+
+
+def bench(name: str, motion) -> Bench:
+    """The servo with a pendulum, as an encoder reads it."""
+    time = np.arange(0.0, 6.0, 0.02)
+    blank = Bench(name, time, motion(time), 0 * time, np.ones_like(time), PENDULUM)
+    servo = FISH.servos["identified"].model_copy(update=TRUTH | REST)
+    angle = free_run(described_servo(servo), [blank])[0][0]
+    return replace(blank, angle=np.round(angle / COUNT) * COUNT)
+
+
+SLOW = [
+    bench("sines", lambda t: 0.8 * np.sin(1.5 * t) + 0.3 * np.sin(4 * t)),
+    bench("up and down", lambda t: np.interp(t, [0, 3, 6], [0, 1.5, 1.0])),
+]
+FAST = bench("fast", lambda t: np.sin(t**2))
+
+
+def fitted(folder, sheet: Datasheet | None, runs=SLOW, held=FAST) -> ServoFit:
+    config = ServoConfig(seeds=1, effort=SHORT, gears=False, datasheet=sheet)
+    return identify_servo(FISH, runs, [held], config, folder)
+
+
+def error(found: ServoFit, role: str) -> float:
+    """Mean absolute error over the recordings of a role [deg]."""
+    degrees = found.mae_deg(role)
+    assert degrees is not None
+    return degrees
+
+
+@pytest.mark.thorough
+def test_fast_motion_is_predicted_only_with_the_datasheet(tmp_path):
+    alone, known = fitted(tmp_path, None), fitted(tmp_path, SHEET)
+    for found in (alone, known):  # the slow motions do not tell them apart
+        assert error(found, "fit") < 0.05
+    assert error(alone, "validate") > 4 * error(known, "validate")
+    assert known.to_naive < 0.5
+
+
+@pytest.mark.thorough
+def test_intervals_allow_for_a_datasheet_that_is_a_tenth_off(tmp_path):
+    found = fitted(tmp_path, Datasheet(5.1 * 0.92, 5.1 / 0.65 * 1.08))
+    for name, true in (("force_limit", 5.1), ("damping", 0.65)):
+        low, high = found.estimates()[name].interval
+        assert low < true < high < 2 * low
+        assert not found.estimates()[name].decided
+    written = str(toml_values(found, ["sines"])["servos.identified.force_limit"])
+    assert "by the datasheet; not decided by the data" in written
+
+
+@pytest.mark.thorough
+def test_recordings_that_decide_outweigh_a_wrong_datasheet_and_say_so(tmp_path):
+    wrong = Datasheet(3.0, 7.87)
+    found = fitted(tmp_path, wrong, [*SLOW, FAST], SLOW[0])
+    assert found.servo["force_limit"] == pytest.approx(5.1, rel=0.05)
+    said = [one for one in found.warnings if "force_limit" in one]
+    assert len(said) == 1 and "the datasheet for 3:" in said[0]
+    assert as_report(found)["datasheet"] == {"stall": 3.0, "no_load": 7.87}
+
+
+def test_only_limit_and_damping_have_the_datasheet_as_their_prior():
+    plain = servo_space(SLOW, gears=True)
+    known = told(plain, SHEET, misfit=4.0)
+    changed = {a.path for a, b in zip(known, plain, strict=True) if a != b}
+    assert changed == {"force_limit", "damping", "kv"}
+    doubt = [s * p.spread for p, s in zip(known, deviations(known, SHEET), strict=True) if s != 1]
+    assert doubt == pytest.approx([DOUBT, DOUBT])
+    assert (deviations(plain, None) == 1).all()
+
+
+def test_a_datasheet_is_two_numbers_or_a_servo_of_the_catalogue():
+    assert datasheet("4.9, 75") == Datasheet(4.9, 75 * RPM)
+    assert datasheet("XL330") == Datasheet(0.52, 103 * RPM)
+    for wrong in ("4.9", "x,1", "0,5", "inf,5", "4.9,nan", "1,2,3", "nosuch"):
+        with pytest.raises(BadInput, match="give the stall torque"):
+            datasheet(wrong)
