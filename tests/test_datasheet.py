@@ -7,7 +7,7 @@ import pytest
 
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
-from tailbeat.identify.datasheet import DOUBT, RPM, Datasheet, datasheet, deviations, told
+from tailbeat.identify.datasheet import DOUBT, RPM, Datasheet, datasheet, known, prior
 from tailbeat.identify.search import Effort
 from tailbeat.identify.servo import described_servo, servo_space
 from tailbeat.identify.servo_job import ServoFit, identify_servo
@@ -25,20 +25,29 @@ SHEET = Datasheet(4.9, 7.87)
 SHORT = Effort(generations=40, population=32, polish=15, scouts=300)
 
 
-def bench(name: str, motion) -> Bench:
-    """The servo with a pendulum, as an encoder reads it."""
+def bench(name: str, motion, wobble: float = 0.0) -> Bench:
+    """The servo with a pendulum, as an encoder reads it that errs by a `wobble` [rad]."""
     time = np.arange(0.0, 6.0, 0.02)
     blank = Bench(name, time, motion(time), 0 * time, np.ones_like(time), PENDULUM)
     servo = FISH.servos["identified"].model_copy(update=TRUTH | REST)
-    angle = free_run(described_servo(servo), [blank])[0][0]
+    angle = free_run(described_servo(servo), [blank])[0][0] + wobble * np.sin(8 * time)
     return replace(blank, angle=np.round(angle / COUNT) * COUNT)
 
 
-SLOW = [
-    bench("sines", lambda t: 0.8 * np.sin(1.5 * t) + 0.3 * np.sin(4 * t)),
-    bench("up and down", lambda t: np.interp(t, [0, 3, 6], [0, 1.5, 1.0])),
-]
-FAST = bench("fast", lambda t: np.sin(t**2))
+def slow(wobble: float = 0.0) -> list[Bench]:
+    """Two motions that never reach the force limit."""
+    return [
+        bench("sines", lambda t: 0.8 * np.sin(1.5 * t) + 0.3 * np.sin(4 * t), wobble),
+        bench("up and down", lambda t: np.interp(t, [0, 3, 6], [0, 1.5, 1.0]), wobble),
+    ]
+
+
+def fast(wobble: float = 0.0) -> Bench:
+    """A motion that ends faster than the servo can turn."""
+    return bench("fast", lambda t: np.sin(t**2), wobble)
+
+
+SLOW, FAST = slow(), fast()
 
 
 def fitted(folder, sheet: Datasheet | None, runs=SLOW, held=FAST) -> ServoFit:
@@ -63,8 +72,22 @@ def test_fast_motion_is_predicted_only_with_the_datasheet(tmp_path):
 
 
 @pytest.mark.thorough
+def test_it_counts_as_much_for_a_servo_that_the_model_does_not_follow(tmp_path):
+    """An encoder that errs by half a degree, so that residuals are several of their assumed
+    deviations. They would outweigh a prior of a tenth; the interval stays that of a datasheet."""
+    runs, held = slow(0.01), fast(0.01)
+    found = fitted(tmp_path, SHEET, runs, held)
+    assert {p.path: p.spread for p in found.space}["force_limit"] < DOUBT / 2
+    low, high = found.estimates()["force_limit"].interval
+    assert low < 0.85 * 4.9 and 1.15 * 4.9 < high < 1.4 * 4.9
+    assert found.to_naive < 0.5 < fitted(tmp_path, None, runs, held).to_naive
+
+
+@pytest.mark.thorough
 def test_intervals_allow_for_a_datasheet_that_is_a_tenth_off(tmp_path):
-    found = fitted(tmp_path, Datasheet(5.1 * 0.92, 5.1 / 0.65 * 1.08))
+    found = fitted(tmp_path, Datasheet(5.1 * 0.9, 5.1 / 0.65 * 1.1))
+    advice = [pair["separated_by"] for pair in as_report(found)["trade_offs"]]
+    assert advice and not any("--datasheet" in one for one in advice)
     for name, true in (("force_limit", 5.1), ("damping", 0.65)):
         low, high = found.estimates()[name].interval
         assert low < true < high < 2 * low
@@ -83,19 +106,37 @@ def test_recordings_that_decide_outweigh_a_wrong_datasheet_and_say_so(tmp_path):
     assert as_report(found)["datasheet"] == {"stall": 3.0, "no_load": 7.87}
 
 
-def test_only_limit_and_damping_have_the_datasheet_as_their_prior():
+def test_the_prior_is_the_datasheet_s_and_narrower_for_a_servo_that_fits_badly():
     plain = servo_space(SLOW, gears=True)
-    known = told(plain, SHEET, misfit=4.0)
-    changed = {a.path for a, b in zip(known, plain, strict=True) if a != b}
-    assert changed == {"force_limit", "damping", "kv"}
-    doubt = [s * p.spread for p, s in zip(known, deviations(known, SHEET), strict=True) if s != 1]
-    assert doubt == pytest.approx([DOUBT, DOUBT])
-    assert (deviations(plain, None) == 1).all()
+    found = {p.path: p for p in known(plain, SHEET, np.full(50, 4.0), 50)}
+    assert found["force_limit"].prior == 4.9 and found["damping"].prior == 4.9 / 7.87
+    assert found["force_limit"].spread == DOUBT / 4 and found["kv"].spread == 4.9 / 7.87
+    usual = {p.path: p for p in plain}
+    assert {n for n in found if found[n] != usual[n]} == {"force_limit", "damping", "kv"}
+    exact = known(plain, SHEET, np.full(50, 0.1), 50)
+    assert {p.path: p.spread for p in exact}["force_limit"] == DOUBT
 
 
-def test_a_datasheet_is_two_numbers_or_a_servo_of_the_catalogue():
+def test_torque_and_speed_err_apart_and_the_damping_by_both():
+    space = known(servo_space(SLOW, gears=True), SHEET, np.full(50, 4.0), 50)
+    spread = np.array([p.spread for p in space])
+    found = prior(space, SHEET) * np.outer(spread, spread)  # of ln(value)
+    limit, damping = ([p.path for p in space].index(n) for n in ("force_limit", "damping"))
+    speed = np.zeros(len(space))
+    speed[limit], speed[damping] = 1, -1  # of ln(limit / damping)
+    assert found[limit, limit] == pytest.approx(DOUBT**2)
+    assert speed @ found @ speed == pytest.approx(DOUBT**2)
+    assert (prior(space, None) == np.eye(len(space))).all()
+
+
+def test_a_datasheet_is_two_numbers_or_a_servo_of_the_catalogue_at_a_supply():
     assert datasheet("4.9, 75") == Datasheet(4.9, 75 * RPM)
-    assert datasheet("XL330") == Datasheet(0.52, 103 * RPM)
-    for wrong in ("4.9", "x,1", "0,5", "inf,5", "4.9,nan", "1,2,3", "nosuch"):
+    assert datasheet("XL330@5") == Datasheet(0.52, 103 * RPM)
+    doubled = datasheet("xl330@10")
+    assert (doubled.stall, doubled.no_load) == (2 * 0.52, 2 * 103 * RPM)
+    for wrong in ("4.9", "x,1", "0,5", "inf,5", "4.9,nan", "1,2,3", "xl330", "xl330@", "no@5"):
         with pytest.raises(BadInput, match="give the stall torque"):
             datasheet(wrong)
+    for printed in ("50,0.133", "500,75", "0.001,75", "1e300,1e-300", "xl330@1e9"):
+        with pytest.raises(BadInput, match="A kg cm is"):
+            datasheet(printed)

@@ -193,7 +193,8 @@ def identify_servo(
         str | None,
         typer.Option(
             help="Stall torque [N m] and no-load speed [rev/min] at the recordings' supply, as"
-            " 4.9,75, or a servo of the catalogue; for numbers that the recordings leave open."
+            " 4.9,75, or a servo of the catalogue with that supply [V], as xl330@7.4; for what"
+            " slow recordings leave open."
         ),
     ] = None,
     seeds: Annotated[

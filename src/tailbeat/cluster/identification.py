@@ -14,7 +14,7 @@ def servo_ahead(
     address: str, paths: stages.Paths, config: servo_search.ServoConfig, report: Report
 ) -> None:
     """Search from every seed ahead of `stages.servo`, and once more where the gears turn out to
-    have no friction. Raises BadInput."""
+    have no friction; those with a datasheet follow in the stage. Raises BadInput."""
     _, (fit, _) = stages.benches_of(paths, config)
     seeds, scratch = servo_search.seeds_of(config), paths.scratch.resolve()
     search = partial(servo_search.search_ahead, fit, config, scratch)

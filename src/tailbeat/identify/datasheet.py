@@ -13,10 +13,11 @@ import numpy as np
 
 from tailbeat.files import BadInput
 from tailbeat.fish.catalogue import profiles
+from tailbeat.identify.servo import PRIORS
 from tailbeat.identify.space import Array, Parameter
 
-DOUBT = 0.1  # of ln(value): how far a datasheet is off, chosen
-UNLIKE = 0.25  # share by which recordings contradict a datasheet, chosen
+DOUBT = 0.1  # of ln(value): how far a printed torque or speed is off, chosen
+UNLIKE = 0.25  # of ln(value): how far recordings contradict a datasheet, chosen
 RPM = 2 * math.pi / 60  # rad/s
 
 
@@ -33,21 +34,46 @@ class Datasheet:
         return {"force_limit": self.stall, "damping": self.stall / self.no_load}
 
 
+TOLD = ("force_limit", "damping", "kv")  # numbers of a fit that a datasheet has a say in
+SPREADS = {"force_limit": DOUBT, "damping": math.sqrt(2) * DOUBT}  # of ln(value)
+
+
 def datasheet(text: str) -> Datasheet:
-    """From a name in the catalogue, or "N m,rev/min". Raises BadInput for anything else."""
-    known = profiles().get(text.strip().lower())
-    if known is not None:
-        return Datasheet(known.stall_nm, known.no_load)
+    """From "N m,rev/min", or a servo of the catalogue at a supply, as "xl330@7.4": torque and speed
+    go with the voltage. Raises BadInput for anything else, or what no fit can find."""
+    given = _listed(text) if "@" in text else _typed(text)
+    if given is None or not (0 < given.stall < math.inf and 0 < given.no_load < math.inf):
+        raise BadInput(
+            f"--datasheet {text!r}: give the stall torque [N m] and the no-load speed [rev/min], as"
+            f" 4.9,75, or a servo of the catalogue with your supply [V], as xl330@7.4"
+            f" ({', '.join(profiles())})."
+        )
+    for name, value in given.numbers.items():
+        low, high, unit = PRIORS[name][2:5]
+        if not low < value < high:
+            raise BadInput(
+                f"--datasheet {text!r}: this is a {name} of {value:.3g} {unit}; allowed is {low:g}"
+                f" to {high:g}. A kg cm is 0.0981 N m, and 0.133 s for 60 deg are 75 rev/min."
+            )
+    return given
+
+
+def _typed(text: str) -> Datasheet | None:
     try:
         stall, rpm = (float(part) for part in text.split(","))
     except ValueError:
-        stall = rpm = math.nan
-    if not (0 < stall < math.inf and 0 < rpm < math.inf):
-        raise BadInput(
-            f"--datasheet {text!r}: give the stall torque [N m] and the no-load speed [rev/min], as"
-            f" 4.9,75, or a servo of the catalogue ({', '.join(profiles())})."
-        )
+        return None
     return Datasheet(stall, rpm * RPM)
+
+
+def _listed(text: str) -> Datasheet | None:
+    name, _, volts = text.partition("@")
+    known = profiles().get(name.strip().lower())
+    try:
+        by = float(volts) / known.voltage_v if known else math.nan
+    except ValueError:
+        return None
+    return Datasheet(known.stall_nm * by, known.no_load * by) if known else None
 
 
 def known(
@@ -57,37 +83,34 @@ def known(
     without it, of which `count` are independent.
 
     Those of a real servo are several of their assumed deviations and would outweigh any prior; so
-    its spread shrinks by as much.
+    its spread shrinks by as much. kv, which a firmware adds to the motor's damping, may be as large
+    as that.
     """
-    misfit = math.sqrt(float(np.square(residuals).sum()) / count)
-    return told(space, sheet, max(misfit, 1.0))
-
-
-def told(
-    space: tuple[Parameter, ...], sheet: Datasheet, misfit: float = 1.0
-) -> tuple[Parameter, ...]:
-    """The free numbers with the datasheet as their prior, as far as it tells them. kv, which a
-    firmware adds to the motor's damping, may then be as large as that."""
-    numbers, spread = sheet.numbers, DOUBT / misfit
+    misfit = max(math.sqrt(float(np.square(residuals).sum()) / count), 1.0)
     found = {p.path: p for p in space}
-    for name, value in numbers.items():
-        found[name] = replace(found[name], prior=value, spread=spread)
-    found["kv"] = replace(found["kv"], spread=max(found["kv"].spread, numbers["damping"]))
-    return tuple(found.values())
+    for name, value in sheet.numbers.items():
+        found[name] = replace(found[name], prior=value, spread=SPREADS[name] / misfit)
+    wide = max(found["kv"].spread, sheet.numbers["damping"])
+    return tuple((found | {"kv": replace(found["kv"], spread=wide)}).values())
 
 
-def deviations(space: tuple[Parameter, ...], sheet: Datasheet | None) -> Array:
-    """Standard deviation (p,) of the prior in z: 1, but of what a datasheet tells its doubt."""
-    numbers = sheet.numbers if sheet else {}
-    return np.array([DOUBT / p.spread if p.path in numbers else 1.0 for p in space])
+def prior(space: tuple[Parameter, ...], sheet: Datasheet | None) -> Array:
+    """Covariance (p, p) of the prior's error in z. What a datasheet tells errs by `DOUBT`, however
+    narrow the search took it, and its torque is in the damping too."""
+    found = np.eye(len(space))
+    if sheet is None:
+        return found
+    place = [[p.path for p in space].index(name) for name in SPREADS]
+    spread = np.array([space[i].spread for i in place])
+    found[np.ix_(place, place)] = DOUBT**2 * np.array([[1, 1], [1, 2]]) / np.outer(spread, spread)
+    return found
 
 
 def disagreements(found: Mapping[str, float], sheet: Datasheet | None) -> Sequence[str]:
     """A sentence for each number of the fit that is far from the datasheet's."""
-    units = {"force_limit": "N m", "damping": "N m s/rad"}
     return [
-        f"the recordings ask for {name} {found[name]:.3g} {units[name]}, the datasheet for"
+        f"the recordings ask for {name} {found[name]:.3g} {PRIORS[name][4]}, the datasheet for"
         f" {value:.3g}: check the supply, the load's mass and arm, and the datasheet's numbers"
         for name, value in (sheet.numbers if sheet else {}).items()
-        if not 1 / (1 + UNLIKE) < found[name] / value < 1 + UNLIKE
+        if abs(math.log(found[name] / value)) > UNLIKE
     ]

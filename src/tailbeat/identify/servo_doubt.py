@@ -29,7 +29,7 @@ def with_honest_intervals(
     """The fit with a covariance that allows for correlated residuals and an inexact model.
 
     Sandwich estimate over blocks of time (White 1982; Liang and Zeger 1986); the prior counts as
-    one more observation, of which `prior` (p,) is the standard deviation in z (1). So the fifty
+    one more observation, whose error has the covariance `prior` (p, p) in z, else 1. So the fifty
     samples of one standstill count as one observation.
     """
     found, slope = sensitivity(residuals, fit.z, step=STEP, edges=edges)
@@ -38,8 +38,8 @@ def with_honest_intervals(
     np.add.at(gradients, groups, slope * found[:, None])
     many = len(gradients)
     meat = gradients.T @ gradients * many / max(many - fit.z.size, 1)
-    sure = np.ones(fit.z.size) if prior is None else prior
-    covariance = bread @ (meat + np.diag(sure**2)) @ bread
+    meat += np.eye(fit.z.size) if prior is None else prior
+    covariance = bread @ meat @ bread
     return replace(fit, residuals=found, jacobian=slope, covariance=covariance)
 
 

@@ -143,7 +143,8 @@ def identify_servo(
     ]
     found = values(space, fits[0].z)
     servo = _compiled_servo(found, gain, fit, overlays)
-    warnings = (*_warnings(space, fits[0], fit), *disagreements(found, config.datasheet))
+    sheet = config.datasheet
+    warnings = (*_warnings(space, fits[0], fit, sheet), *disagreements(found, sheet))
     return ServoFit(
         space,
         tuple(fits),
@@ -154,7 +155,7 @@ def identify_servo(
         seconds=time.monotonic() - began,
         naive=naive_servos(fit, validate),
         contradictions=(*at_edges(space, fits[0].z), *contradictions(space, fits[0].z, fit)),
-        datasheet=config.datasheet,
+        datasheet=sheet,
     )
 
 
@@ -216,7 +217,9 @@ def saturation(found: dict[str, float], bench: Bench) -> float:
     return float(np.mean(limited[bench.good]))
 
 
-def _warnings(space: tuple[Parameter, ...], best: Fit, fit: Sequence[Bench]) -> list[str]:
+def _warnings(
+    space: tuple[Parameter, ...], best: Fit, fit: Sequence[Bench], sheet: Datasheet | None
+) -> list[str]:
     """What the data do not determine, a sentence each."""
     found = values(space, best.z)
     shares = {bench.name: saturation(found, bench) for bench in fit}
@@ -228,7 +231,8 @@ def _warnings(space: tuple[Parameter, ...], best: Fit, fit: Sequence[Bench]) -> 
     ]
     if max(shares.values()) < 0.002:
         said.append(
-            "no recording reaches the force limit: take its value as a lower bound, and record"
-            " larger steps to find it"
+            "no recording reaches the force limit: "
+            + ("its value is the datasheet's" if sheet else "take its value as a lower bound")
+            + ", and record larger steps to find it"
         )
     return said

@@ -11,6 +11,7 @@ import numpy as np
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import Entry
+from tailbeat.identify.datasheet import TOLD
 from tailbeat.identify.estimate import as_row
 from tailbeat.identify.glitch_report import as_rows
 from tailbeat.identify.intervals import trade_offs
@@ -25,10 +26,8 @@ from tailbeat.identify.trust import Contest, Errors, Verdict, doubts, share_left
 
 # What to record if the data do not separate two numbers.
 SEPARATES = {
-    frozenset(
-        ("kv", "damping")
-    ): "steps large enough to reach the force limit (kv acts inside it), or give --datasheet",
-    frozenset(("force_limit", "damping")): "steps against a larger load, or give --datasheet",
+    frozenset(("kv", "damping")): "steps large enough to reach the force limit (kv acts inside it)",
+    frozenset(("force_limit", "damping")): "steps against a larger load",
     frozenset(("delay", "armature")): "a chirp beyond the servo's bandwidth",
     frozenset(("friction", "load_friction")): "the same commands with another load",
     frozenset(("friction", "stiction")): "the same commands with another load",
@@ -61,7 +60,7 @@ def as_report(found: ServoFit) -> dict[str, Any]:
         "load": sorted({overlay.bench.load.kind for overlay in found.overlays}),
         "undecided": [name for name, one in known.items() if not one.decided],
         "trade_offs": [
-            {"parameters": [a, b], "correlation": r, "separated_by": remedy(a, b)}
+            {"parameters": [a, b], "correlation": r, "separated_by": _advice(a, b, found)}
             for a, b, r in trade_offs(*given_load(found))
         ],
         "warnings": [*found.warnings, *doubts(_left(found), BLOCK)],
@@ -111,6 +110,11 @@ def given_load(found: ServoFit) -> tuple[tuple[Parameter, ...], Fit]:
     return found.space, replace(best, covariance=best.covariance - doubt)
 
 
+def _advice(a: str, b: str, found: ServoFit) -> str:
+    told = found.datasheet is None and {a, b} <= set(TOLD)
+    return remedy(a, b) + ", or give --datasheet" * told
+
+
 def remedy(a: str, b: str) -> str:
     """What to record to separate two numbers."""
     return SEPARATES.get(frozenset((a, b)), OTHERWISE)
@@ -123,7 +127,7 @@ def toml_values(found: ServoFit, recordings: Sequence[str]) -> dict[str, Entry |
     written: dict[str, Entry | str] = {"servo": "identified"}
     for name, value in found.servo.items():
         row = rows[name]
-        told = found.datasheet is not None and name in found.datasheet.numbers
+        told = found.datasheet is not None and name in TOLD
         sources = f"{source} and by the datasheet" if told else source
         remark = sources if row.decided else f"{sources}; not decided by the data"
         shift = value - row.value

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tailbeat.files import BadInput
-from tailbeat.identify.datasheet import Datasheet, deviations, known
+from tailbeat.identify.datasheet import Datasheet, known, prior
 from tailbeat.identify.search import Effort, Fit, search_once
 from tailbeat.identify.servo import COUNTED, GEARS, blocks, residual_function, servo_space
 from tailbeat.identify.servo_doubt import delay_doubt, load_doubt, with_honest_intervals
@@ -84,13 +84,12 @@ def _search(
     gears: bool,
     told: tuple[Parameter, ...] | None = None,
 ) -> Callable[[int, Progress], Fit]:
-    """The search from a seed; with what a datasheet has `told` of the free numbers, if it is
-    given."""
+    """The search from a seed; of the numbers that a datasheet has `told`, if it is given."""
     space = told or servo_space(fit, gears)
     residuals = residual_function(fit, space)
     place = scratch / _key(fit, config) / ("gears" if gears else "plain")
     if told is not None:
-        place = place / "datasheet"
+        place = place / hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 
     def search(seed: int, progress: Progress) -> Fit:
         return search_once(residuals, space, seed, config.effort, place, progress)
@@ -101,11 +100,21 @@ def _search(
 def searched(
     fit: Sequence[Bench], config: ServoConfig, scratch: Path, progress: Progress
 ) -> tuple[tuple[Parameter, ...], list[Fit]]:
-    """Fits, best first; without the gears' friction if it is below `AT_LEAST`."""
-    space, fits = _seeds(fit, config, scratch, config.gears, progress)
-    if config.gears and _frictionless(space, fits[0]):
-        return _seeds(fit, config, scratch, False, progress)
-    return space, fits
+    """Fits, best first; without the gears' friction if it is below `AT_LEAST`; then once more with
+    the datasheet, if it is given."""
+    gears, sheet = config.gears, config.datasheet
+    space, fits = _seeds(fit, config, scratch, gears, progress)
+    if gears and _frictionless(space, fits[0]):
+        gears = False
+        space, fits = _seeds(fit, config, scratch, gears, progress)
+    if sheet is not None:
+        space = known(space, sheet, fits[0].residuals, COUNTED * len(fit))
+        search = _search(fit, config, scratch, gears, space)
+        fits = sorted((search(f.seed, progress) for f in fits), key=lambda found: found.cost)
+    groups, edges, residuals = blocks(fit), bounds(space), residual_function(fit, space)
+    best = with_honest_intervals(fits[0], residuals, groups, edges, prior(space, sheet))
+    doubt = load_doubt(space, best.z, fit) + delay_doubt(space)
+    return space, [replace(best, covariance=best.covariance + doubt), *fits[1:]]
 
 
 def _seeds(
@@ -120,21 +129,12 @@ def _seeds(
             break
         fits.append(search(seed, progress))
         fits.sort(key=lambda found: found.cost)
-    if config.datasheet is not None:
-        space = known(space, config.datasheet, fits[0].residuals, COUNTED * len(fit))
-        again = _search(fit, config, scratch, gears, space)
-        fits = sorted((again(seed, progress) for seed in seeds), key=lambda found: found.cost)
-    residuals = residual_function(fit, space)
-    sure = deviations(space, config.datasheet)
-    best = with_honest_intervals(fits[0], residuals, blocks(fit), bounds(space), sure)
-    doubt = load_doubt(space, best.z, fit) + delay_doubt(space)
-    return space, [replace(best, covariance=best.covariance + doubt), *fits[1:]]
+    return space, fits
 
 
 def _key(fit: Sequence[Bench], config: ServoConfig) -> str:
     """Name of the scratch folder, a digest of what is fitted: only the same work is resumed."""
-    given = config.effort, config.gears, config.datasheet, version("tailbeat")
-    digest = hashlib.sha256(repr(given).encode())
+    digest = hashlib.sha256(repr((config.effort, config.gears, version("tailbeat"))).encode())
     for bench in fit:
         digest.update(repr((bench.load, bench.gain)).encode())
         for signal in (bench.time, bench.command, bench.angle, bench.enabled):
