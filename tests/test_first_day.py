@@ -8,6 +8,7 @@ from html import unescape
 
 import pytest
 
+from policies import EARLIER
 from support import complaint, tailbeat
 
 pytest.importorskip("gymnasium", reason="the train extra is not installed")
@@ -47,7 +48,8 @@ def text_of(folder):
 
 def test_the_page_names_what_nobody_measured_and_every_check(tmp_path):
     report = tmp_path / "day.json"
-    done = tailbeat("first-day", NAME, "--out", tmp_path / "page", "--json", report)
+    own = ("--twin", EARLIER)
+    done = tailbeat("first-day", NAME, *own, "--out", tmp_path / "page", "--json", report)
     assert done.returncode == 0, done.stderr
     text = text_of(tmp_path / "page")
     assert "tailbeat evaluate POLICY --tasks messy" in text
@@ -64,10 +66,19 @@ def test_the_page_names_what_nobody_measured_and_every_check(tmp_path):
     assert held["policy_digest"] == DIGEST and held["margins"] is held["messy"] is None
     assert held["checks"] == dict(findings.ADVICE) and held["length_m"] == pytest.approx(0.54)
     assert "exists" in complaint("first-day", NAME, "--out", tmp_path / "page")
-    own = tables(load_fish("pulley-fish-pool"))["fish"][0]["mass_kg"]  # as `show` prints it
+    own_mass = tables(load_fish("pulley-fish-pool"))["fish"][0]["mass_kg"]  # as `show` prints it
     shown = re.search(r"mass \[kg\]\s+([\d.]+)", text)
-    assert shown and own == pytest.approx(1.218, abs=1e-3)  # without the water that it carries
-    assert float(shown[1]) == pytest.approx(own, rel=5e-3) and held["mass_kg"] == own
+    assert shown and own_mass == pytest.approx(1.218, abs=1e-3)  # without the water that it carries
+    assert float(shown[1]) == pytest.approx(own_mass, rel=5e-3) and held["mass_kg"] == own_mass
+
+
+def test_the_doubt_of_a_newer_twin_is_not_printed_as_that_of_the_policy_s(tmp_path):
+    """The policy was trained before the shipped fish of its name was identified anew."""
+    done = tailbeat("first-day", NAME, "--out", tmp_path / "page")
+    assert done.returncode == 0, done.stderr
+    text = text_of(tmp_path / "page")
+    assert "numbers that the recordings decide" not in text
+    assert "give its file with --twin" in text
 
 
 @pytest.mark.thorough

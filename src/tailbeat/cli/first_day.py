@@ -32,7 +32,7 @@ def first_day(
 
     loaded = load_policy(policy)
     fish = twin_of(loaded, twin)
-    doubt = posterior.at_hand(twin or loaded.contract.fish)
+    doubt = posterior.at_hand(twin or loaded.contract.fish, fish)
     known = page.measured(loaded, evaluation, margins, doubt)
     output.say(f"page: {page.write(loaded, policy, fish, known, out)}")
     put_json(json, page.as_report(loaded, policy, fish, known))

@@ -131,15 +131,10 @@ def pool_of(policy: Policy, config: EvaluationConfig) -> Pool:
 
 
 def _draws(fish: str, trained: Fish) -> NDArray[np.float64] | None:
-    """The posterior's draws beside a fish, if there is one. None if that is not the fish which the
-    policy was `trained` on: it may carry one of which no file is at hand, or an older one of the
-    same name."""
-    known = posterior.at_hand(fish)
-    if known is None:
-        return None
-    found = load_fish(fish)
-    same = digest(found.model_copy(update={"servo": trained.servo})) == digest(trained)
-    return posterior.coefficient_factors(found, known) if same else None
+    """The draws of the posterior beside the fish that the policy was `trained` on, if there is
+    one."""
+    known = posterior.at_hand(fish, trained)
+    return None if known is None else posterior.coefficient_factors(load_fish(fish), known)
 
 
 def conditions_of(pool: Pool, tasks: Sequence[str]) -> list[Condition]:

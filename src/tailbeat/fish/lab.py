@@ -1,6 +1,7 @@
 """What a lab says of its own accuracy: the table `[lab]` of a fish's file.
 
-`tailbeat margins` sets these figures against what a policy stands. No other verb reads them.
+`tailbeat margins` sets these figures against what a policy stands. Verbs with `--mess FILE` swim in
+a lab that is wrong by so much.
 """
 
 from pydantic import Field

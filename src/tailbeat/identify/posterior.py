@@ -88,10 +88,14 @@ def of(fish: str, path: Path | None = None) -> Posterior | None:
     return known
 
 
-def at_hand(fish: str) -> Posterior | None:
-    """The posterior beside a fish; None without one, or for a policy's fish of which no file is at
-    hand. Raises BadInput as `of`."""
-    return of(fish) if fish in shipped() or Path(fish).is_file() else None
+def at_hand(fish: str, trained: Fish) -> Posterior | None:
+    """The posterior beside a fish, if that is the one which a policy was `trained` on. None without
+    one, for a policy's fish of which no file is at hand, or for a newer one of its name. Raises
+    BadInput as `of`."""
+    if fish not in shipped() and not Path(fish).is_file():
+        return None
+    found = load_fish(fish).model_copy(update={"servo": trained.servo})
+    return of(fish) if digest(found) == digest(trained) else None
 
 
 def needed(fish: str) -> Posterior:

@@ -164,7 +164,11 @@ def _margin(row: Margin) -> Mapping[str, Any]:
 def _doubt(known: Posterior | None) -> tuple[Block, ...]:
     """How many numbers the recordings decide, and how far the twin is from held-out swims."""
     if known is None:
-        return (Block("warning", "No posterior: run `tailbeat identify posterior`."),)
+        said = (
+            "No posterior of the fish that the policy was trained on: give its file with --twin, or"
+            " run `tailbeat identify posterior`."
+        )
+        return (Block("warning", said),)
     found = estimates(known).values()
     decided = sum(one.decided for one in found)
     rows: dict[str, Any] = {"numbers that the recordings decide": f"{decided} of {len(found)}"}
