@@ -13,7 +13,7 @@ from mujoco.batch import MODEL_FIELDS
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
-from policies import EARLIER, POLICIES
+from policies import EARLIER, POLICIES, trained_in
 from support import complaint, tailbeat
 from tailbeat.control.actions import Generator
 from tailbeat.control.policy import KEY, Policy, _digests, as_text, load_policy, shipped
@@ -89,7 +89,7 @@ def test_the_contract_has_the_digest_of_the_file_that_the_environment_swims(own,
 def test_every_policy_carries_its_fish_and_is_signed_as_it_was(name):
     text = onnx.load(str(POLICIES[name])).metadata_props[0].value
     policy = load_policy(POLICIES[name])
-    inside, fish = carried(policy.contract), load_fish(str(EARLIER))
+    inside, fish = carried(policy.contract), load_fish(trained_in(name))
     assert inside == fish.model_copy(update={"servo": inside.servo})
     assert json.loads(as_text(policy.contract)) == json.loads(text)
 

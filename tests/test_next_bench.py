@@ -161,7 +161,7 @@ def motor_error(fish: Fish, commands: Mapping[str, Recording], real: list[Record
     return float(np.degrees(np.sqrt(np.mean(np.concatenate(away) ** 2))))
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_the_advised_command_tells_most_about_a_servo_of_one_slow_recording(tmp_path):
     """A slow triangle never reaches the largest torque, on which hard turns depend. Steps reach it.
     A chirp does not, though it would if the torque were lower."""

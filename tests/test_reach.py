@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
-from policies import EARLIER, POLICIES
+from policies import POLICIES, trained_in
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import check_fits, decide, load_policy
 from tailbeat.env.curriculum import OPEN_WATER, STAGES, Stage, settings_of
@@ -51,7 +51,7 @@ def test_the_policies_fit_the_twin_of_their_training(name):
     """With the servo that their name says: the idealised one fits no other."""
     contract = load_policy(POLICIES[name]).contract
     servo = "idealised" if name.endswith("idealised") else "identified"
-    twin = with_servo(load_fish(str(EARLIER)), servo)
+    twin = with_servo(load_fish(trained_in(name)), servo)
     check_fits(contract, twin.name, digest(twin), twin.band, PERIOD)
     assert contract.training["versions"]["engine"] == "4.0.0"
 
