@@ -64,11 +64,11 @@ def error(found: ServoFit, role: str) -> float:
 
 @pytest.mark.thorough
 def test_fast_motion_is_predicted_only_with_the_datasheet(tmp_path):
-    alone, known = fitted(tmp_path, None), fitted(tmp_path, SHEET)
-    for found in (alone, known):  # the slow motions do not tell them apart
+    alone, told = fitted(tmp_path, None), fitted(tmp_path, SHEET)
+    for found in (alone, told):  # the slow motions do not tell them apart
         assert error(found, "fit") < 0.05
-    assert error(alone, "validate") > 4 * error(known, "validate")
-    assert known.to_naive < 0.5
+    assert error(alone, "validate") > 4 * error(told, "validate")
+    assert told.to_naive < 0.5
 
 
 @pytest.mark.thorough

@@ -213,7 +213,7 @@ def identify_servo(
     effort = replace(servo_search.ServoConfig().effort, generations=generations)
     sheet = None if datasheet is None else read_datasheet(datasheet)
     config = servo_search.ServoConfig(
-        seeds, seed, effort, gears, gain, load, cross_validate, 0, sheet
+        seeds, seed, effort, gears, gain, load, cross_validate, datasheet=sheet
     )
     paths = stages.Paths(fish, fit, out, validate or [], json)
     if address is not None:
