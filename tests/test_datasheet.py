@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from tailbeat.files import BadInput
+from tailbeat.fish.catalogue import rad_per_s
 from tailbeat.fish.store import load_fish
-from tailbeat.identify.datasheet import DOUBT, RPM, Datasheet, datasheet, known, prior
+from tailbeat.identify.datasheet import DOUBT, Datasheet, datasheet, known, prior
 from tailbeat.identify.search import Effort
 from tailbeat.identify.servo import described_servo, servo_space
 from tailbeat.identify.servo_job import ServoFit, identify_servo
@@ -130,10 +131,10 @@ def test_torque_and_speed_err_apart_and_the_damping_by_both():
 
 
 def test_a_datasheet_is_two_numbers_or_a_servo_of_the_catalogue_at_a_supply():
-    assert datasheet("4.9, 75") == Datasheet(4.9, 75 * RPM)
-    assert datasheet("XL330@5") == Datasheet(0.52, 103 * RPM)
+    assert datasheet("4.9, 75") == Datasheet(4.9, rad_per_s(75))
+    assert datasheet("XL330@5") == Datasheet(0.52, rad_per_s(103))
     doubled = datasheet("xl330@10")
-    assert (doubled.stall, doubled.no_load) == (2 * 0.52, 2 * 103 * RPM)
+    assert (doubled.stall, doubled.no_load) == (2 * 0.52, 2 * rad_per_s(103))
     for wrong in ("4.9", "x,1", "0,5", "inf,5", "4.9,nan", "1,2,3", "xl330", "xl330@", "no@5"):
         with pytest.raises(BadInput, match="give the stall torque"):
             datasheet(wrong)

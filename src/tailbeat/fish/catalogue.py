@@ -29,6 +29,11 @@ MAKERS: dict[Family, str] = {
 }
 
 
+def rad_per_s(rpm: float) -> float:
+    """A speed of `rpm` [rev/min] in rad/s."""
+    return rpm * 2 * math.pi / 60
+
+
 @dataclass(frozen=True)
 class Profile:
     """A servo in a catalogue: `model` as its maker writes it, `voltage_v` [V], `stall_nm` [N m],
@@ -55,7 +60,7 @@ class Profile:
     @property
     def no_load(self) -> float:
         """No-load speed of the shaft [rad/s]."""
-        return self.no_load_rpm * 2 * math.pi / 60
+        return rad_per_s(self.no_load_rpm)
 
     @property
     def torque_per_ampere(self) -> float:

@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tailbeat.files import BadInput
-from tailbeat.fish.catalogue import profiles
+from tailbeat.fish.catalogue import profiles, rad_per_s
 from tailbeat.identify.servo import PRIORS
 from tailbeat.identify.space import Array, Parameter
 
 DOUBT = 0.1  # of ln(value): how far a printed torque or speed is off, chosen
 UNLIKE = 0.25  # of ln(value): how far recordings contradict a datasheet, chosen
-RPM = 2 * math.pi / 60  # rad/s
 
 
 @dataclass(frozen=True)
@@ -34,8 +33,10 @@ class Datasheet:
         return {"force_limit": self.stall, "damping": self.stall / self.no_load}
 
 
-TOLD = ("force_limit", "damping", "kv")  # numbers of a fit that a datasheet has a say in
-SPREADS = {"force_limit": DOUBT, "damping": math.sqrt(2) * DOUBT}  # of ln(value)
+# Covariance of ln(limit) and ln(damping): torque and speed err apart, and the damping by both.
+ERRORS = DOUBT**2 * np.array([[1.0, 1.0], [1.0, 2.0]])
+SPREADS = dict(zip(("force_limit", "damping"), np.sqrt(np.diag(ERRORS)).tolist(), strict=True))
+TOLD = (*SPREADS, "kv")  # numbers of a fit that a datasheet has a say in
 
 
 def datasheet(text: str) -> Datasheet:
@@ -63,17 +64,17 @@ def _typed(text: str) -> Datasheet | None:
         stall, rpm = (float(part) for part in text.split(","))
     except ValueError:
         return None
-    return Datasheet(stall, rpm * RPM)
+    return Datasheet(stall, rad_per_s(rpm))
 
 
 def _listed(text: str) -> Datasheet | None:
     name, _, volts = text.partition("@")
-    known = profiles().get(name.strip().lower())
+    listed = profiles().get(name.strip().lower())
     try:
-        by = float(volts) / known.voltage_v if known else math.nan
+        by = float(volts) / listed.voltage_v if listed else math.nan
     except ValueError:
         return None
-    return Datasheet(known.stall_nm * by, known.no_load * by) if known else None
+    return Datasheet(listed.stall_nm * by, listed.no_load * by) if listed else None
 
 
 def known(
@@ -102,7 +103,7 @@ def prior(space: tuple[Parameter, ...], sheet: Datasheet | None) -> Array:
         return found
     place = [[p.path for p in space].index(name) for name in SPREADS]
     spread = np.array([space[i].spread for i in place])
-    found[np.ix_(place, place)] = DOUBT**2 * np.array([[1, 1], [1, 2]]) / np.outer(spread, spread)
+    found[np.ix_(place, place)] = ERRORS / np.outer(spread, spread)
     return found
 
 

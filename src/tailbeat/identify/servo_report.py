@@ -11,7 +11,7 @@ import numpy as np
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
 from tailbeat.fish.store import Entry
-from tailbeat.identify.datasheet import TOLD
+from tailbeat.identify.datasheet import TOLD, Datasheet
 from tailbeat.identify.estimate import as_row
 from tailbeat.identify.glitch_report import as_rows
 from tailbeat.identify.intervals import trade_offs
@@ -60,7 +60,7 @@ def as_report(found: ServoFit) -> dict[str, Any]:
         "load": sorted({overlay.bench.load.kind for overlay in found.overlays}),
         "undecided": [name for name, one in known.items() if not one.decided],
         "trade_offs": [
-            {"parameters": [a, b], "correlation": r, "separated_by": _advice(a, b, found)}
+            {"parameters": [a, b], "correlation": r, "separated_by": remedy(a, b, found.datasheet)}
             for a, b, r in trade_offs(*given_load(found))
         ],
         "warnings": [*found.warnings, *doubts(_left(found), BLOCK)],
@@ -110,14 +110,11 @@ def given_load(found: ServoFit) -> tuple[tuple[Parameter, ...], Fit]:
     return found.space, replace(best, covariance=best.covariance - doubt)
 
 
-def _advice(a: str, b: str, found: ServoFit) -> str:
-    told = found.datasheet is None and {a, b} <= set(TOLD)
-    return remedy(a, b) + ", or give --datasheet" * told
-
-
-def remedy(a: str, b: str) -> str:
-    """What to record to separate two numbers."""
-    return SEPARATES.get(frozenset((a, b)), OTHERWISE)
+def remedy(a: str, b: str, sheet: Datasheet | None = None) -> str:
+    """What to record to separate two numbers, or to give if no datasheet was."""
+    open_to_it = sheet is None and {a, b} <= set(TOLD)
+    recorded = SEPARATES.get(frozenset((a, b)), OTHERWISE)
+    return f"{recorded}, or give --datasheet" if open_to_it else recorded
 
 
 def toml_values(found: ServoFit, recordings: Sequence[str]) -> dict[str, Entry | str]:
