@@ -93,7 +93,7 @@ def test_swims_start_at_rest_cover_the_band_and_stay_off_the_walls():
     assert sum(turn > 0.7 for turn in turns) >= 3
     ways = [np.hypot(np.ptp(one.columns["x_m"]), np.ptp(one.columns["y_m"])) for one in swims]
     speeds = [way / one.time[-1] for way, one in zip(ways, swims, strict=True)]
-    # The default policy swims at 0.33 m/s, and the twin must not be extrapolated to it.
+    # `generator` swims at 0.33 m/s, and the twin must not be extrapolated to it.
     assert max(speeds[:36]) < 0.3 < 0.35 < min(speeds[36:39])
 
 
