@@ -8,16 +8,19 @@ import pytest
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
 from policies import POLICIES, trained_in
+from tailbeat.cli.options import SHIPPED
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.policy import check_fits, decide, load_policy
 from tailbeat.env.curriculum import OPEN_WATER, STAGES, Stage, settings_of
 from tailbeat.env.task import Scene
 from tailbeat.env.world import seeds_from
 from tailbeat.evaluate import trial
+from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
 from tailbeat.evaluate.rates import wilson
 from tailbeat.evaluate.reach import TrialConfig, by_sector, in_pool, in_twin, reach, try_policy
 from tailbeat.evaluate.runs import surge
 from tailbeat.evaluate.spectrum import windows
+from tailbeat.evaluate.tour import tour
 from tailbeat.files import BadInput
 from tailbeat.fish.store import digest, fish_path, load_fish, with_servo
 from tailbeat.pool.water import Water, ensemble
@@ -103,3 +106,18 @@ def test_the_shipped_generator_does_not_back_off_in_the_twin():
     speed = surge(runs)
     pieces = {way: len(list(windows(runs, speed, way))) for way in (1, -1)}
     assert pieces[1] > 50 and pieces[-1] <= 0.02 * pieces[1], pieces
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("name", "rests"), [(SHIPPED, False), ("pulley-fish-pool-far-2", True)])
+def test_the_default_does_not_rest_where_a_target_is_far_behind(name, rests):
+    """From end to end of the pool, the next target always behind and 3.7 m away: farther than any
+    in training or trials. Seed 2 of `far` waits there for up to 30 s, and clean labs do not show
+    it."""
+    policy = load_policy(POLICIES[name])
+    places = np.random.default_rng(5).uniform(-0.6, 0.6, 18)
+    ends = np.column_stack([1.85 * (-1.0) ** np.arange(18), places])
+    own = EvaluationConfig(episodes=4, twin=trained_in(name))
+    found = tour(policy, pool_of(policy, own), ends, 3, lambda *_: None)
+    assert (found.seconds.max() > 14) == rests, found.seconds
+    assert found.reached.all() or rests, found.nearest
