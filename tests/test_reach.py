@@ -115,9 +115,9 @@ def test_the_default_does_not_rest_where_a_target_is_far_behind(name, rests):
     in training or trials. Seed 2 of `far` waits there for up to 30 s, and clean labs do not show
     it."""
     policy = load_policy(POLICIES[name])
-    places = np.random.default_rng(5).uniform(-0.6, 0.6, 18)
-    ends = np.column_stack([1.85 * (-1.0) ** np.arange(18), places])
-    own = EvaluationConfig(episodes=4, twin=trained_in(name))
-    found = tour(policy, pool_of(policy, own), ends, 3, lambda *_: None)
+    places = np.random.default_rng(5).uniform(-0.6, 0.6, 30)
+    ends = np.column_stack([1.85 * (-1.0) ** np.arange(30), places])
+    pool = pool_of(policy, EvaluationConfig(twin=trained_in(name)))
+    found = tour(policy, pool, ends, 3, lambda *_: None)
     assert (found.seconds.max() > 14) == rests, found.seconds
     assert found.reached.all() or rests, found.nearest
