@@ -18,8 +18,8 @@ from tailbeat.env import sensors
 from tailbeat.env.task import Settings, settings_for
 from tailbeat.env.world import World
 from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
-from tailbeat.evaluate.reach import TrialConfig, try_policy
 from tailbeat.evaluate.scenes import grid
+from tailbeat.evaluate.seeded_trial import TrialConfig, try_policy
 from tailbeat.files import BadInput
 from tailbeat.robot.fits import check_yaw_rate
 from tailbeat.train.config import RunConfig, begin, check

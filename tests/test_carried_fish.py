@@ -21,7 +21,7 @@ from tailbeat.env.task import settings_for
 from tailbeat.env.world import World
 from tailbeat.evaluate import store
 from tailbeat.evaluate.evaluation import EvaluationConfig, describe, pool_of
-from tailbeat.evaluate.reach import TrialConfig, try_policy
+from tailbeat.evaluate.seeded_trial import TrialConfig, try_policy
 from tailbeat.files import BadInput
 from tailbeat.fish.store import (
     Entries,

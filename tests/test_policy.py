@@ -165,12 +165,13 @@ def test_show_diff_and_try_from_the_command_line(written, tmp_path):
     export(untrained(space), run_of(space), sights(64), {"stage": "x"}, tmp_path / "direct.onnx")
     other = tailbeat("policy", "diff", written[0], tmp_path / "direct.onnx")
     assert other.returncode == 1 and "actions.kind" in other.stdout
-    args = ("--targets", 8, "--exact", "--json", tmp_path / "try.json")
+    args = ("--targets", 8, "--exact", "--farthest", 4, "--json", tmp_path / "try.json")
     tried = tailbeat("policy", "try", written[0], "--fish", FISH.name, *args)
     assert tried.returncode == 0, tried.stderr
     found = json.loads((tmp_path / "try.json").read_text())
     assert found["targets"] == 8 and 0 <= found["reached"] <= 1
-    assert found["least_arc_deg"] == 0 and found["slowest_seconds"] is None  # it misses some
+    assert found["least_arc_deg"] == 0 and found["farthest_m"] == 4 and found["nearest_m"] is None
+    assert found["slowest_seconds"] is None  # it misses some
 
 
 def test_bad_input_is_one_sentence_and_exit_code_2(written, tmp_path):
@@ -179,6 +180,8 @@ def test_bad_input_is_one_sentence_and_exit_code_2(written, tmp_path):
         (("policy", "try", written[0], "--fish", "crank-fish"), "here crank-fish"),
         (("policy", "try", written[0], "--fish", FISH.name, "--arc", 999), "--arc 999"),
         (("policy", "try", written[0], "--fish", FISH.name, "--least-arc", 130), "--least-arc 130"),
+        (("policy", "try", written[0], "--fish", FISH.name, "--farthest", 7), "--farthest 7"),
+        (("policy", "try", written[0], "--fish", FISH.name, "--nearest", 3), "--nearest 3"),
         (("train", "--fish", FISH.name, "--out", tmp_path, "--recipe", "soup"), "--recipe soup"),
         (("train", "--fish", FISH.name, "--out", tmp_path, "--actions", "fins"), "--actions fins"),
         (("train", "--fish", FISH.name, "--out", tmp_path / "a", "--resume"), "no run to resume"),

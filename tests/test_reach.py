@@ -17,8 +17,9 @@ from tailbeat.env.world import seeds_from
 from tailbeat.evaluate import trial
 from tailbeat.evaluate.evaluation import EvaluationConfig, pool_of
 from tailbeat.evaluate.rates import wilson
-from tailbeat.evaluate.reach import TrialConfig, by_sector, in_pool, in_twin, reach, try_policy
+from tailbeat.evaluate.reach import by_sector, in_pool, in_twin, reach
 from tailbeat.evaluate.runs import surge
+from tailbeat.evaluate.seeded_trial import TrialConfig, try_policy
 from tailbeat.evaluate.spectrum import windows
 from tailbeat.evaluate.tour import tour
 from tailbeat.files import BadInput
@@ -106,6 +107,19 @@ def test_the_shipped_generator_does_not_back_off_in_the_twin():
     speed = surge(runs)
     pieces = {way: len(list(windows(runs, speed, way))) for way in (1, -1)}
     assert pieces[1] > 50 and pieces[-1] <= 0.02 * pieces[1], pieces
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("name", "rests"), [(SHIPPED, False), ("pulley-fish-pool-far-2", True)])
+def test_a_trial_with_far_targets_shows_a_policy_that_rests(name, rests):
+    """As docs/how-to/choose-a-seed.md has it. At the usual distances both reach all of them."""
+    config = TrialConfig(180, 40, 7, pools=1, least_arc=165, nearest=3.5, farthest=4)
+    found = try_policy(str(POLICIES[name]), "pulley-fish", config)
+    assert (found.slowest_seconds is None or found.slowest_seconds > 14) == rests, found
+    usual = try_policy(
+        str(POLICIES[name]), "pulley-fish", replace(config, nearest=None, farthest=None)
+    )
+    assert usual.slowest_seconds is not None and usual.slowest_seconds < 14, usual
 
 
 @pytest.mark.thorough

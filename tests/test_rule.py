@@ -16,7 +16,7 @@ pytest.importorskip("onnx", reason="the train extra is not installed")
 from tailbeat.cluster.jobs import map_jobs
 from tailbeat.control.observation import REMEMBERING
 from tailbeat.control.policy import decide, load_policy
-from tailbeat.evaluate.reach import TrialConfig, try_policy
+from tailbeat.evaluate.seeded_trial import TrialConfig, try_policy
 from tailbeat.fish.store import load_fish
 from tailbeat.train import rule as rules
 from tailbeat.train.config import RunConfig

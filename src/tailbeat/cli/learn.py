@@ -68,6 +68,12 @@ def try_(
             " behind the fish."
         ),
     ] = 0.0,
+    nearest: Annotated[
+        float | None, typer.Option(help="Smallest distance of a target [m]; default: as trained.")
+    ] = None,
+    farthest: Annotated[
+        float | None, typer.Option(help="Largest distance, such as your pool's length [m].")
+    ] = None,
     targets: Annotated[int, typer.Option(help="Number of targets.")] = 1000,
     exact: Annotated[bool, typer.Option(help="Swim without noise and randomisation.")] = False,
     pools: Annotated[
@@ -91,18 +97,20 @@ def try_(
     are on in the twin, unless --exact."""
     check_json(json)
     need_training()
-    from tailbeat.evaluate.reach import TrialConfig, try_policy
+    from tailbeat.evaluate.seeded_trial import TrialConfig, try_policy
 
-    config = TrialConfig(arc, targets, seed, exact, pools, newer, source(imu), least_arc)
+    where = (least_arc, nearest, farthest)
+    config = TrialConfig(arc, targets, seed, exact, pools, newer, source(imu), *where)
     done = try_policy(file, fish, config)
-    where = "in the virtual pool" if pools else "in the twin"
+    water = "in the virtual pool" if pools else "in the twin"
     sectors = [
         {"bearing [deg]": f"{row.low:g}-{row.high:g}", **one}
         for row, one in zip(done.sectors, as_rows(done.sectors, "low", "high"), strict=True)
     ]
     asked = {"policy": file, "least_arc_deg": least_arc, "arc_deg": arc, "pools": pools}
-    output.tables({f"{where}, by bearing": sectors})
-    output.tables({where: [asked | row for row in as_rows([done], "sectors")]})
+    asked |= {"nearest_m": nearest, "farthest_m": farthest}  # None: as in training
+    output.tables({f"{water}, by bearing": sectors})
+    output.tables({water: [asked | row for row in as_rows([done], "sectors")]})
     put_json(json, asked | vars(done))
 
 

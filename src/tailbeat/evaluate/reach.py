@@ -1,19 +1,16 @@
 """How many targets a policy reaches, and where: in its twin, or zero-shot in pools."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import cycle, islice
 from typing import Any
 
 import numpy as np
 
-from tailbeat.control.actions import PERIOD
-from tailbeat.control.camera_yaw import Source
-from tailbeat.control.policy import Policy, check_fits, decide, load_policy
+from tailbeat.control.policy import Policy, decide
 from tailbeat.env.assess import Build, Swims, assess
-from tailbeat.env.curriculum import OPEN_WATER, Stage, settings_of
-from tailbeat.env.task import Settings, as_seen
+from tailbeat.env.task import Settings
 from tailbeat.env.world import World
 from tailbeat.evaluate.rates import Flags, SuccessRates, success
 from tailbeat.evaluate.runs import Runs
@@ -21,11 +18,9 @@ from tailbeat.evaluate.scenes import CLEAR, grid, walled
 from tailbeat.evaluate.trial import Condition, Pool
 from tailbeat.files import BadInput
 from tailbeat.fish.description import Fish
-from tailbeat.fish.store import digest, load_fish
 from tailbeat.pool.plant import Surroundings
 from tailbeat.pool.simulator import PoolSimulator
-from tailbeat.pool.water import Water, ensemble
-from tailbeat.robot.fits import check_same_body, check_swims, twin_of
+from tailbeat.pool.water import Water
 
 OPEN = "reach open"  # the condition without walls
 SECTOR = 30  # degrees of bearing, left and right together
@@ -88,23 +83,6 @@ class ReachResult(SuccessRates):
     cells: tuple[Cell, ...]
 
 
-@dataclass(frozen=True)
-class TrialConfig:
-    """`targets` targets at `least_arc` to `arc` [deg] to either side, drawn from `seed`: in the
-    twin with all noise and randomisation (`exact`: without), or in `pools` waters of the pool. With
-    `newer` the twin is a newer identification of the fish that the policy was trained on.
-    `yaw_rate` is the source of the yaw rate; None: the one that the policy was trained with."""
-
-    arc: float = 120.0
-    targets: int = 1000
-    seed: int = 0
-    exact: bool = False
-    pools: int = 0
-    newer: bool = False
-    yaw_rate: Source | None = None
-    least_arc: float = 0.0
-
-
 def in_twin(fish: Fish, settings: Settings) -> Build:
     """A function that builds worlds of the fish's own twin from seeds."""
     return lambda seeds: World(fish, settings, seeds)
@@ -147,42 +125,6 @@ def _fitting(policy: Policy, build: Build, seeds: list[int]) -> World:
             f" distances; take settings_for(policy.contract)."
         )
     return world
-
-
-def try_policy(path: str, fish: str, config: TrialConfig) -> SeededTrial:
-    """Swim a policy to seeded targets. Raises BadInput if it was not trained for this fish, or, for
-    a newer identification, on another body."""
-    _check(config)
-    if config.newer and config.pools:
-        raise BadInput("--newer: it is about the twin; omit --pools.")
-    policy, described = load_policy(path), load_fish(fish)
-    held = policy.contract
-    if config.newer:
-        check_same_body(twin_of(policy, None), described)
-    elif config.pools:
-        check_swims(policy, None, described)
-    else:
-        check_fits(held, described.name, digest(described), described.band, PERIOD)
-    noise = float(not config.exact)
-    stage = Stage("trial", 3, noise, noise, float(np.radians(config.arc)))
-    task = replace(OPEN_WATER, least_arc=float(np.radians(config.least_arc)))
-    settings = as_seen(settings_of(stage, held.actions, task, held.measure), held)
-    settings = replace(settings, yaw_rate=config.yaw_rate or held.yaw_rate)
-    build = in_twin(described, settings)
-    if config.pools:
-        own = replace(settings, corrections=held.corrections)
-        build = in_pool(described, own, ensemble(config.pools, config.seed))
-    return reach(policy, build, config.targets, config.seed)
-
-
-def _check(config: TrialConfig) -> None:
-    if not 0 < config.arc <= 180 or config.targets < 1 or config.pools < 0:
-        raise BadInput(
-            f"--arc {config.arc:g}, --targets {config.targets}, --pools {config.pools}: allowed are"
-            f" above 0 to 180, 1 or more, 0 or more."
-        )
-    if not 0 <= config.least_arc <= config.arc:
-        raise BadInput(f"--least-arc {config.least_arc:g}: allowed are 0 to --arc, {config.arc:g}.")
 
 
 # ---- the trial ----------------------------------------------------------------------------------
