@@ -30,7 +30,8 @@ from tailbeat.recording import write_recording
 FISH = load_fish("pulley-fish")
 RUN = as_run(record(FISH, "a", 1.5, 0.5, seconds=3.0), FISH)
 ONE, TWO = Deviation(0.9, 0.02, 0.05, 12), Deviation(1.0, 0.05, 1.5, 9)
-KNOWN = Discrepancy(ONE, ONE, TWO, TWO, 12)
+USUAL = 0.3  # m/s
+KNOWN = Discrepancy(ONE, ONE, TWO, TWO, 12, USUAL)
 
 
 def posterior(fish=FISH, **changes) -> Posterior:
@@ -124,7 +125,9 @@ def swims(
         draws = predicted + 0.01 * np.array([0.3, 4.0, 60.0, 10.0]) * rng.normal(size=(64, 4))
         draws[0] = predicted  # the fish
         swum = Drawn(RUN, predicted, draws)
-        error = np.hypot(left * LEFT * swum.size, factor * swum.spread) * rng.normal(size=4)
+        error = np.hypot(left * LEFT * banded.size(swum, USUAL), factor * swum.spread) * rng.normal(
+            size=4
+        )
         made.append(replace(swum, measured=factor * predicted + error))
     return made
 
@@ -171,6 +174,28 @@ def test_bands_hold_95_percent_of_fresh_swims(held_out):
     assert 0.92 <= np.mean(inside) <= 0.99
     assert np.mean(alone) < 0.5
     assert np.mean(width) < 0.8 * np.mean(plain)
+
+
+def test_what_a_draw_has_wrong_in_every_swim_is_left_to_the_factor():
+    """Draws scattered by 2 % and bands counted it, though all but a tenth of it was one factor. One
+    swim cannot tell which it is."""
+    rng = np.random.default_rng(0)
+    alike, apart = 1 + 0.02 * rng.normal(size=64), 1 + 0.002 * rng.normal(size=(12, 64))
+    drawn = 0.3 * alike * apart
+    drawn[3], drawn[5, 7] = np.nan, np.inf  # a cruise has no distance; one draw diverged
+    assert banded.own_share(drawn) == pytest.approx(0.1, abs=0.02)
+    assert banded.own_share(apart) == pytest.approx(1.0, abs=0.1)
+    assert banded.own_share(drawn[:1]) == 1.0
+
+
+def test_a_slow_swim_has_a_wider_band_for_its_speed():
+    """A slow swim that turns hard errs by more than its share of the usual speed. At the usual
+    speed the size is the speed itself."""
+    (usual,) = swims(1, 0)
+    slow = replace(usual, predicted=usual.predicted / [3, 3, 1, 1])
+    sizes = [banded.size(one, USUAL)[:2] for one in (usual, slow)]
+    assert sizes[0] == pytest.approx(usual.centre[:2])
+    assert sizes[1] / sizes[0] == pytest.approx([np.hypot(1, 1 / 3) / 2**0.5] * 2)
 
 
 def test_a_quantity_that_few_swims_told_has_wider_bands_and_one_that_none_told_has_none():
@@ -263,7 +288,8 @@ def test_check_swims_fit_the_bands_to_another_water(tmp_path):
     fish = my_fish(tmp_path)
     own, paths = load_fish(fish), []
     known = Deviation(1.0, 0.01, 0.01, 12)
-    tight = Discrepancy(known, known, replace(known, left=0.5), replace(known, left=0.5), 12)
+    turned = replace(known, left=0.5)
+    tight = Discrepancy(known, known, turned, turned, 12, usual=0.3)
     store.write(store.beside(fish), posterior(own, discrepancy=tight))
     for number, beat in enumerate((1.5, 1.3, 1.7, 2.0)):
         swim = record(own, f"swim-{number}", beat, 0.5, seconds=3.0)

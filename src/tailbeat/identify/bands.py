@@ -21,15 +21,16 @@ from tailbeat.identify.quantities import UNITS, measure
 from tailbeat.identify.runs import Run, camera_track, repeat, twin_gait
 
 Array = NDArray[np.float64]
-# The size of a swim, to which what is left of its error is in proportion: of speed and distance
-# their own, but at least this; of heading and turn rate the spread of their draws plus this. All
+# The size of a swim, to which what is left of its error is in proportion (`size`). Of speed and
+# distance it is at least this, of heading and turn rate the spread of their draws plus this. All
 # chosen. A fish that should swim straight turns a little, whichever way, and where small changes of
 # the numbers turn a swim, so does what the law lacks.
 LEAST = {"speed": 0.02, "distance": 0.1, "heading": 1.0, "turn_rate": 0.2}
 FACTOR = 0.3  # standard deviation of the factor from 1, before any swim (chosen)
 # How far the factor of one kind of swim is from that of another, by quantity: what makes each of
 # twelve counts in six waters hold in 88 % (docs/experiments/2026-11-what-swims-tell.md).
-TRANSFER = {"speed": 0.03, "distance": 0.03, "heading": 0.06, "turn_rate": 0.06}
+TRANSFER = {"speed": 0.02, "distance": 0.02, "heading": 0.06, "turn_rate": 0.06}
+AHEAD = np.arange(len(UNITS)) < 2  # speed and distance
 AT_ONCE = 512  # swims in one batch, of all fish: about 0.2 GB of samples
 MOST = 100.0  # largest error that is looked for, in sizes of a swim
 
@@ -38,24 +39,28 @@ MOST = 100.0  # largest error that is looked for, in sizes of a swim
 class Deviation:
     """How far one quantity of the twin is from `swims` swims: by a `factor` with its standard
     `error`, and beyond it and the draws by `left`, a standard deviation in sizes of a swim
-    (`Drawn.size`). NaN where no swim tells."""
+    (`size`). `own` is the part of the draws' spread that counts (`own_share`). NaN where no swim
+    tells."""
 
     factor: float
     error: float
     left: float
     swims: int
+    own: float = 1.0
 
 
 @dataclass(frozen=True)
 class Discrepancy:
     """How far the twin is from `swims` held-out swims beyond its posterior. In other water than
-    that of its recordings nearly all of it is one factor, about the same for every swim."""
+    that of its recordings nearly all of it is one factor, about the same for every swim. `usual` is
+    the median speed that the twin predicts of them [m/s]."""
 
     speed: Deviation
     distance: Deviation
     heading: Deviation
     turn_rate: Deviation
     swims: int
+    usual: float
 
     @property
     def all(self) -> tuple[Deviation, ...]:
@@ -113,12 +118,18 @@ class Drawn:
         middle = np.median(self.swum, axis=0)
         return np.asarray(np.quantile(np.abs(self.swum - middle), 0.68, axis=0))
 
-    @property
-    def size(self) -> Array:
-        """The size of the swim in each quantity (4,), to which what is left is in proportion."""
-        least = np.array(list(LEAST.values()))
-        own = np.maximum(np.abs(self.centre), least)
-        return np.where(np.arange(len(least)) < 2, own, self.spread + least)
+
+def size(swim: Drawn, usual: float) -> Array:
+    """The size of the swim in each quantity (4,), to which what is left is in proportion.
+
+    Of heading and turn rate it is the spread of the draws. Errors of the speed are neither in
+    proportion to it nor the same for all swims: a slow swim that turns errs more for its speed. So
+    its size lies between its own speed and the `usual` one [m/s], and the distance is that long.
+    """
+    least = np.array(list(LEAST.values()))
+    own = np.maximum(np.abs(swim.centre), least)
+    between = float(np.hypot(own[0], usual) / np.sqrt(2))
+    return np.where(AHEAD, own * between / own[0], swim.spread + least)
 
 
 def swim_all(fishes: Sequence[Fish], runs: Sequence[Run]) -> list[Drawn]:
@@ -152,18 +163,40 @@ def discrepancy(swims: Sequence[Drawn]) -> Discrepancy:
     """The discrepancy with which swims and draws agree. Each quantity is measured over predicted
     by least squares, with `FACTOR` as its prior; then the mean square of the errors, each over its
     variance, is 1. Nothing is left where the draws alone explain the errors."""
-    columns = (
-        np.array([getattr(one, name) for one in swims]).T
-        for name in ("centre", "measured", "spread", "size")
+    usual = float(np.median([one.centre[0] for one in swims if np.isfinite(one.centre[0])] or [0]))
+    sizes = np.array([size(one, usual) for one in swims])
+    centre, measured, spread = (
+        np.array([getattr(one, name) for one in swims]) for name in ("centre", "measured", "spread")
     )
-    speed, distance, heading, turn_rate = map(_deviation, *columns)
-    return Discrepancy(speed, distance, heading, turn_rate, len(swims))
+    drawn = np.moveaxis(np.array([one.predicted for one in swims]), 2, 0) / sizes.T[:, :, None]
+    own = np.array([own_share(one) if AHEAD[q] else 1.0 for q, one in enumerate(drawn)])
+    columns = zip(centre.T, measured.T, (own * spread).T, sizes.T, own, strict=True)
+    speed, distance, heading, turn_rate = (_deviation(*one) for one in columns)
+    return Discrepancy(speed, distance, heading, turn_rate, len(swims), usual)
 
 
-def _deviation(own: Array, measured: Array, spread: Array, size: Array) -> Deviation:
+def own_share(drawn: Array) -> float:
+    """Part of the draws' spread in what each draw predicts of each swim (s, n) that is left when
+    every draw has its own factor: a draw that is 2 % slow is so in nearly every swim, and the
+    factor of the check swims takes that away. A draw's factor for a swim is taken from the other
+    swims, so one swim tells nothing."""
+    drawn = drawn[~np.isnan(drawn).all(axis=1)]
+    drawn = drawn[:, np.isfinite(drawn).all(axis=0)]
+    if min(drawn.shape) < 2:
+        return 1.0
+    agree, square = drawn * drawn[:, :1], drawn**2
+    factor = (agree.sum(axis=0) - agree) / (square.sum(axis=0) - square + 1e-18)
+    left, before = (
+        np.quantile(np.abs(one - np.median(one, axis=1, keepdims=True)), 0.68, axis=1)
+        for one in (factor * drawn, drawn)
+    )
+    return float(min(np.median(left / (before + 1e-18)), 1.0))
+
+
+def _deviation(own: Array, measured: Array, spread: Array, size: Array, share: float) -> Deviation:
     known = np.isfinite(own) & np.isfinite(measured) & np.isfinite(spread)
     if not known.any():
-        return Deviation(np.nan, np.nan, np.nan, 0)
+        return Deviation(np.nan, np.nan, np.nan, 0, float(share))
     own, measured, spread, size = (one[known] for one in (own, measured, spread, size))
 
     def fitted(left: float) -> tuple[float, float, float]:
@@ -181,7 +214,7 @@ def _deviation(own: Array, measured: Array, spread: Array, size: Array) -> Devia
     left = 0.0
     if surplus(0.0) > 0:
         left = MOST if surplus(MOST) > 0 else float(brentq(surplus, 0.0, MOST))
-    return Deviation(*fitted(left)[:2], left, own.size)
+    return Deviation(*fitted(left)[:2], left, own.size, float(share))
 
 
 def bands(swim: Drawn, known: Discrepancy | None, share: float = 0.95) -> list[Band]:
@@ -189,10 +222,11 @@ def bands(swim: Drawn, known: Discrepancy | None, share: float = 0.95) -> list[B
     quantity, less one. Left out are quantities that the recording does not tell, and those that no
     held-out swim told: the draws alone are too sure. Without anything `known` bands are of these
     alone."""
-    factor, error, _, told = _columns(known)
+    factor, error, _, told, own = _columns(known)
     middle = factor * swim.centre
-    apart = np.hypot(error, list(TRANSFER.values()) if known else 0.0) * swim.centre
-    deviation = np.sqrt((factor * swim.spread) ** 2 + noise(swim, known) ** 2 + apart**2)
+    whole = np.where(AHEAD, size(swim, known.usual if known else 0.0), swim.centre)
+    apart = np.hypot(error, list(TRANSFER.values()) if known else 0.0) * whole
+    deviation = np.sqrt((factor * own * swim.spread) ** 2 + noise(swim, known) ** 2 + apart**2)
     half = stats.t.ppf(0.5 + share / 2, np.maximum(told - 1, 1)) * deviation
     rows = (swim.measured, middle, middle - half, middle + half)
     return [
@@ -203,9 +237,9 @@ def bands(swim: Drawn, known: Discrepancy | None, share: float = 0.95) -> list[B
 
 
 def _columns(known: Discrepancy | None) -> Array:
-    """Factors, their errors, what is left, and numbers of swims (4, 4)."""
+    """Factors, their errors, what is left, numbers of swims, and shares of the draws (5, 4)."""
     if known is None:
-        return np.outer([1.0, 0.0, 0.0, np.inf], np.ones(len(UNITS)))
+        return np.outer([1.0, 0.0, 0.0, np.inf, 1.0], np.ones(len(UNITS)))
     return np.array([list(asdict(one).values()) for one in known.all]).T
 
 
@@ -221,8 +255,8 @@ def left_out(swims: Sequence[Drawn]) -> list[Band]:
 
 def noise(swim: Drawn, known: Discrepancy | None) -> Array:
     """Standard deviation (4,) of a swim about its draws; 0 where nothing is known or left."""
-    left = _columns(known)[2]
-    return np.asarray(np.multiply(left, swim.size, out=np.zeros(len(UNITS)), where=left > 0))
+    left, sizes = _columns(known)[2], size(swim, known.usual if known else 0.0)
+    return np.asarray(np.multiply(left, sizes, out=np.zeros(len(UNITS)), where=left > 0))
 
 
 @dataclass(frozen=True)

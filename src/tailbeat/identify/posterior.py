@@ -200,12 +200,12 @@ def _wrong(column: Array) -> bool:
 
 
 def _discrepancy(known: Mapping[str, Any] | None) -> Discrepancy | None:
-    """What is kept of a discrepancy; None for the numbers of releases up to 0.2.0, which had no
-    factor."""
-    if known is None or not isinstance(known["speed"], Mapping):
+    """What is kept of a discrepancy; None for the numbers of releases up to 0.2.0 and of versions
+    between, whose bands were other ones."""
+    if known is None or "usual" not in known:
         return None
     own = {name: Deviation(**known[name]) for name in UNITS}
-    return Discrepancy(**own, swims=known["swims"])
+    return Discrepancy(**own, swims=known["swims"], usual=known["usual"])
 
 
 def _from(frame: pl.DataFrame, facts: Mapping[str, Any]) -> Posterior:

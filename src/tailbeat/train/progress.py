@@ -98,7 +98,10 @@ class Progress:
         return [(begun, arrived) for begun, arrived in self.recent if begun <= latest]
 
     def passed(self) -> int:
-        """Number of stages passed: each is harder than those before it, which count with it."""
+        """Number of stages passed: each is harder than those before it, which count with it. A run
+        with a `start` counts as if it had passed them."""
+        if self.passed_at is not None:
+            return self.stage + 1
         return max((row.stage for row in self.promotions), default=0)
 
     def estimated(self, row: TrainingRow, polish: int) -> TrainingRow:
