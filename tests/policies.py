@@ -15,4 +15,5 @@ POLICIES = {path.stem: path for path in ALL}
 
 def trained_in(name: str) -> str:
     """The twin in which a policy was trained: its file, or the shipped one's name."""
-    return "pulley-fish-pool" if "-far-" in name else str(EARLIER)
+    newer = "-far-" in name or "-full-" in name
+    return "pulley-fish-pool" if newer else str(EARLIER)

@@ -52,7 +52,7 @@ def test_sizes_are_those_of_a_level_and_a_servo_also_fades():
     assert (WRECKED.friction, WRECKED.pull) == pytest.approx((0.3, 0.06))
     assert (WRECKED.sticking, WRECKED.bend) == pytest.approx(np.radians([9, 15]))
     none = mess.hardship(mess.level("clean"))
-    assert none == Hardship(share=none.share)
+    assert none == Hardship(none.share, none.full, none.farthest)
 
 
 def test_draws_stay_in_their_sizes_reach_them_and_do_not_add_up():
@@ -81,11 +81,42 @@ def test_draws_stay_in_their_sizes_reach_them_and_do_not_add_up():
         assert np.ptp(values) > 0.8 * (high - low)
 
 
+def test_in_full_every_size_is_a_whole_one_as_in_a_lab():
+    """Factors are their worst or their best, the rest is there at full size. Half of them are."""
+    hard = replace(WRECKED, share=1.0, full=1.0)
+    physics = drawn(hard)
+    fields, usual = physics.fields, physics.nominal
+    torque = fields["actuator_forcerange"][:, 0, 1] / usual["actuator_forcerange"][0, 1]
+    rub = fields["dof_frictionloss"][:, 3] - usual["dof_frictionloss"][3]
+    bend = (fields["qpos_spring"] - usual["qpos_spring"]).sum(axis=1)
+    assert rub == pytest.approx(np.full(60, hard.friction))
+    for values, ends in (
+        (torque, (1 / (1 + hard.torque), 1.0)),
+        (physics.fins, (1 / (1 + hard.fin), (1 + hard.fin) ** 0.5)),
+        (bend, (-hard.bend, hard.bend)),
+    ):
+        assert np.unique(np.round(values, 9)) == pytest.approx(ends)
+    some = drawn(replace(WRECKED, share=1.0, full=0.5), 200)
+    whole = some.fields["dof_frictionloss"][:, 3] - usual["dof_frictionloss"][3] > 0.3 - 1e-9
+    assert 70 < whole.sum() < 130
+
+
+def test_targets_of_the_polish_are_as_far_away_as_a_pool_is_long(tmp_path):
+    """A policy that had met none beyond 2.5 m rested at 4 m. From another run's networks the polish
+    is half as long."""
+    run = RunConfig(FISH, tmp_path, quick(), hard=WRECKED)
+    assert run.settings(9).task.farthest == 2.5
+    polished = run.settings(9, polishing=True)
+    assert polished.task.farthest == 4.0 and polished.hard is not None
+    small = replace(run, measure=replace(run.measure, reach=0.5))
+    assert small.settings(9, polishing=True).task.farthest == 2.0
+    assert replace(run, start=tmp_path).polish * 2 == run.polish == 40_000
+
+
 def test_a_share_of_robots_is_as_described():
     physics = drawn(replace(WRECKED, share=0.5), 200)
-    usual = (physics.fields["actuator_forcerange"] == physics.nominal["actuator_forcerange"]).all(
-        axis=(1, 2)
-    )
+    rubs = physics.fields["dof_frictionloss"] - physics.nominal["dof_frictionloss"]
+    usual = (rubs == 0).all(axis=1)
     assert 70 < usual.sum() < 130
     for name, values in physics.fields.items():
         assert (values[usual] == physics.nominal[name]).all(), name
@@ -225,6 +256,7 @@ def test_what_was_hidden_at_an_episode_s_end_is_that_robot_s(tmp_path):
         ({"recipe": smoke()}, "--hard: recipe smoke has no polish"),
         ({"recipe": paper()}, "--hard: recipe paper has no polish"),
         ({"hard": Hardship(share=1.5)}, "hardship: share = 1.5; allowed is 0 to 1"),
+        ({"hard": Hardship(full=-0.5)}, "hardship: full = -0.5; allowed is 0 to 1"),
         ({"hard": Hardship(friction=-0.1)}, "hardship: friction = -0.1; allowed is 0 or more"),
     ],
 )

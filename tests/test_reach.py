@@ -29,6 +29,10 @@ from tailbeat.pool.water import Water, ensemble
 TWIN, FISH = load_fish("pulley-fish-pool"), load_fish("pulley-fish")
 FRONT = Stage("trial", 3, 1.0, 1.0, float(np.radians(120)))
 BEST = "pulley-fish-pool-generator"
+# `full-2` is `far-2`, polished with targets up to 4 m away.
+RESTING = [
+    (SHIPPED, False), ("pulley-fish-pool-far-2", True), ("pulley-fish-pool-full-2", False)
+]  # fmt: skip
 
 
 def test_wilson_s_interval_is_the_published_one():
@@ -110,7 +114,7 @@ def test_the_shipped_generator_does_not_back_off_in_the_twin():
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(("name", "rests"), [(SHIPPED, False), ("pulley-fish-pool-far-2", True)])
+@pytest.mark.parametrize(("name", "rests"), RESTING[:2])
 def test_a_trial_with_far_targets_shows_a_policy_that_rests(name, rests):
     """As docs/how-to/choose-a-seed.md has it. At the usual distances both reach all of them."""
     config = TrialConfig(180, 40, 7, pools=1, least_arc=165, nearest=3.5, farthest=4)
@@ -123,11 +127,11 @@ def test_a_trial_with_far_targets_shows_a_policy_that_rests(name, rests):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(("name", "rests"), [(SHIPPED, False), ("pulley-fish-pool-far-2", True)])
+@pytest.mark.parametrize(("name", "rests"), RESTING)
 def test_the_default_does_not_rest_where_a_target_is_far_behind(name, rests):
     """From end to end of the pool, the next target always behind and 3.7 m away: farther than any
     in training or trials. Seed 2 of `far` waits there for up to 30 s, and clean labs do not show
-    it."""
+    it. Polished with targets up to 4 m away, it does not."""
     policy = load_policy(POLICIES[name])
     places = np.random.default_rng(5).uniform(-0.6, 0.6, 30)
     ends = np.column_stack([1.85 * (-1.0) ** np.arange(30), places])

@@ -18,6 +18,7 @@ from tailbeat.fish.description import FIN_ZONE
 Array = NDArray[np.float64]
 # Powers of 1 + size: fish that swim worse are drawn more often than such as swim better (chosen).
 POWERS = ((-1.0, 0.0), (-1.0, 0.25), (-0.5, 1.0), (-1.0, 0.5))  # of torque, gain, stiffness, fin
+SHARES = ("share", "full")  # fractions of episodes
 
 
 @dataclass(frozen=True)
@@ -27,10 +28,14 @@ class Hardship:
     The factors on the servo's `torque` and `gain`, the tail's `stiffness` and the height of every
     `fin` are 1 plus these, to a power drawn between those above. `friction` at the shaft [N m],
     `sticking` of the loose tail [rad] and the steady `pull` of a tether [N] are drawn from 0 up,
-    `bend` of the tail at rest [rad] to either side.
+    `bend` of the tail at rest [rad] to either side. In a fraction `full` of these episodes every
+    size is a whole one, as in a lab: a factor is its worst or its best, to a side by chance.
+    `farthest` [m] is how far targets are then, 0 for the task's own.
     """
 
     share: float = 0.0
+    full: float = 0.0
+    farthest: float = 0.0
     torque: float = 0.0
     gain: float = 0.0
     stiffness: float = 0.0
@@ -44,15 +49,15 @@ class Hardship:
 def check(hard: Hardship) -> None:
     """Raises BadInput for a share beyond 0 to 1, or a size that is negative or not finite."""
     for name, value in vars(hard).items():
-        most = 1.0 if name == "share" else np.inf
+        most = 1.0 if name in SHARES else np.inf
         if not 0 <= value <= most or not np.isfinite(value):
-            allowed = "0 to 1" if name == "share" else "0 or more"
+            allowed = "0 to 1" if name in SHARES else "0 or more"
             raise BadInput(f"hardship: {name} = {value:g}; allowed is {allowed}.")
 
 
 def sized(paper: Hardship, measure: Measure) -> Hardship:
     """The sizes for the paper's fish in another fish's measure. Friction is that of its lab."""
-    return replace(paper, pull=paper.pull * measure.push)
+    return replace(paper, pull=paper.pull * measure.push, farthest=paper.farthest * measure.reach)
 
 
 def harden(physics: Physics, hard: Hardship, fish: int, rng: np.random.Generator) -> Array:
@@ -61,6 +66,8 @@ def harden(physics: Physics, hard: Hardship, fish: int, rng: np.random.Generator
     worse, *draws, rub, stick, bent, pull, towards = rng.uniform(size=10).tolist()
     if worse >= hard.share:
         return np.zeros(2)
+    if worse < hard.share * hard.full:
+        draws, bent, rub, stick, pull = [round(one) for one in draws], round(bent), 1, 1, 1
     fields, usual = physics.fields, physics.nominal
     sizes = zip((hard.torque, hard.gain, hard.stiffness, hard.fin), POWERS, draws, strict=True)
     torque, gain, stiffness, fin = (_factor(*one) for one in sizes)

@@ -85,6 +85,8 @@ NUISANCES = (
 BY_NAME = {one.name: one for one in NUISANCES}
 LEVELS = {"clean": 0.0, "everyday": 1.0, "rough": 2.0, "wrecked": 3.0}
 MOST_ROBOTS = 0.85  # fraction of a training's episodes with a hardship (chosen)
+FULL_SIZE = 0.5  # fraction of these in which all have their full size, as in a lab (chosen)
+FAR_OFF = 4.0  # m, farthest target beside hardships: most of a pool's length (chosen)
 EDGE = 2.0  # m from the middle, where the size of `lens` is meant
 
 
@@ -194,7 +196,8 @@ def hardship(sizes: Sizes) -> Hardship:
         (1 + size[name]) * (1 + size["fading"]) - 1 for name in ("servo torque", "servo gain")
     )
     own = {n: size[n] for n in ("stiffness", "fin", "friction", "sticking", "bend")}
-    return Hardship(MOST_ROBOTS, torque, gain, pull=size["tether pull"], **own)
+    pull = size["tether pull"]
+    return Hardship(MOST_ROBOTS, FULL_SIZE, FAR_OFF, torque, gain, pull=pull, **own)
 
 
 def for_training(

@@ -87,7 +87,8 @@ class RunConfig:
     the policy also observes filtered velocities, its own and the target's, as a policy that follows
     always does; with `averages` slow averages too, which takes the velocities along. `start` is the
     folder of a run with whose networks it begins, as if they had passed the last stage. With `hard`
-    the polish is `LONGER` and draws these hardships, and critics see what is hidden from the actor.
+    the polish is `LONGER` and draws these hardships and farther targets, and critics see what is
+    hidden from the actor.
     """
 
     fish: Fish
@@ -125,8 +126,10 @@ class RunConfig:
 
     @property
     def polish(self) -> int:
-        """Updates after the last stage."""
-        return self.recipe.polish * (1 if self.hard is None else LONGER)
+        """Updates after the last stage; with hardships half as many from another run's networks."""
+        if self.hard is None:
+            return self.recipe.polish
+        return self.recipe.polish * LONGER // (1 if self.start is None else 2)
 
     def settings(self, stage: int, polishing: bool = False) -> Settings:
         """The environment's settings in a stage, or in the polish after the last one."""
@@ -141,7 +144,9 @@ class RunConfig:
             found = replace(found, averages=averages_of(self.measure))
         wrong = scaled(self.errors, share) if self.errors is not None and share else None
         if polishing and self.hard is not None:
-            found = replace(found, hard=hardship.sized(self.hard, self.measure))
+            hard = hardship.sized(self.hard, self.measure)
+            farthest = max(found.task.farthest, hard.farthest)
+            found = replace(found, hard=hard, task=replace(found.task, farthest=farthest))
         return replace(found, draws=self.draws, yaw_rate=self.yaw_rate, errors=wrong)
 
     @property
