@@ -174,7 +174,7 @@ def test_a_network_that_is_not_the_contract_s_is_refused(
 def test_four_policies_are_shipped_and_others_are_kept_as_evidence():
     names = ("follow-rule", "follow", "generator", "reach")
     assert list(shipped()) == [f"pulley-fish-pool-{one}" for one in names]
-    assert len(POLICIES) == 32
+    assert len(POLICIES) == 36
 
 
 def test_a_contract_from_before_the_floor_still_loads(tmp_path):
