@@ -69,10 +69,12 @@ def try_(
         ),
     ] = 0.0,
     nearest: Annotated[
-        float | None, typer.Option(help="Smallest distance of a target [m]; default: as trained.")
+        float | None,
+        typer.Option(help="Smallest distance [m]; default: 0.5, by the fish's measure."),
     ] = None,
     farthest: Annotated[
-        float | None, typer.Option(help="Largest distance, such as your pool's length [m].")
+        float | None,
+        typer.Option(help="Largest distance [m]; default: 2.5, by the fish's measure."),
     ] = None,
     targets: Annotated[int, typer.Option(help="Number of targets.")] = 1000,
     exact: Annotated[bool, typer.Option(help="Swim without noise and randomisation.")] = False,
@@ -108,7 +110,7 @@ def try_(
         for row, one in zip(done.sectors, as_rows(done.sectors, "low", "high"), strict=True)
     ]
     asked = {"policy": file, "least_arc_deg": least_arc, "arc_deg": arc, "pools": pools}
-    asked |= {"nearest_m": nearest, "farthest_m": farthest}  # None: as in training
+    asked |= {"nearest_m": nearest, "farthest_m": farthest}  # None: the task's own
     output.tables({f"{water}, by bearing": sectors})
     output.tables({water: [asked | row for row in as_rows([done], "sectors")]})
     put_json(json, asked | vars(done))

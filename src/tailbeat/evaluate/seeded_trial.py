@@ -19,7 +19,7 @@ from tailbeat.robot.fits import check_same_body, check_swims, twin_of
 @dataclass(frozen=True)
 class TrialConfig:
     """`targets` targets at `least_arc` to `arc` [deg] to either side and `nearest` to `farthest`
-    [m] away (None: as in training), drawn from `seed`.
+    [m] away (None: the task's own), drawn from `seed`.
 
     They are in the twin with all noise and randomisation (`exact`: without), or in `pools` waters
     of the pool. With `newer` the twin is a newer identification of the fish that the policy was
