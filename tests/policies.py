@@ -15,5 +15,5 @@ POLICIES = {path.stem: path for path in ALL}
 
 def trained_in(name: str) -> str:
     """The twin in which a policy was trained: its file, or the shipped one's name."""
-    newer = "-far-" in name or "-full-" in name
+    newer = "-far-" in name or "-full-" in name or name.endswith("-reach")
     return "pulley-fish-pool" if newer else str(EARLIER)
