@@ -190,5 +190,5 @@ def test_a_newer_identification_can_be_tried_and_another_body_cannot(own):
 def patched_fish(fish):
     """Read this fish instead of a file."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tailbeat.evaluate.reach.load_fish", lambda name: fish)
+        patch.setattr("tailbeat.evaluate.seeded_trial.load_fish", lambda name: fish)
         yield

@@ -242,6 +242,16 @@ def test_a_draw_that_diverged_does_not_widen_a_band_and_many_make_it_endless():
     assert np.isinf(with_most.high - with_most.low)
 
 
+@pytest.mark.parametrize("lost", [40, 64])
+def test_a_check_swim_in_which_most_draws_diverged_tells_nothing(lost):
+    *told, spoilt = swims(12, 0)
+    spoilt.predicted[:lost] = np.inf
+    with_it, without = discrepancy([*told, spoilt]), discrepancy(told)
+    for one, other in zip(with_it.all, without.all, strict=True):
+        assert one.swims == 11 and one.own == pytest.approx(other.own)
+        assert (one.factor, one.left) == pytest.approx((other.factor, other.left), rel=0.01)
+
+
 def test_bands_are_counted_by_quantity():
     found = [band for one in swims(50, 3) for band in bands(one, KNOWN)]
     rows = {row.quantity: row for row in count(found)}

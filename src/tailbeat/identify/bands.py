@@ -168,7 +168,8 @@ def discrepancy(swims: Sequence[Drawn]) -> Discrepancy:
     centre, measured, spread = (
         np.array([getattr(one, name) for one in swims]) for name in ("centre", "measured", "spread")
     )
-    drawn = np.moveaxis(np.array([one.predicted for one in swims]), 2, 0) / sizes.T[:, :, None]
+    finite = np.where(np.isfinite(spread), sizes, np.nan)  # most draws diverged: it tells nothing
+    drawn = np.moveaxis(np.array([one.predicted for one in swims]), 2, 0) / finite.T[:, :, None]
     own = np.array([own_share(one) if AHEAD[q] else 1.0 for q, one in enumerate(drawn)])
     columns = zip(centre.T, measured.T, (own * spread).T, sizes.T, own, strict=True)
     speed, distance, heading, turn_rate = (_deviation(*one) for one in columns)
