@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from policies import EARLIER
+from tailbeat.cli.options import SHIPPED
 from tailbeat.control.actions import PERIOD
 from tailbeat.control.measure import PAPER, Measure
 from tailbeat.control.policy import load_policy
@@ -156,6 +157,8 @@ def test_draws_of_a_posterior_reach_the_twin_and_are_evaluated():
     assert "reach posterior" not in [made.name for made in reach.conditions(pool())]
     other = evaluation.pool_of(policy, EvaluationConfig(episodes=4))
     assert other.draws is None  # the shipped posterior is of a newer identification
+    default = evaluation.pool_of(load_policy(SHIPPED), EvaluationConfig(episodes=4))
+    assert default.draws is not None  # the default policy is of the shipped fish
 
 
 def test_in_the_twin_a_swim_has_no_pool_s_energy_and_ends_when_told():
