@@ -31,7 +31,7 @@ FRONT = Stage("trial", 3, 1.0, 1.0, float(np.radians(120)))
 BEST = "pulley-fish-pool-generator"
 # `full-2` is `far-2`, polished with targets up to 4 m away.
 RESTING = [
-    (SHIPPED, False), ("pulley-fish-pool-far-2", True), ("pulley-fish-pool-full-2", False)
+    (SHIPPED, False), ("pulley-fish-pool-far-2", True), ("pulley-fish-pool-hard-0", False)
 ]  # fmt: skip
 
 
