@@ -29,7 +29,7 @@ from tailbeat.pool.water import Water, ensemble
 TWIN, FISH = load_fish("pulley-fish-pool"), load_fish("pulley-fish")
 FRONT = Stage("trial", 3, 1.0, 1.0, float(np.radians(120)))
 BEST = "pulley-fish-pool-generator"
-# `full-2` is `far-2`, polished with targets up to 4 m away.
+# The default is `far-2`, polished with targets up to 4 m away. `hard-0` was the default before.
 RESTING = [
     (SHIPPED, False), ("pulley-fish-pool-far-2", True), ("pulley-fish-pool-hard-0", False)
 ]  # fmt: skip
