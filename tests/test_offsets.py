@@ -18,6 +18,7 @@ from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.offsets import _few, offsets
 from tailbeat.identify.swim_columns import Logged
+from tailbeat.link.places import room
 from tailbeat.pool import mess
 from tailbeat.pool.water import ensemble
 from tailbeat.robot import log as logs
@@ -28,12 +29,12 @@ SECONDS, SWIMS, LABS = 60.0, 3, 16
 KINDS = ("tag askew", "tag sideways", "shaft at straight", "gyro bias", "current x", "current y")
 
 
-def swum(labs, seed):
-    """Three swims of a minute in each lab, from target to target in open water, and the yaw-rate
-    biases that their gyros really had."""
+def swum(labs, seed, walls=None):
+    """Three swims of a minute in each lab, from target to target in open water or within walls, and
+    the yaw-rate biases that their gyros really had."""
     waters = ensemble(16, 0)
     each = [(lab, waters[i % 16]) for i, lab in enumerate(labs) for _ in range(SWIMS)]
-    done = log_swims(POLICY, FISH, each, LogConfig(SECONDS, seed))
+    done = log_swims(POLICY, FISH, each, LogConfig(SECONDS, seed, walls))
     own = [done.logged[k * SWIMS : (k + 1) * SWIMS] for k in range(len(labs))]
     return own, done.yaw_rate_bias.reshape(-1, SWIMS).mean(axis=1)
 
@@ -122,6 +123,28 @@ def test_a_tag_turned_far_is_found_as_it_is_glued(made, turn):
     away = np.remainder(askew.value - known["tag askew"].value - turn + 180, 360) - 180
     assert abs(away) < 1.5 and askew.told
     assert sideways.value == pytest.approx(known["tag sideways"].value, abs=6)
+
+
+@pytest.mark.thorough
+def test_a_weak_fish_that_drifts_back_has_no_tag_that_looks_astern():
+    """The mean speed ahead was taken for the sense of the tag. In *wrecked* labs a fish that makes
+    no way is carried astern, and its tag was then said to be turned by half a turn."""
+    labs = [mess.draw(mess.level("wrecked"), [2028, i]) for i in range(12)]
+    own, _ = swum(labs, 7100, walls=room(1.0))
+    carried, wrong = 0, []
+    for lab, swims in zip(labs, own, strict=True):
+        askew = offsets(swims).offsets[0]
+        wrong.append(abs(askew.value - np.degrees(lab.errors.askew)))
+        carried += np.mean([ahead(s).mean() for s in swims]) < 0
+    assert carried >= 1, "no fish is carried astern here, so this tells nothing"
+    assert max(wrong) < 90
+
+
+def ahead(swim):
+    """Speed in the tag's own frame [m/s]."""
+    yaw = swim.pose[:, 2]
+    vx, vy = (np.gradient(c, 0.02) for c in swim.pose[:, :2].T)
+    return np.cos(yaw) * vx + np.sin(yaw) * vy
 
 
 def test_a_frozen_reading_is_named(made, tmp_path):

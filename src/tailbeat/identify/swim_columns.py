@@ -57,6 +57,13 @@ def _lateral(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Column
     return [c[edge:-edge] for c in columns], left[edge:-edge]
 
 
+def _ahead(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
+    """Forward speed over a beat: of how fast the shaft beats, and of the current."""
+    cos, sin = (smooth(f(one.pose[:, 2]), slow) for f in (np.cos, np.sin))
+    columns = [beating(one, slow), cos, sin]
+    return [c[edge:-edge] for c in columns], averaged(one, slow)[0][edge:-edge]
+
+
 def averaged(one: Logged, slow: int) -> tuple[Array, Array, Array]:
     """Speeds in the tag's own frame and turning, over a beat."""
     yaw = one.pose[:, 2]
@@ -106,4 +113,4 @@ def _gyro(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
     return [c[edge:-edge] for c in columns], off[edge:-edge]
 
 
-MADE = (_lateral, _within, _shaft, _setpoint, _gyro)
+MADE = (_lateral, _ahead, _within, _shaft, _setpoint, _gyro)
