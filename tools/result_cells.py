@@ -117,6 +117,15 @@ def pick(rows: Any, **wanted: Any) -> Any:
     return found[0]
 
 
+def met(seeds: Any, asked: Any) -> str:
+    """How many of the four seeds of a result reach the rates that were `asked` at each level, the
+    first of which is clean; a line each."""
+    rates = [[row["arrived"] for row in seeds[f"seed_{seed}"]["messy"]] for seed in range(4)]
+    levels = enumerate(("everyday", "rough", "wrecked"), start=1)
+    counts = {name: sum(one[k] >= asked[name] for one in rates) for k, name in levels}
+    return "\n".join(f"{n} of four meet what was asked at `{name}`." for name, n in counts.items())
+
+
 def margin(row: Any) -> str:
     """A margin and its interval, each "over" the largest size tried where fewer never arrived."""
     most = f"over {sig(row['most'])}"
@@ -173,6 +182,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
         stale,
         error,
         margin,
+        met,
         largest,
         smallest,
         total,
