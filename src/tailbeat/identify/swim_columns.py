@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 STEP = 0.02  # s, of the grid that swims are put on
+FOLLOWED = 0.1  # rad that a servo which follows may differ from its linear law, chosen
+ROUNDS = 6  # in which samples at the servo's limit are left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,21 +90,27 @@ def beating(one: Logged, slow: int) -> Array:
 
 
 def _shaft(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
-    """Turning over a beat: of the shaft's mean angle, the more the faster it beats."""
-    return _turning(one, one.angle, slow, edge)
+    """Turning over a beat: of the shaft's mean angle, less than in proportion where it is large,
+    and the more the faster the shaft beats."""
+    mean, fast = smooth(one.angle, slow), beating(one, slow)
+    turning = np.gradient(smooth(one.pose[:, 2], slow), STEP)
+    far = mean * np.abs(mean)
+    columns = [mean, mean * fast, np.ones_like(mean), fast, far, far * fast]
+    return [c[edge:-edge] for c in columns], turning[edge:-edge]
 
 
 def _setpoint(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
-    """The same of the mean command: a wrong encoder does not change it."""
-    return _turning(one, one.command, slow, edge)
-
-
-def _turning(one: Logged, angle: Array, slow: int, edge: int) -> Columns:
-    """Turning over a beat: of a mean angle, the more the faster the shaft beats."""
-    mean, fast = smooth(angle, slow), beating(one, slow)
-    turning = np.gradient(smooth(one.pose[:, 2], slow), STEP)
-    columns = [mean, mean * fast, np.ones_like(mean), fast]
-    return [c[edge:-edge] for c in columns], turning[edge:-edge]
+    """Command within a beat: of the shaft's angle, speed and acceleration, where the servo follows.
+    The command's mean over a beat would not do: a servo at its limit cuts the two halves of a beat
+    unequally, and a policy need not beat evenly."""
+    pull = np.gradient(smooth(one.speed, 3), STEP)
+    columns = np.column_stack([np.ones_like(pull), one.angle, one.speed, pull])[edge:-edge]
+    command = one.command[edge:-edge]
+    near = np.ones(len(command), bool)
+    for _ in range(ROUNDS):
+        fit = np.linalg.lstsq(columns[near], command[near], rcond=None)[0]
+        near = np.abs(command - columns @ fit) < FOLLOWED
+    return list((columns * near[:, None]).T), command * near
 
 
 def _gyro(one: Logged, slow: int, noise: int, beat: int, edge: int) -> Columns:
