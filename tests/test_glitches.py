@@ -183,6 +183,26 @@ def test_a_swim_loses_wrong_frames_and_unsees_wrong_markers():
     assert run.glitches == listed
 
 
+def test_a_swim_with_many_dead_readings_loses_them_and_is_no_other_unit():
+    """An outside audit: with 13 % of its angles at -3.14 a swim was refused as in another unit."""
+    motor = swim().columns["motor_angle_rad"].copy()
+    dead = np.random.default_rng(0).random(motor.size) < 0.15
+    dead[:3] = False
+    motor[dead] = -3.14
+    run = as_run(replace(swim(), columns={**swim().columns, "motor_angle_rad": motor}), FISH)
+    listed = [one for one in run.glitches if one.column == "motor_angle_rad"]
+    assert sum(len(one.times) for one in listed) >= dead.sum()
+    degrees = {**swim().columns, "motor_angle_rad": np.degrees(swim().columns["motor_angle_rad"])}
+    with pytest.raises(BadInput, match=r"outside motor\.range"):
+        as_run(replace(swim(), columns=degrees), FISH)
+
+
+def test_a_swim_in_milliseconds_is_refused():
+    """The audit's: it was swum for minutes, and the exit code was 0."""
+    with pytest.raises(BadInput, match=r"samples are 16\.7 s apart; allowed is 0\.5 s"):
+        as_run(replace(swim(), time=1000 * swim().time), FISH)
+
+
 def test_nothing_is_compared_in_a_hole():
     when = np.delete(np.arange(0, 1, 0.02), slice(20, 25))
     times = np.array([0.1, 0.41, 0.45, 0.7])

@@ -82,7 +82,7 @@ def test_the_page_offers_the_command_that_corrects_the_policy(swum, tmp_path):
     found = re.search("<pre>tailbeat (.*)</pre>", (swum[0] / "report.html").read_text())
     assert found
     said = complaint(*shlex.split(unescape(found[1])), cwd=tmp_path)
-    assert "s of swimming with poses; give 24 s or more" in said
+    assert "s or more; give 24 s or more without a gap" in said
 
 
 def verbs(of: Path) -> set[str]:

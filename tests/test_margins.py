@@ -124,9 +124,11 @@ def test_the_lab_s_own_figures_are_read_in_any_unit_and_change_no_digest(tmp_pat
     path.write_text(path.read_text() + table)
     own = load_fish(str(path))
     figures = {"tag sideways": 4.0, "horn": 2.0, "stiffness": 10.0}
-    assert lab_of(own) == pytest.approx(figures) and lab_of(plain) == {}
+    assert lab_of(own, "mine.toml") == pytest.approx(figures) and lab_of(plain, "mine.toml") == {}
     assert digest(own) == digest(plain)
-    row = numbers(searched(population(np.random.default_rng(0), COUNT)), [NAME], RUN, lab_of(own))
+    row = numbers(
+        searched(population(np.random.default_rng(0), COUNT)), [NAME], RUN, lab_of(own, "mine.toml")
+    )
     first = row.margins[0]
     assert first.size is not None
     assert first.lab == pytest.approx(2.0) and first.safety == pytest.approx(first.size / 2.0)
@@ -142,7 +144,7 @@ def test_a_figure_of_the_lab_is_at_most_what_can_be_simulated(tmp_path):
     for name, one in mess.BY_NAME.items():
         most = f"{one.most:g} {one.unit.replace('²', '^2')}"
         lab = Lab.model_validate({name.replace(" ", "_"): most})
-        found = lab_of(load_fish("pulley-fish").model_copy(update={"lab": lab}))
+        found = lab_of(load_fish("pulley-fish").model_copy(update={"lab": lab}), "mine.toml")
         assert found == {name: pytest.approx(one.most)}
 
 
@@ -249,7 +251,7 @@ def test_a_cell_swum_as_a_job_of_its_own_is_the_one_swum_among_others(monkeypatc
     [
         (("--targets", 15), "--targets 15: give 16 to 1000."),
         (("--targets", 10**8), "--targets 100000000: give 16 to 1000."),
-        (("--nuisances", "hom"), "nuisance 'hom': allowed are horn,"),
+        (("--nuisances", "hom"), "nuisance 'hom': give horn, bend,"),
         (("--fish", "crank-fish"), "crank-fish"),
         pytest.param(
             ("--address", "nowhere"),

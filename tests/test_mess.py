@@ -347,7 +347,7 @@ def test_each_episode_of_a_training_draws_its_own_errors_alone_as_in_a_batch():
     ("make", "match"),
     [
         (lambda: mess.draw({"horn": -1.0}, [0]), r"nuisance horn: -1 deg; allowed is 0 to 60 deg"),
-        (lambda: mess.draw({"hom": 1.0}, [0]), r"nuisance 'hom': allowed are horn, bend"),
+        (lambda: mess.draw({"hom": 1.0}, [0]), r"nuisance 'hom': give horn, bend"),
         (lambda: mess.draw({"horn": float("nan")}, [0]), r"nuisance horn: nan deg; allowed"),
         (lambda: mess.level("filthy"), r"mess 'filthy': allowed are clean, everyday"),
         (lambda: build_plant(FISH, wear=[Wear(mass=0.0)]), r"wear: mass = 0; allowed is above 0"),

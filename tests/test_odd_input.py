@@ -1,11 +1,16 @@
 """What people type and what programs leave: each is one sentence, and nothing is half-written."""
 
+import re
 from pathlib import Path
 
 import pytest
 
 from support import complaint, tailbeat
+from tailbeat.files import BadInput
 from tailbeat.fish.store import fish_path, load_fish
+from tailbeat.importers.table import TableConfig, import_table
+from tailbeat.pool import mess
+from tailbeat.recording import read_recording
 
 FISH = fish_path("pulley-fish").read_text("utf-8")
 LONG = "n" * 300
@@ -119,3 +124,40 @@ def test_nesting_without_end_is_one_sentence(tmp_path, name):
     more = () if verb == ("show",) else ("--map", "time=t", "--out", tmp_path / "o.csv")
     done = tailbeat(*verb, tmp_path / name, *more)
     assert done.returncode == 2 and "nested too deeply" in done.stderr
+
+
+# ---- what an outside audit typed ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ('tag_sideway = "3 mm"', "unknown field tag_sideway; remove it, or use tag_sideways or"),
+        ('"tag sideways" = "3 mm"', "unknown field tag sideways; remove it, or use tag_sideways"),
+        ("horn = true", "horn = True: true and false are no quantities"),
+    ],
+    ids=["misspelt", "with a space", "no quantity"],
+)
+def test_a_lab_s_figure_that_cannot_be_is_named(tmp_path, lines, said):
+    path = tmp_path / "lab.toml"
+    path.write_text(f"[lab]\n{lines}\n", encoding="utf-8")
+    with pytest.raises(BadInput, match=re.escape(f"{path}: lab: {said}")):
+        mess.level(str(path))
+
+
+def test_a_table_of_times_alone_or_of_other_separators_is_refused(tmp_path):
+    table = tmp_path / "semi.csv"
+    table.write_text("time_s;angle_rad\n0;0.1\n1;0.2\n2;0.3\n", encoding="utf-8")
+    with pytest.raises(BadInput, match=r"separated by semicolons; .* `tailbeat import table`"):
+        read_recording(table)
+    with pytest.raises(BadInput, match=r"--map names the time alone; name the signals too"):
+        import_table(table, TableConfig({"time": "time_s"}))
+
+
+def test_hours_without_a_training_and_a_posterior_by_another_name_are_refused(tmp_path):
+    asked = ("refine", "pulley-fish-pool-reach", "--log", "a.mcap", "--out", tmp_path / "r")
+    assert "--start and --hours only with them" in complaint(*asked, "--hours", "3")
+    asked = ("identify", "posterior", "--fish", "pulley-fish-pool", "--fit", "a.csv")
+    said = complaint(*asked, "--out", tmp_path / "z.csv")
+    assert "a posterior is a Parquet file; give a name in .parquet" in said
+    assert list(tmp_path.iterdir()) == []

@@ -192,7 +192,9 @@ def test_a_straight_swim_cannot_tell_and_a_short_one_is_refused(made):
     *_, swims = made
     one = swims[0][0]
     short = Logged(*(value[:600] for value in vars(one).values()))
-    with pytest.raises(BadInput, match=r"s of swimming with poses; give 24 s or more"):
+    with pytest.raises(
+        BadInput, match=r"s of swimming with poses, in stretches .*; give 24 s or more"
+    ):
         offsets([short])
     few = Logged(*(value[:1900] for value in vars(one).values()))
     widths = [

@@ -150,7 +150,7 @@ def test_a_second_refining_goes_on_from_the_first(made):
     held = replace(POLICY.contract, corrections=first)
     again, changes = corrected(held, found)
     for one, own in zip(changes, before, strict=True):
-        assert own.after == one.before and own.found == one.found
+        assert own.after == pytest.approx(one.before, rel=1e-9) and own.found == one.found
         assert abs(one.after - one.found) <= abs(one.before - one.found)
     assert again.parent != first.parent
     _, kept = corrected(held, doubted(found))

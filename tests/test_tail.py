@@ -288,3 +288,14 @@ def test_a_tail_without_either_is_fitted_by_two_terms():
     seen = [identify_tail(bench_42(seed)) for seed in range(40)]
     assert sum(one.mode is not None for one in seen) <= 5
     assert sum(one.bend is not None for one in seen) <= 5
+
+
+def test_a_torque_in_millinewton_metres_is_not_trusted():
+    """An outside audit: the fit was trusted, with a thousand times the stiffness."""
+    sweep = read_recording(Path(__file__).parents[1] / "examples" / "bench" / "tail-sweep.csv")
+    milli = {**sweep.columns, "torque_nm": 1000 * sweep.columns["torque_nm"]}
+    fish = load_fish("pulley-fish")
+    right = as_report(combine(fish, identify_tail([sweep]), None, None))
+    wrong = as_report(combine(fish, identify_tail([replace(sweep, columns=milli)]), None, None))
+    assert right["trusted"] and not wrong["trusted"]
+    assert "check that column torque_nm is in N m" in wrong["verdict"][0]

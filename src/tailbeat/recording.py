@@ -88,6 +88,12 @@ def _checked(file: Path, frame: pl.DataFrame, meta: Mapping[str, str]) -> Record
     """The table as a recording. The writer calls this too, so that every file can be read back."""
     if "time_s" not in frame.columns:
         names = ", ".join(frame.columns)
+        if mark := next((mark for mark in ";\t" if mark in names), None):
+            said = "semicolons" if mark == ";" else "tabs"
+            raise BadInput(
+                f"{file}: its cells are separated by {said}; a recording has commas. Read it with"
+                f" `tailbeat import table`."
+            )
         raise BadInput(f"{file}: column time_s is missing; there are {names}. Add the times [s].")
     if frame.height < 2:
         raise BadInput(f"{file}: {frame.height} rows; a recording needs at least 2.")

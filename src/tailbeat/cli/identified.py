@@ -1,6 +1,7 @@
 """Print the results of identification and prediction on the terminal."""
 
 from collections.abc import Sequence
+from statistics import median
 from typing import Any
 
 from tailbeat.cli.left_out import sentences
@@ -64,6 +65,30 @@ def servo(report: dict[str, Any]) -> None:
     rest = "" if held_out is None else f", {held_out:.2f} deg on the held-out recordings"
     say(f"mean absolute angle error {report['fit_mae_deg']:.2f} deg on the fitted{rest}")
     say(f"{report['error_over_best_naive']:.2f} times the error of the best naive predictor")
+
+
+def whole(report: dict[str, Any]) -> None:
+    """Print the main numbers of a fish whose tail, servo and fluid were identified."""
+    found, stages = report["summary"], report["stages"]
+    servo_error = found["servo_mae_deg"]
+    row = {
+        "stiffness [N m/rad]": found["k_eff"],
+        "damping [N m s/rad]": found["c_eff"],
+        "servo error [deg]": stages["servo"]["fit_mae_deg"] if servo_error is None else servo_error,
+        "speed error [mm/s]": None if found["speed_mae"] is None else 1e3 * found["speed_mae"],
+        "path error, median [%]": _median(found["position_error_share"], 100),
+        "heading error, median [deg]": _median(found["heading_error_deg"]),
+    }
+    tables({f"{len(found['position_error_share'])} held-out swims": [row]})
+    say(f"servo: {stages['servo']['error_over_best_naive']:.2f} times the error of the best naive")
+    for one in stages["fluid"]["naive"]:
+        say(f"{one['quantity']}: {one['ratio']:.2f} times the error of the {one['best']}")
+
+
+def _median(values: Sequence[float | None], by: float = 1.0) -> float | None:
+    """Median of the sizes of the values that there are, times `by`."""
+    known = [abs(value) for value in values if value is not None]
+    return by * median(known) if known else None
 
 
 def first(verdict: Sequence[str]) -> None:

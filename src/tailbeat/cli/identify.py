@@ -83,6 +83,7 @@ def identify_fluid(
     (.json), a figure (.png) and the posterior (.parquet). The same command resumes an interrupted
     search."""
     from tailbeat.identify import job, stages
+    from tailbeat.identify.posterior import beside
     from tailbeat.identify.search import Effort
     from tailbeat.report.figures import measured_against_twin
 
@@ -97,7 +98,8 @@ def identify_fluid(
         stages.fluid(paths, config, report, measured_against_twin)
     said = _report(paths)
     identified.identified(said)
-    output.say(f"wrote {', '.join(map(str, paths.written))}")
+    written = *paths.written, beside(out)
+    output.say(f"wrote {', '.join(map(str, written))}")
     _exit_untrusted(said)
 
 
@@ -262,8 +264,11 @@ def identify_all(
     with progress.search_progress() as report:
         found = chain.identify_all(paths, config, report, DRAWINGS, ahead)
     identified.first(found.verdict)
-    output.tables({"summary": [{k: v for k, v in asdict(found).items() if k != "verdict"}]})
-    output.say(f"wrote {out} and, beside it, {out.with_suffix('.md').name}")
+    said = loads((json or out.with_suffix(".json")).read_text("utf-8"))
+    identified.whole(said)
+    output.say(
+        f"wrote {out} and, beside it, page, report, posterior and three figures: {out.stem}*"
+    )
     _exit_untrusted(asdict(found))
 
 

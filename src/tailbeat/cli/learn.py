@@ -31,11 +31,13 @@ def source(imu: str | None) -> "Source | None":
 
 def show(file: PolicyFile, json: JsonOption = None) -> None:
     """Print a policy's contract. Its golden pairs are checked first."""
-    from tailbeat.control.policy import load_policy
+    from tailbeat.control.policy import contract_digest, load_policy
 
-    contract = asdict(load_policy(file).contract)
+    loaded = load_policy(file).contract
+    contract = asdict(loaded)
     results.contract(contract)
-    put_json(json, contract)
+    output.say(f"digest {contract_digest(loaded)}: a refined policy names it as its parent")
+    put_json(json, {"digest": contract_digest(loaded), **contract})
 
 
 def diff(

@@ -1,6 +1,7 @@
 """Tell from a robot's logs what is constant and wrong, and how it is built."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -29,7 +30,8 @@ def offsets(
     done = offsets_of(logs)
     output.warn(done.damage)
     say_swims(done.seconds, [_row(one) for one in done.offsets], done.untold)
-    put_json(json, done)
+    rows = [{**asdict(one), "told": one.told} for one in done.offsets]
+    put_json(json, {**asdict(done), "offsets": rows})
 
 
 def identify_logs(

@@ -47,7 +47,10 @@ def refine(
         typer.Option(help="With --retrain: the fish it was trained on, a TOML file or a name."),
     ] = None,
     start: StartOption = None,
-    hours: Annotated[float, typer.Option(help="With --retrain: longest training time [h].")] = 0.5,
+    hours: Annotated[
+        float | None,
+        typer.Option(help="With --retrain: longest training time [h]; default: 0.5."),
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Correct a policy by what its robot's swims show to be constant and wrong. These are the
@@ -56,15 +59,18 @@ def refine(
     --retrain a second policy is trained in a twin that is refitted to the logs. Exit code 1 if that
     one is no better."""
     check_json(json, out, *OWN)
-    if (fish is None) == retrain or (start is not None and not retrain):
-        raise BadInput("--retrain and --fish go together, and --start only with them.")
+    if (fish is None) == retrain or (not retrain and (start, hours) != (None, None)):
+        raise BadInput("--retrain and --fish go together, and --start and --hours only with them.")
     need_training()
     from tailbeat.train.again import AgainConfig, planned
     from tailbeat.train.refine import refine as make
 
     plan = None
     if fish is not None:
-        plan = fish, planned(policy, logs, AgainConfig(fish, out, start, hours))
+        plan = (
+            fish,
+            planned(policy, logs, AgainConfig(fish, out, start, 0.5 if hours is None else hours)),
+        )
         twin = f"{plan[1].fish.name}-refitted"
         check_json(json, out, f"{twin}.toml", f"{twin}.json")
     done = make(policy, logs, out)

@@ -127,7 +127,7 @@ def margins(
     nuisance is unknown, or a figure of the lab is too large.
     """
     names, pool = _names(config), pool_for(policy, config)
-    wanted, lab = _described(policy, pool), lab_of(pool.fish)
+    wanted, lab = _described(policy, pool), lab_of(pool.fish, config.fish)
     _begin(out, wanted)
     table = read_cells(out)
     while todo := next_cells(names, table, pool.count):
@@ -189,10 +189,11 @@ def _begin(out: Path, wanted: MarginsRun) -> None:
 # ---- numbers ------------------------------------------------------------------------------------
 
 
-def lab_of(fish: Fish) -> Mapping[str, float]:
-    """The lab's own figures, by nuisance, each in the nuisance's unit. Raises BadInput for one that
-    is larger than what can be simulated, as a number without a unit may be."""
-    return {} if fish.lab is None else mess.of_figures(fish.lab, fish.name)
+def lab_of(fish: Fish, where: str) -> Mapping[str, float]:
+    """The lab's own figures, by nuisance, each in the nuisance's unit, of a fish from the file or
+    of the shipped name `where`. Raises BadInput for one that is larger than what can be simulated,
+    as a number without a unit may be."""
+    return {} if fish.lab is None else mess.of_figures(fish.lab, where)
 
 
 def numbers(

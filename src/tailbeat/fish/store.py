@@ -4,6 +4,7 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Mapping
+from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
@@ -68,7 +69,17 @@ def lab_in(path: Path) -> Lab:
     try:
         return Lab.model_validate(table)
     except ValidationError as error:
-        raise BadInput(f"{path}: lab: {_sentence(error)}") from None
+        raise BadInput(f"{path}: lab: {_of_lab(error)}") from None
+
+
+def _of_lab(error: ValidationError) -> str:
+    """The first error of a table `[lab]`; for an unknown field also the known ones like it."""
+    first, known = error.errors()[0], list(Lab.model_fields)
+    if first["type"] != "extra_forbidden":
+        return _sentence(error)
+    field = str(first["loc"][0])
+    near = get_close_matches(field.replace(" ", "_"), known, n=2) or known
+    return f"unknown field {field}; remove it, or use {' or '.join(near)}."
 
 
 def _toml(path: Path) -> dict[str, Any]:

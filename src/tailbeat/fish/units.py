@@ -98,7 +98,11 @@ def _scaled(value: Any, factor: float) -> Any:
     """Multiply numbers in nested lists by `factor`; pydantic refuses everything else later."""
     if isinstance(value, list):
         return [_scaled(item, factor) for item in value]
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if isinstance(value, bool):
+        raise ValueError(
+            'true and false are no quantities; write a number and a unit, as "19.5 mm"'
+        )
+    if not isinstance(value, int | float):
         return value
     if abs(value * factor) > LARGEST:
         raise ValueError(f"{value:g} is beyond {LARGEST:g} in SI; check its unit")

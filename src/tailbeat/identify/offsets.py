@@ -26,6 +26,7 @@ FAST = ((6, 50), (10, 50), (10, 80))  # samples: noise is averaged over the firs
 FEWEST = 2  # blocks
 USUAL = 15  # blocks of three swims of a minute, with which the widths in `KINDS` were set
 ASTERN = 0.975  # share of draws in which a beat drives a tag back, beyond which it looks astern
+SHORTEST = STEP * (BLOCK + 2 * max(SLOW))  # s of a stretch that is read
 GAP = 0.25  # s without a pose: it is not bridged
 
 
@@ -95,7 +96,8 @@ def offsets(swims: Sequence[Logged]) -> Offsets:
     blocks = sum((len(piece.time) - 2 * max(SLOW)) // BLOCK for piece in pieces)
     if blocks < FEWEST:
         raise BadInput(
-            f"{seconds:.0f} s of swimming with poses; give"
+            f"{math.floor(seconds)} s of swimming with poses, in stretches without a gap of"
+            f" {SHORTEST:.0f} s or more; give"
             f" {STEP * (FEWEST * BLOCK + 2 * max(SLOW)):.0f} s or more without a gap, with turns to"
             f" both sides."
         )
@@ -141,7 +143,7 @@ def _pieces(swim: Logged) -> list[Logged]:
     edges = [0, *cuts.tolist(), len(at)]
     found = []
     for first, last in pairwise(edges):
-        if last - first < 2 or at[last - 1] - at[first] < STEP * (BLOCK + 2 * max(SLOW)):
+        if last - first < 2 or at[last - 1] - at[first] < SHORTEST:
             continue
         time = np.arange(at[first], at[last - 1], STEP)
         own = np.column_stack([pose[first:last, :2], np.unwrap(pose[first:last, 2])])

@@ -32,6 +32,8 @@ def write_posterior(
     swims that it was not; `out` None: beside the fish. Of the `config` its zones, draws and first
     seed count. Returns its path. Raises BadInput."""
     described, path = load_fish(fish), out or posterior.beside(fish_path(fish))
+    if path.suffix != ".parquet":
+        raise BadInput(f"--out {path}: a posterior is a Parquet file; give a name in .parquet.")
     refuse_existing(path)
     check(config)
     refuse_shared({"--fit": fit, "--check": check_swims})

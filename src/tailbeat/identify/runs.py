@@ -41,6 +41,8 @@ Array = NDArray[np.float64]
 SAMPLE = 0.02  # s between samples of a twin's run
 FIRST_WAY = 1.0  # s; their mean direction is the first heading if none was recorded
 SHORTEST = 0.5  # s of a replayed run, whose errors are those of a path (chosen)
+WRONG_UNIT = 0.5  # fraction of angles beyond the motor's range that is no glitch any more (chosen)
+APART = 0.5  # s between samples, above which no beat is seen (chosen; 20 ms are usual)
 REPLAYED = Options(replayed=True)
 
 
@@ -75,8 +77,9 @@ def as_runs(recording: Recording, fish: Fish) -> list[Run]:
 
 def as_run(recording: Recording, fish: Fish) -> Run:
     """A recording without its glitches, checked against a fish. Raises BadInput with the reason."""
+    _check_spacing(recording)
     if "motor_angle_rad" in recording.columns:  # a wrong unit is no glitch
-        check_motor(recording, fish, recording.columns["motor_angle_rad"], most=0.1)
+        check_motor(recording, fish, recording.columns["motor_angle_rad"], most=WRONG_UNIT)
     given = recording.time.size
     recording, glitches = clean_swim(recording)
     motor = recording.columns.get("motor_angle_rad")
@@ -101,6 +104,16 @@ def as_run(recording: Recording, fish: Fish) -> Run:
         frequency = steady_beat(track.time, np.sin(motor), fish.band)
     gait, launch = measure_gait(track, frequency), launch_of(recording, fish)
     return Run(recording.name, track, gait, motor, _from_rest(track), launch, glitches, given)
+
+
+def _check_spacing(recording: Recording) -> None:
+    """Raises BadInput for samples so far apart that no beat is between them."""
+    apart = float(np.median(np.diff(recording.time)))
+    if apart > APART:
+        raise BadInput(
+            f"{recording.name}: column time_s: samples are {apart:.3g} s apart; allowed is"
+            f" {APART:g} s. If the times are milliseconds, convert them to seconds."
+        )
 
 
 def _recorded_pose(recording: Recording, needs_yaw: bool) -> Array:

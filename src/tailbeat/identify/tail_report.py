@@ -21,6 +21,7 @@ MISSED = 0.02  # relative difference of the compiled shaft's stiffness that draw
 # The same of a slow pull's, both ways, beyond which it is of another tail; chosen: plastics are
 # softer when they are pulled slowly.
 STATIC = 0.3
+STRANGE = 30.0  # times the described inertia, chosen: 1000 is a unit, 3 may be a wrong mass
 HEAVY = 0.3  # the same of its inertia; air and large strokes make up to 0.15
 
 
@@ -61,7 +62,15 @@ class TailResult:
     @property
     def contradictions(self) -> tuple[str, ...]:
         """Recordings that are not of one tail. Friction makes a slow pull stiffer one way and
-        softer the other, so both ways tell."""
+        softer the other, so both ways tell. Or of no such tail: an inertia that is another one
+        altogether is a torque in another unit."""
+        own, described = self.fit.i_eff, self.hinges.i_compiled
+        if own.above_zero and not 1 / STRANGE < own.value / described < STRANGE:
+            return (
+                *self.fit.contradictions,
+                f"the tail's inertia at the shaft is {own.value:.3g} kg m^2, the description gives"
+                f" {described:.3g}: check that column torque_nm is in N m",
+            )
         if self.loop is None:
             return self.fit.contradictions
         k, ways = self.fit.k_eff.value, (self.loop.loading, self.loop.unloading)

@@ -84,6 +84,10 @@ def import_table(path: str | Path, config: TableConfig) -> Recording:
     scales = unit_scales(config.units, config.counts_per_turn)
     if "time" not in config.columns:
         raise BadInput("--map has no time; name the column of times, as time=NAME.")
+    if len(config.columns) == 1:
+        raise BadInput(
+            "--map names the time alone; name the signals too, as time=t,angle=position."
+        )
     found = [_column(table, name, source) for name, source in config.columns.items()]
     _check_lengths(table.file, found)
     columns: dict[str, Array] = {}

@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field, replace
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -146,9 +147,9 @@ def times(factor: float) -> Sizes:
 def check(sizes: Sizes) -> None:
     """Raises BadInput for an unknown nuisance, or a size below 0 or above the largest."""
     for name, size in sizes.items():
-        if name not in BY_NAME:
-            raise BadInput(f"nuisance {name!r}: allowed are {', '.join(BY_NAME)}.")
-        one = BY_NAME[name]
+        if (one := BY_NAME.get(name)) is None:
+            near = get_close_matches(name, BY_NAME, n=1) or BY_NAME
+            raise BadInput(f"nuisance {name!r}: give {', '.join(near)}.")
         if not 0 <= size <= one.most:
             raise BadInput(
                 f"nuisance {name}: {size:g} {one.unit}; allowed is 0 to {one.most:g} {one.unit}."

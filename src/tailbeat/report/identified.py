@@ -36,10 +36,21 @@ def page(report: dict[str, Any], stem: str) -> str:
             [_swim(run, role) for role in ("fit", "validate") for run in stages["fluid"][role]],
         )
     )
+    lines += ["", "## Against naive predictors", "", _naive(stages)]
     warnings = dict.fromkeys(warning for one in stages.values() for warning in one["warnings"])
     undecided = ", ".join(stages["fluid"]["undecided"]) or "none"
     lines += ["", f"Not decided by the swims: {undecided}.", ""]
     return "\n".join([*lines, *(f"- {warning}" for warning in warnings)]) + "\n"
+
+
+def _naive(stages: dict[str, Any]) -> str:
+    """Errors on the held-out recordings over those of the best naive predictor."""
+    servo = "angle of the servo", "best naive servo", stages["servo"]["error_over_best_naive"]
+    swims = [(one["quantity"], one["best"], one["ratio"]) for one in stages["fluid"]["naive"]]
+    return markdown(
+        ["error of", "over that of", "ratio"],
+        [[what, best, f"{ratio:.2f}"] for what, best, ratio in (servo, *swims)],
+    )
 
 
 def _cells(row: dict[str, Any]) -> list[str]:

@@ -20,6 +20,7 @@ from tailbeat.evaluate.trial import Pool, Progress
 from tailbeat.files import BadInput, write_json
 from tailbeat.fish.outline import outline
 from tailbeat.operator.tour import TargetResult
+from tailbeat.pool.mess import named
 from tailbeat.pool.water import fingerprint
 from tailbeat.report import film, html
 from tailbeat.report.film_frames import Shot
@@ -34,14 +35,15 @@ FILM_SECONDS = 16.0  # duration of a tour's film, from the tour's start
 class TourReport:
     """Summary of a tour.
 
-    Its configuration; the fish and the pool's water; the result of each target; how many the fish
-    `arrived` at (within `arrival_m`, 5 cm for the paper's fish) and how many it came `near` (within
-    four times that); the time of the whole tour and the median time of the targets reached [s]; the
-    provenance of policy and numbers.
+    Its configuration, with the level or file of its lab's `mess`; the fish and the pool's water;
+    the result of each target; how many the fish `arrived` at (within `arrival_m`, 5 cm for the
+    paper's fish) and how many it came `near` (within four times that); the time of the whole tour
+    and the median time of the targets reached [s]; the provenance of policy and numbers.
     """
 
     policy: str
     seed: int
+    mess: str
     log: str | None
     armed_anew: int | None
     fish: str
@@ -67,7 +69,8 @@ def write(
         shown = _film(swum, out / "swim.mp4", film_seconds, progress)
     drawn = html.figure(picture(swum.tour, swum.pool), out, "swim")
     blocks = (shown, drawn, html.table(rows(data.targets)))
-    origin = html.values({**vars(data.provenance), **data.training})
+    where = {"mess": data.mess, "seed": data.seed}
+    origin = html.values({**where, **vars(data.provenance), **data.training})
     sections = [Section("The swim", blocks), Section("Provenance", (origin,))]
     if data.log is not None:
         sections.insert(1, Section("Correct the policy by this swim", (_refine(data),)))
@@ -102,6 +105,7 @@ def summary(swum: Swum) -> TourReport:
     return TourReport(
         policy=swum.asked.policy,
         seed=swum.asked.seed,
+        mess=named(swum.asked.mess),
         log=None if swum.log is None else str(swum.log),
         armed_anew=swum.armed_anew,
         fish=swum.pool.fish.name,
