@@ -70,17 +70,19 @@ def servo(report: dict[str, Any]) -> None:
 def whole(report: dict[str, Any]) -> None:
     """Print the main numbers of a fish whose tail, servo and fluid were identified."""
     found, stages = report["summary"], report["stages"]
-    servo_error = found["servo_mae_deg"]
+    held_out = found["servo_mae_deg"] is not None
     row = {
         "stiffness [N m/rad]": found["k_eff"],
         "damping [N m s/rad]": found["c_eff"],
-        "servo error [deg]": stages["servo"]["fit_mae_deg"] if servo_error is None else servo_error,
+        "servo error, held out [deg]" if held_out else "servo error, fitted [deg]": (
+            found["servo_mae_deg"] if held_out else stages["servo"]["fit_mae_deg"]
+        ),
         "speed error [mm/s]": None if found["speed_mae"] is None else 1e3 * found["speed_mae"],
         "path error, median [%]": _median(found["position_error_share"], 100),
         "heading error, median [deg]": _median(found["heading_error_deg"]),
     }
     tables({f"{len(found['position_error_share'])} held-out swims": [row]})
-    say(f"servo: {stages['servo']['error_over_best_naive']:.2f} times the error of the best naive")
+    say(f"servo: {stages['servo']['error_over_best_naive']:.2f} times the error of the naive one")
     for one in stages["fluid"]["naive"]:
         say(f"{one['quantity']}: {one['ratio']:.2f} times the error of the {one['best']}")
 
