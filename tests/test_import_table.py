@@ -339,7 +339,7 @@ def test_json_lists_that_are_not_mapped_may_have_another_length(tmp_path):
     config = TableConfig({"time": "t", "angle": "pid"})
     said = refusal(tmp_path, json.dumps(rows), config, "a.json")
     assert "lists of unequal length ({'t': 3, 'pid': 1}); make them equal" in said
-    only = TableConfig({"time": "pid"})
+    only = TableConfig({"time": "pid", "angle": "pid"})
     assert "at least two rows" in refusal(tmp_path, json.dumps(rows), only, "a.json")
 
 

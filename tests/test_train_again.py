@@ -123,4 +123,4 @@ def test_options_that_go_together_are_asked_for(tmp_path):
     words = ("refine", "pulley-fish-pool-reach", "--log", tmp_path / "no.mcap", "--out", tmp_path)
     assert "--retrain and --fish go together" in complaint(*words, "--retrain")
     assert "--retrain and --fish go together" in complaint(*words, "--fish", FISH.name)
-    assert "--start only with them" in complaint(*words, "--start", tmp_path)
+    assert "--start and --hours only with them" in complaint(*words, "--start", tmp_path)
