@@ -166,7 +166,7 @@ def test_way_over_ground_is_not_made_of_noise():
 
 
 def test_a_cruise_still_needs_its_heading():
-    columns = {"x_m": np.arange(9.0), "y_m": np.arange(9.0)}
+    columns = {"x_m": 0.01 * np.arange(9.0), "y_m": 0.01 * np.arange(9.0)}
     with pytest.raises(BadInput, match="yaw_rad is missing"):
         as_run(Recording("a", np.arange(9.0) / 50, columns), load_fish("crank-fish"))
 
