@@ -17,7 +17,7 @@ from tailbeat.evaluate.logged_swims import swims as log_swims
 from tailbeat.files import BadInput
 from tailbeat.fish.store import load_fish
 from tailbeat.identify.offsets import _few, offsets
-from tailbeat.identify.swim_columns import Logged
+from tailbeat.identify.swim_columns import Logged, averaged
 from tailbeat.link.places import room
 from tailbeat.pool import mess
 from tailbeat.pool.water import ensemble
@@ -140,7 +140,7 @@ def test_a_weak_fish_that_drifts_back_has_no_tag_that_looks_astern(wrecked):
     for lab, swims, _ in zip(*wrecked, strict=True):
         askew = offsets(swims).offsets[0]
         wrong.append(abs(askew.value - np.degrees(lab.errors.askew)))
-        carried += np.mean([ahead(s).mean() for s in swims]) < 0
+        carried += np.mean([averaged(s, 60)[0].mean() for s in swims]) < 0
     assert carried >= 1, "no fish is carried astern here, so this tells nothing"
     assert max(wrong) < 90
 
@@ -170,13 +170,6 @@ def test_intervals_hold_in_wrecked_labs_too(wrecked):
         del true["shaft at straight"]  # the tail is bent, and its best zero is not known
         held += [own[n].interval[0] <= t <= own[n].interval[1] for n, t in true.items()]
     assert len(held) == 60 and sum(held) >= 53, sum(held)
-
-
-def ahead(swim):
-    """Speed in the tag's own frame [m/s]."""
-    yaw = swim.pose[:, 2]
-    vx, vy = (np.gradient(c, 0.02) for c in swim.pose[:, :2].T)
-    return np.cos(yaw) * vx + np.sin(yaw) * vy
 
 
 def test_a_frozen_reading_is_named(made, tmp_path):

@@ -83,8 +83,7 @@ def whole(report: dict[str, Any]) -> None:
     }
     tables({f"{len(found['position_error_share'])} held-out swims": [row]})
     say(f"servo: {stages['servo']['error_over_best_naive']:.2f} times the error of the naive one")
-    for one in stages["fluid"]["naive"]:
-        say(f"{one['quantity']}: {one['ratio']:.2f} times the error of the {one['best']}")
+    _say_naive(stages["fluid"])
 
 
 def _median(values: Sequence[float | None], by: float = 1.0) -> float | None:
@@ -152,6 +151,10 @@ def _say_errors(report: dict[str, Any]) -> None:
     held_out = report["validate_speed_mae"]
     tail = "" if held_out is None else f", {1e3 * held_out:.1f} mm/s on the held-out runs"
     say(f"mean absolute speed error {1e3 * report['fit_speed_mae']:.1f} mm/s on the fitted{tail}")
+    _say_naive(report)
+
+
+def _say_naive(report: dict[str, Any]) -> None:
     for one in report["naive"]:
         say(f"{one['quantity']}: {one['ratio']:.2f} times the error of the {one['best']}")
 

@@ -34,10 +34,10 @@ def show(file: PolicyFile, json: JsonOption = None) -> None:
     from tailbeat.control.policy import contract_digest, load_policy
 
     loaded = load_policy(file).contract
-    contract = asdict(loaded)
+    contract, digest = asdict(loaded), contract_digest(loaded)
     results.contract(contract)
-    output.say(f"digest {contract_digest(loaded)}: a refined policy names it as its parent")
-    put_json(json, {"digest": contract_digest(loaded), **contract})
+    output.say(f"digest {digest}: a refined policy names it as its parent")
+    put_json(json, {"digest": digest, **contract})
 
 
 def diff(

@@ -67,10 +67,8 @@ def refine(
 
     plan = None
     if fish is not None:
-        plan = (
-            fish,
-            planned(policy, logs, AgainConfig(fish, out, start, 0.5 if hours is None else hours)),
-        )
+        asked = AgainConfig(fish, out, start, 0.5 if hours is None else hours)
+        plan = fish, planned(policy, logs, asked)
         twin = f"{plan[1].fish.name}-refitted"
         check_json(json, out, f"{twin}.toml", f"{twin}.json")
     done = make(policy, logs, out)

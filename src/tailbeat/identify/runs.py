@@ -33,7 +33,7 @@ from tailbeat.identify.gait import (
 )
 from tailbeat.identify.glitches import Glitch
 from tailbeat.identify.launch import launch_of
-from tailbeat.identify.stretches import stretches
+from tailbeat.identify.stretches import check_close, stretches
 from tailbeat.identify.tag_pose import root_pose, tracked_pose
 from tailbeat.recording import Recording, markers, require
 
@@ -77,7 +77,7 @@ def as_runs(recording: Recording, fish: Fish) -> list[Run]:
 
 def as_run(recording: Recording, fish: Fish) -> Run:
     """A recording without its glitches, checked against a fish. Raises BadInput with the reason."""
-    _check_spacing(recording)
+    check_close(recording, APART)
     if "motor_angle_rad" in recording.columns:  # a wrong unit is no glitch
         check_motor(recording, fish, recording.columns["motor_angle_rad"], most=WRONG_UNIT)
     given = recording.time.size
@@ -104,16 +104,6 @@ def as_run(recording: Recording, fish: Fish) -> Run:
         frequency = steady_beat(track.time, np.sin(motor), fish.band)
     gait, launch = measure_gait(track, frequency), launch_of(recording, fish)
     return Run(recording.name, track, gait, motor, _from_rest(track), launch, glitches, given)
-
-
-def _check_spacing(recording: Recording) -> None:
-    """Raises BadInput for samples so far apart that no beat is between them."""
-    apart = float(np.median(np.diff(recording.time)))
-    if apart > APART:
-        raise BadInput(
-            f"{recording.name}: column time_s: samples are {apart:.3g} s apart; allowed is"
-            f" {APART:g} s. If the times are milliseconds, convert them to seconds."
-        )
 
 
 def _recorded_pose(recording: Recording, needs_yaw: bool) -> Array:

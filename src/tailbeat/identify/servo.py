@@ -20,7 +20,7 @@ from tailbeat.identify.hinges import tail_inertia
 from tailbeat.identify.response import STILL
 from tailbeat.identify.shaft import Bench, Load, free_run
 from tailbeat.identify.space import Parameter
-from tailbeat.identify.stretches import stretches
+from tailbeat.identify.stretches import check_close, stretches
 from tailbeat.recording import Recording, require
 
 Array = NDArray[np.float64]
@@ -102,12 +102,8 @@ def as_bench(recording: Recording, fish: Fish, kind: str | None = None) -> Bench
 def _check_moves(recording: Recording, command: Array, angle: Array, enabled: Array) -> None:
     """Raises BadInput for samples far apart, a command or a shaft that never moves, or an angle
     that runs against the command."""
-    name, apart = recording.name, float(np.median(np.diff(recording.time)))
-    if apart > SLOWEST:
-        raise BadInput(
-            f"{name}: column time_s: samples are {apart:.3g} s apart; allowed is {SLOWEST:g} s. If"
-            f" the times are milliseconds, convert them to seconds."
-        )
+    name = recording.name
+    check_close(recording, SLOWEST)
     if np.ptp(command) < STILL:
         raise BadInput(
             f"{name}: column command_rad never moves; record a chirp or steps (see `tailbeat"

@@ -1,10 +1,11 @@
-"""Split a recording into the parts that were recorded in one go."""
+"""Split a recording into parts that were recorded in one go; check how close its samples are."""
 
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
+from tailbeat.files import BadInput
 from tailbeat.recording import Recording, changes, rows
 
 
@@ -26,3 +27,13 @@ def _with_settings(part: Recording, several: bool) -> Recording:
     meta = {**part.meta, **{name: text for name, text in first.items() if name != "condition"}}
     name = ", ".join([part.name, *told]) if several else part.name
     return replace(part, name=name, labels=kept, meta=meta)
+
+
+def check_close(recording: Recording, most: float) -> None:
+    """Raises BadInput for samples that are usually more than `most` [s] apart."""
+    apart = float(np.median(np.diff(recording.time)))
+    if apart > most:
+        raise BadInput(
+            f"{recording.name}: column time_s: samples are {apart:.3g} s apart; allowed is"
+            f" {most:g} s. If the times are milliseconds, convert them to seconds."
+        )
